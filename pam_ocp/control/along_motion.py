@@ -1,35 +1,42 @@
-"""Time-varying LQR along a planned motion: the Riccati differential equation, backwards."""
+"""Time-varying LQR along a planned motion: the Riccati differential equation, backwards.
+
+As blocks, what follows a clock (feedback, inputs alone, motions as sources) has the values of every
+sample in a table: it counts its samples while it is active, and stays at the last one.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.block import Block
 from ..core.errors import InputError, require_positive
-from ..core.stop import verb
+from ..core.stop import turns, verb
 from ..core.trajectory import Trajectory
+from ..core.variables import Variable
 from ..operating.linear import LinearAlong, held, linearize_along, no_influence
 from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
+from .blocks.draft import Draft, Symbol, as_output
+from .blocks.kinds import BLOCKS
+from .blocks.running import ByBlock, Running
 from .controller import Measured
-from .linear_quadratic import (
-    Integrals,
-    Weighting,
-    require_quick,
-    saturated,
-    sent,
-    states_of,
-    stationary,
-)
+from .linear_quadratic import Weighting, require_quick, stationary
+from .state_feedback import feedback_law
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+LONGEST = 2**24
+"""Samples of a motion: single precision counts so far."""
 
 
 class OpenLoop:
@@ -67,7 +74,7 @@ class OpenLoop:
 
 
 @dataclass
-class TrajectoryFeedback:
+class TrajectoryFeedback(ByBlock):
     """u = u(t) - K(t) (x - x(t)) - Ki(t) integral(y - y(t)): a Controller along a motion.
 
     t : (n,) [s]; K : (n, inputs, states), Ki : (n, inputs, integrated), SI units; P : (n, N, N),
@@ -94,11 +101,6 @@ class TrajectoryFeedback:
         self._y = self.motion.array(self.integrated)
         chosen = [inner.variable(n) for n in self.inputs]
         self._low, self._high = (np.array([getattr(v, a) for v in chosen]) for a in ("min", "max"))
-        self._integrals = Integrals(self.integrated)
-
-    def reset(self) -> None:
-        """See :class:`Controller`."""
-        self._integrals.reset()
 
     @property
     def inversion(self) -> Inversion:
@@ -118,15 +120,28 @@ class TrajectoryFeedback:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        x = states_of(self._inversion, self._states, measured)
-        planned = self._planned(t)
-        u = planned - self._row(t, self.K, self.t) @ (x - self._row(t, self._x, self.motion.t))
-        u = u - self._row(t, self.Ki, self.t) @ self._integrals.values
-        if self.integrated:
-            y = np.array([measured[n] for n in self.integrated])
-            error = y - self._row(t, self._y, self.motion.t)
-            self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self._inversion, self.inputs, u, measured)
+        law = self._law
+        law.measure(measured)
+        row = self._rows(t)
+        law.inputs[self._told : self._told + len(row)] = row
+        return law.commands()
+
+    @turns
+    def _running(self) -> Running:
+        """The law of the block, told its row at a time in place of that of a sample."""
+        draft = Draft("feedback", self.sample_time, "state feedback about a row")
+        size = len(self._rows(float(self.t[0])))
+        row = ca.vertcat(*(draft.input(f"ahead.r{i}") for i in range(size)))
+        _enter_law(draft, self, row)
+        law = Running(draft.block())
+        self._told = law.places["ahead.r0"]
+        return law
+
+    def _rows(self, t: float) -> Array:
+        """What the law needs at a time [s]: u(t), x(t), y(t), K(t), Ki(t), column by column."""
+        x, y = (self._row(t, values, self.motion.t) for values in (self._x, self._y))
+        k, ki = (self._row(t, values, self.t) for values in (self.K, self.Ki))
+        return np.concatenate([self._planned(t), x, y, k.T.ravel(), ki.T.ravel()])
 
     def _planned(self, t: float) -> Array:
         """The motion's inputs, commands as the openings that they give."""
@@ -349,10 +364,102 @@ def _final(
         return given, np.zeros_like(q)
     try:
         lift, pick = stuck
-        kept = lift.T @ q @ lift
-        _, p, used = stationary(pick @ a @ lift, pick @ b, kept, r, states, sample_time)
+        weights = lift.T @ q @ lift
+        _, p, used = stationary(pick @ a @ lift, pick @ b, weights, r, states, sample_time)
     except ValueError as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
         ) from None
-    return pick.T @ p @ pick, pick.T @ (used - kept) @ pick
+    return pick.T @ p @ pick, pick.T @ (used - weights) @ pick
+
+
+# ---- as blocks ----------------------------------------------------------------------------------
+def _samples(end: float, sample_time: float) -> int:
+    """Samples until a motion that ends at ``end`` [s] stays as it is."""
+    count = math.ceil(max(end, 0.0) / sample_time - 1e-9) + 2
+    if count >= LONGEST:
+        raise InputError(
+            f"the motion of {end:g} s has {count} samples of {sample_time:g} s; give it in parts "
+            f"of less than {LONGEST}"
+        )
+    return count
+
+
+def _row(draft: Draft, table: Array) -> Symbol:
+    """The row of this sample, as a column; the count goes on while the block is active."""
+    count = draft.memory("sample", description="samples since the beginning")
+    last = len(table) - 1
+    here = ca.fmin(ca.fmax(count, 0), last)
+    started = draft.memory("started", description="1 after the first step")
+    # what was sent a sample ago decides whether that sample counts
+    now = ca.if_else(started, ca.fmin(here + draft.active, last), here)
+    draft.next("sample", now)
+    draft.next("started", draft.kind(1))
+    return ca.MX(ca.DM(table.T))[:, now]
+
+
+@BLOCKS.register("TrajectoryFeedback")
+def trajectory_feedback(controller: TrajectoryFeedback, name: str = "tvlqr") -> Block:
+    """u = u(t) - K(t) (x - x(t)) - Ki(t) integral(y - y(t)), as :class:`TrajectoryFeedback`."""
+    c = controller
+    draft = Draft(name, c.sample_time, "time-varying state feedback along a motion", ca.MX)
+    times = c.sample_time * np.arange(_samples(float(c.motion.t[-1]), c.sample_time))
+    _enter_law(draft, c, _row(draft, np.array([c._rows(t) for t in times])))
+    return draft.block()
+
+
+def _enter_law(draft: Draft, c: TrajectoryFeedback, row: Symbol) -> None:
+    plant, inversion = c.plant, c._inversion if c._inversion else None
+    chosen = [c._inversion.inner.variable(n) for n in c.inputs]
+    integrated = [plant.variable(n) for n in c.integrated]
+    nu, nx, ni = len(chosen), len(plant.states), len(integrated)
+    ends = np.cumsum([0, nu, nx, ni, nu * nx, nu * ni]).tolist()
+    u0, x0, y0, k, ki = ca.vertsplit(row, ends)
+    gains, goals = (ca.reshape(k, nu, nx), ca.reshape(ki, nu, ni)), [y0[i] for i in range(ni)]
+    tracked, limits = (integrated, goals), (c._low, c._high)
+    feedback_law(draft, inversion, plant.states, chosen, gains, (x0, u0), tracked, limits)
+
+
+@BLOCKS.register("OpenLoop")
+def open_loop(controller: OpenLoop, name: str = "open_loop") -> Block:
+    """The inputs of a motion, whatever happens, as :class:`OpenLoop`."""
+    c, plant = controller, controller.plant
+    draft = Draft(name, c.sample_time, "inputs of a motion", ca.MX)
+    times = c.sample_time * np.arange(_samples(float(c.motion.t[-1]), c.sample_time))
+    row = _row(draft, np.array([c.planned(t) for t in times]))
+    for i, n in enumerate(c.inputs):
+        draft.output(as_output(plant.variable(n)), row[i], command=True)
+    return draft.block()
+
+
+@BLOCKS.register("Trajectory")
+def source(
+    motion: Trajectory,
+    name: str = "motion",
+    *,
+    sample_time: float = 1e-3,
+    names: list[str] | None = None,
+) -> Block:
+    """A motion as a source of references ``wanted.NAME``, at the end of it the last ones.
+
+    names : of its columns; by default all. sample_time : [s].
+    """
+    draft = Draft(name, require_positive("sample_time", sample_time, "s"), "a motion", ca.MX)
+    wanted = list(names or motion.names)
+    begin, end = float(motion.t[0]), float(motion.t[-1])
+    times = np.clip(sample_time * np.arange(_samples(end, sample_time)), begin, end)
+    distinct, sample = np.unique(times, return_inverse=True)
+    table = motion.at(distinct).array(wanted)[sample]
+    row = _row(draft, table)
+    for i, n in enumerate(wanted):
+        v = motion.variable(n)
+        about = Variable(
+            f"wanted.{n}",
+            "output",
+            unit=v.unit,
+            nominal=v.nominal,
+            start=float(table[0, i]),
+            description=f"planned: {v.description}",
+        )
+        draft.output(about, row[i])
+    return draft.block()

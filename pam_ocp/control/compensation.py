@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.block import Block
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.stop import locked
+from ..core.stop import locked, turns
+from ..numerics.rosenbrock import rodas3
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
+from .blocks.draft import Draft, Symbol, as_output, clipped, sent_by
+from .blocks.kinds import BLOCKS, law_of
+from .blocks.running import ByBlock, Running
 from .controller import Measured
-from .inverse import InverseDynamics
+from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
 from .kinds import CONTROLLERS
-from .memory_model import MemoryModel
-from .pid import PID, PressureLoop
+from .pid import PID, PressureLoop, pid_law
 from .references import Source, source
 
 __all__ = ["HysteresisCompensation"]
@@ -29,6 +34,8 @@ Rates: TypeAlias = (
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 BISECTIONS = 60
+PARTS = 32
+"""Steps of the integrator per sample: finer than the edge of an element that begins to slide."""
 
 
 @locked
@@ -116,71 +123,41 @@ class HysteresisCompensation:
         return _Tracking(self, reference, preview)
 
 
-class _Tracking:
+class _Tracking(ByBlock):
     """One run of a HysteresisCompensation."""
 
     def __init__(
         self, owner: HysteresisCompensation, reference: Mapping[str, Source], preview: bool
     ) -> None:
         self.owner, self.plant, self.sample_time = owner, owner.plant, owner.sample_time
-        self.position = owner.inverse.position
-        self._path = _Rounded(reference[self.position], owner.rounding / 2, preview)
+        inverse = owner.inverse
+        self._path = _Rounded(reference[inverse.position], owner.rounding / 2, preview)
         self._stiffness = reference.get(
             "stiffness", None if owner.stiffness is None else source("stiffness", owner.stiffness)
         )
         self._raw = reference
-        self._memory = MemoryModel(owner.plant, self.position, owner.inverse.velocity)
-        self._pid = PID.placed(owner.frequency) if owner.frequency else None
-        self.reset()
+        self._names = (inverse.position, inverse.velocity, "acceleration", "stiffness")
 
-    def reset(self) -> None:
-        """See :class:`Controller`."""
-        self._memory.reset()
-        self._memory.place({self.position: self._path(0.0)[0]})
-        self._now: Array | None = None
-        self._saturated = False
-        if self._pid is not None:
-            self._pid.reset()
+    @turns
+    def _running(self) -> Running:
+        inverse = self.owner.inverse
+        pressures = (f"{m}.pressure" for m in inverse.muscles)
+        return Running(law_of(self.owner), {inverse.position, *pressures})
 
     def wanted(self, t: float) -> dict[str, float]:
         """What is to be reached at a time [s]."""
         return {n: at(t) for n, at in self._raw.items()}
 
-    def _pressures(self, t: float, more: float = 0.0) -> Array:
-        """Pressures of the model on the reference, with an acceleration added."""
-        x, v, a = self._path(t)
-        stiffness = None if self._stiffness is None else self._stiffness(t)
-        held = self._memory.values
-        return self.owner.inverse(x, v, a + more, stiffness, held)
-
-    def _ahead(self, t: float) -> Array:
-        """The same a sample later, to where the memories go along."""
-        if self.owner.compensate:
-            self._memory.move(self._path(t)[0], self.sample_time)
-        found = self._pressures(t)
-        pressures = zip(self.owner.inverse.muscles, found.tolist(), strict=True)
-        self._memory.place({f"{m}.pressure": p for m, p in pressures})
-        return found
-
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        owner = self.owner
-        if self._now is None:
-            self._now = self._pressures(t)
-        now, added = self._now, np.zeros(len(self._now))
-        if self._pid is not None:
-            error = self._path(t)[0] - measured[self.position]
-            more = self._pid(error, self.sample_time, self._saturated)
-            wanted = self._pressures(t, more)
-            added = wanted - now
-            ends = (wanted <= owner.inverse.low) | (wanted >= owner.inverse.high)
-            self._saturated = bool(ends.any())
-        ahead = self._ahead(t + self.sample_time)
-        slope = (ahead - now) / self.sample_time
-        self._now = ahead
-        pairs = zip(owner.inverse.muscles, (now + added).tolist(), slope.tolist(), strict=True)
-        targets = {m: (p, s) for m, p, s in pairs}
-        return owner.inputs(targets, owner.pressure_time, measured)
+        law = self._law
+        law.measure(measured)
+        for first, time in (("wanted", t), ("ahead", t + self.sample_time)):
+            values = [*self._path(time)]
+            if self._stiffness is not None:
+                values.append(self._stiffness(time))
+            law.tell({f"{first}.{n}": v for n, v in zip(self._names, values, strict=False)})
+        return law.commands()
 
 
 class _Rounded:
@@ -209,6 +186,63 @@ class _Rounded:
         return self._reference(max(t, 0.0))
 
 
+class MemoryModel:
+    """States with memory (hysteresis, creep) while position and pressures move as is said.
+
+    plant : what is believed of the muscles. Hysteresis and creep need the motion alone, so they are
+    integrated along it without the rest of the plant. values : the memories at the beginning.
+    """
+
+    def __init__(self, plant: Plant, position: str, velocity: str) -> None:
+        self._plant, self._at = plant, (position, velocity)
+        self.start = {v.name: v.start or 0.0 for v in (*plant.states, *plant.inputs)}
+        self._memories = [v for v in plant.states if v.memory]
+        self.values = {v.name: self.start[v.name] for v in self._memories}
+        self._step = self._build() if self.values else None
+
+    def _build(self) -> ca.Function:
+        """(memories, all states and inputs, duration) -> memories."""
+        plant = self._plant
+        z = ca.vertcat(plant.x, plant.u)
+        places = [i for i, n in enumerate(self.start) if n in self.values]
+        rates = ca.vertcat(*(plant.expression(f"der({n})") for n in self.values))
+        slope = ca.densify(ca.jacobian(rates, z)[:, places])
+        system = ca.Function("rates", [z, plant.p], [rates, slope])
+        memory, full, duration = (
+            ca.SX.sym(n, k) for n, k in (("m", len(places)), ("z", z.numel()), ("h", 1))
+        )
+
+        def slopes(x: ca.SX) -> tuple[ca.SX, ca.SX]:
+            here = ca.SX(full)
+            here[places] = x
+            rate, steep = system(here, plant.vector("parameter"))
+            return rate, steep
+
+        return ca.Function("memory", [memory, full, duration], [rodas3(slopes, memory, duration)])
+
+    def moved(
+        self,
+        memory: Symbol,
+        way: tuple[Symbol, Symbol],
+        known: Mapping[str, Symbol],
+        duration: float,
+    ) -> Symbol:
+        """The memories after a move from one position to another at an even speed.
+
+        known : other states and inputs by name, the pressures among them.
+        """
+        if self._step is None:
+            return memory
+        position, velocity = self._at
+        begin, end = way
+        z = {**self.start, **known, velocity: (end - begin) / duration}
+        for i in range(PARTS):
+            z[position] = begin + (end - begin) * (i + 0.5) / PARTS
+            memory = self._step(memory, ca.vertcat(*z.values()), duration / PARTS)
+        ends = ([getattr(v, end) for v in self._memories] for end in ("min", "max"))
+        return clipped(memory, *ends)
+
+
 class _PressureInputs:
     """Inputs that give pressures the rates wanted, by the feeds' own equations.
 
@@ -218,8 +252,6 @@ class _PressureInputs:
     def __init__(self, plant: Plant, muscles: list[str]) -> None:
         self.inversion = Inversion(plant)
         inner = self.inversion.inner
-        self._names = [v.name for v in inner.states]
-        self._start = {v.name: v.start or 0.0 for v in inner.states}
         self._u = inner.vector("input")
         self._p = inner.vector("parameter")
         self._solved: dict[str, tuple[int, ca.Function, tuple[float, float]]] = {}
@@ -239,57 +271,165 @@ class _PressureInputs:
         self._inputs = [v.name for v in inner.inputs]
         known = {*self._set, *self._solved}
         self._loop = None if known >= set(muscles) else PressureLoop(plant)
-        self._rest = [m for m in muscles if m not in known]
 
-    def __call__(
-        self,
-        targets: Mapping[str, tuple[float, float]],
-        time: float,
-        measured: Measured,
-    ) -> dict[str, float]:
-        """Inputs by name for {muscle: (pressure, its rate)}."""
-        found: dict[str, float] = {f"{m}.pressure": targets[m][0] for m in self._set}
-        seen = self.inversion.entry(measured)
-        x = np.array([seen.get(n, self._start[n]) for n in self._names])
-        for m, (place, function, ends) in self._solved.items():
+    def enter(
+        self, draft: Draft, targets: Mapping[str, tuple[Symbol, Symbol]], time: float
+    ) -> None:
+        """The commands for {muscle: (pressure, its rate)}, as outputs of a block."""
+        inner = self.inversion.inner
+        values: dict[str, Any] = {f"{m}.pressure": targets[m][0] for m in self._set}
+        for m, (index, function, ends) in self._solved.items():
             wanted, slope = targets[m]
-            rate = slope + (wanted - measured[f"{m}.pressure"]) / time
-            found[self._inputs[place]] = self._solve(function, x, place, rate, ends)
-        sent = self.inversion.commands(found, measured=measured)
+            rate = slope + (wanted - draft.like(inner.variable(f"{m}.pressure"))) / time
+            values[self._inputs[index]] = self._solve(draft, m, function, index, rate, ends)
+        sent = sent_by(self.inversion, values, draft)
         if self._loop is not None:
-            pressures = {m: p for m, (p, _) in targets.items()}
-            sent.update({n: u for n, u in self._loop(pressures, measured).items() if n not in sent})
-        return sent
+            names = {f"{m}.pressure": draft.like(inner.variable(f"{m}.pressure")) for m in targets}
+            asked = self._loop.inputs({m: p for m, (p, _) in targets.items()}, names)
+            known = {v.name for v, _ in sent}
+            more = sent_by(self._loop.inversion, asked, draft)
+            sent += [(v, value) for v, value in more if v.name not in known]
+        for variable, value in sent:
+            draft.output(as_output(variable), value, command=True)
 
     def _solve(
-        self, function: ca.Function, x: Array, place: int, rate: float, ends: tuple[float, float]
-    ) -> float:
+        self,
+        draft: Draft,
+        m: str,
+        function: ca.Function,
+        index: int,
+        rate: Symbol,
+        ends: tuple[float, float],
+    ) -> Symbol:
         """The input at which the pressure has this rate, or the nearer end (it rises with it)."""
+        inner, (low, high) = self.inversion.inner, ends
+        sizes = {"x": len(inner.states), "u": 1, "rate": 1, "s": 6}
+        x, u, wanted, s = (ca.SX.sym(n, k) for n, k in sizes.items())
+        every = ca.SX(ca.DM(self._u))
+        every[index] = u
+        value = function(x, every, ca.DM(self._p))
+        missed = ca.Function(f"missed_{m}", [x, u, wanted], [value - wanted])
+        needed = set(ca.jacobian(value, x).sparsity().get_col())
+        states = [
+            draft.like(v) if i in needed else float(v.start or 0.0)
+            for i, v in enumerate(inner.states)
+        ]
+        one = _regula_falsi(missed, x, wanted, s)
+        at: Any = ca.vertcat(*states)
+        first, last = missed(at, low, rate), missed(at, high, rate)
+        begun = ca.if_else(first >= 0, low, high)
+        done = ca.logic_or(first >= 0, last <= 0)
+        state: Any = ca.vertcat(low, high, first, last, done, begun)
+        for _ in range(BISECTIONS):
+            state = one(at, rate, state)
+        draft.repeats("steps for the inputs that give the pressures their rates", BISECTIONS)
+        return ca.if_else(state[4], state[5], state[1])
 
-        def missed(value: float) -> float:
-            self._u[place] = value
-            return float(function(x, self._u, self._p)) - rate
 
-        low, high = ends
-        first, last = missed(low), missed(high)
-        if first >= 0:
-            return low
-        if last <= 0:
-            return high
-        for _ in range(BISECTIONS):  # regula falsi (Illinois): one step where it is a straight line
-            middle = high - last * (high - low) / (last - first)
-            value = missed(middle)
-            if abs(value) <= 1e-9 * abs(rate) + 1e-6:
-                return middle
-            if value * last < 0:
-                low, first = high, last
-            else:
-                first /= 2
-            high, last = middle, value
-        return high
+def _regula_falsi(missed: ca.Function, x: ca.SX, wanted: ca.SX, s: ca.SX) -> ca.Function:
+    """One step of the Illinois method; s = (low, high, first, last, done, answer)."""
+    low, high, first, last, done, answer = ca.vertsplit(s)
+    slope = last - first
+    middle = high - last * (high - low) / ca.if_else(ca.fabs(slope) > 0, slope, 1)
+    value = missed(x, middle, wanted)
+    hit = ca.fabs(value) <= 1e-9 * ca.fabs(wanted) + 1e-6
+    across = value * last < 0
+    moved = [
+        ca.if_else(across, high, low),
+        middle,
+        ca.if_else(across, last, first / 2),
+        value,
+        hit,
+        ca.if_else(hit, middle, answer),
+    ]
+    after = [ca.if_else(done, old, new) for old, new in zip(ca.vertsplit(s), moved, strict=True)]
+    return ca.Function("regula_falsi", [x, wanted, s], [ca.vertcat(*after)], {"cse": True})
 
 
 def _start_of(plant: Plant, name: str) -> float:
     """An expression of the plant at its start values."""
     at: Any = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression(name)])
     return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))
+
+
+# ---- as a block ---------------------------------------------------------------------------------
+@BLOCKS.register("HysteresisCompensation")
+def hysteresis_compensation(
+    controller: HysteresisCompensation, name: str = "compensation"
+) -> Block:
+    """Tracks a position by the inverse of the model, as :class:`HysteresisCompensation`.
+
+    Inputs are the states that the feed needs, and what is to be reached: ``wanted.*`` now and
+    ``ahead.*`` one sample later (position, velocity, acceleration, for a pair stiffness). The
+    reference is to be smooth: a target has no preview by which to round it off.
+    """
+    return _Compensation(controller, name).block()
+
+
+@dataclass
+class _Compensation:
+    owner: HysteresisCompensation
+    name: str
+
+    def __post_init__(self) -> None:
+        o = self.owner
+        self.inverse, self.plant = o.inverse, o.plant
+        description = "feed-forward by the inverse of the hysteresis"
+        self.draft = Draft(self.name, o.sample_time, description, ca.MX)
+        self.model = MemoryModel(o.plant, o.inverse.position, o.inverse.velocity)
+
+    def _reference(self, first: str) -> tuple[Symbol, Symbol, Symbol, Symbol | None]:
+        x = self.plant.variable(self.inverse.position).start or 0.0
+        motion = wanted_motion(self.draft, self.inverse, (x, 0.0, 0.0), first)
+        k = None
+        if self.owner.stiffness is not None:
+            k = wanted_stiffness(self.draft, self.plant, self.owner.stiffness, first)
+        return (*motion, k)
+
+    def block(self) -> Block:
+        draft, o, muscles = self.draft, self.owner, self.inverse.muscles
+        x, v, a, k = self._reference("wanted")
+        ahead = self._reference("ahead")
+        started = draft.memory("started", description="1 after the first step")
+        held = {n: draft.memory(f"memory.{n}", s) for n, s in self.model.values.items()}
+        modelled = [draft.memory(f"model.{m}.pressure", unit="Pa", nominal=1e5) for m in muscles]
+        first = pressures_of(draft, self.inverse, x, v, a, k, held)
+        now = [ca.if_else(started, p, first[i]) for i, p in enumerate(modelled)]
+        added: list[Any] = [ca.MX(0)] * len(muscles)
+        if o.frequency:
+            error = x - draft.like(self.plant.variable(self.inverse.position))
+            saturated = draft.memory("saturated", description="a pressure was at an end")
+            frozen = ca.logic_or(saturated, draft.held_back)
+            more = pid_law(draft, PID.placed(o.frequency), error, frozen)
+            wanted = pressures_of(draft, self.inverse, x, v, a + more, k, held)
+            added = [wanted[i] - p for i, p in enumerate(now)]
+            draft.next("saturated", at_an_end(self.inverse, wanted))
+        after = self._moved(held, x, ahead[0], modelled, started) if o.compensate else held
+        coming = pressures_of(draft, self.inverse, *ahead, after)
+        targets = {
+            m: (now[i] + added[i], (coming[i] - now[i]) / o.sample_time)
+            for i, m in enumerate(muscles)
+        }
+        for n, value in after.items():
+            draft.next(f"memory.{n}", value)
+        for i, m in enumerate(muscles):
+            draft.next(f"model.{m}.pressure", coming[i])
+        draft.next("started", ca.MX(1))
+        o.inputs.enter(draft, targets, o.pressure_time)
+        return draft.block()
+
+    def _moved(
+        self, held: Mapping[str, Symbol], x: Symbol, to: Symbol, p: list[Symbol], started: Symbol
+    ) -> dict[str, Symbol]:
+        """The memories a sample later; see :meth:`MemoryModel.move`."""
+        if not held:
+            return {}
+        model = self.model
+        known = {
+            f"{m}.pressure": ca.if_else(started, value, model.start[f"{m}.pressure"])
+            for m, value in zip(self.inverse.muscles, p, strict=True)
+        }
+        memory: Any = ca.vertcat(*held.values())
+        after = model.moved(memory, (x, to), known, self.owner.sample_time)
+        self.draft.repeats("steps of the hysteresis", PARTS)
+        return dict(zip(held, ca.vertsplit(after), strict=True))

@@ -4,21 +4,36 @@ stiffness).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.block import Block
 from ..core.errors import InputError
 from ..core.stop import locked
+from ..core.variables import Variable
 from ..plants.plant import Plant, require_plant
-from .inverse_search import Search
+from .blocks.draft import Draft, Symbol, per
+from .blocks.kinds import BLOCKS
 
-__all__ = ["InverseDynamics"]
+__all__ = ["InverseDynamics", "at_an_end", "pressures_of", "wanted_motion", "wanted_stiffness"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+STEPS = 16
+"""Of Newton's method where the equations are not straight lines of the pressures."""
+MISS = 1e-6
+"""Relative miss of acceleration and stiffness that counts as met."""
+SETTLED = 1e-5, 1e-2
+"""Or a step so short, in parts of the range, that ends within it, and a miss no larger than the
+second: in single precision the miss stays above MISS."""
+RANK = 4.5e-16
+"""Singular values in this ratio count as one (that of NumPy's lstsq)."""
 
 
 @locked
@@ -97,8 +112,16 @@ class InverseDynamics:
         z = ca.vertcat(plant.x, plant.u)
         whole = ca.Function("inverse", [z, plant.p], [column, ca.densify(slopes)])
         here = ca.SX.sym("z", z.numel())
-        found, steep = whole(here, ca.DM(self._p))
-        return ca.Function("inverse", [here], [found, steep], {"cse": True})
+        values, steep = whole(here, ca.DM(self._p))
+        return ca.Function("inverse", [here], [values, steep], {"cse": True})
+
+    def require_stiffness(self, stiffness: float | None) -> None:
+        """InputError where a pair lacks its stiffness, or a single muscle has one."""
+        if (len(self.muscles) == 2) != (stiffness is not None):
+            raise InputError(
+                f"{self.plant.name!r} has {len(self.muscles)} muscle(s): give a stiffness for a "
+                "pair and none for a single one"
+            )
 
     def __call__(
         self,
@@ -112,13 +135,204 @@ class InverseDynamics:
 
         states : values of other states (memories), kept until the next call that names them.
         """
-        if (len(self.muscles) == 2) != (stiffness is not None):
-            raise InputError(
-                f"{self.plant.name!r} has {len(self.muscles)} muscle(s): give a stiffness for a "
-                "pair and none for a single one"
-            )
+        self.require_stiffness(stiffness)
         target = np.array([acceleration] if stiffness is None else [acceleration, stiffness])
         for name, value in (states or {}).items():
             self._z[self._where[name]] = value
         self._z[list(self._at)] = position, velocity
         return np.asarray(self._pressures(self._z, target), dtype=float).ravel()
+
+
+@dataclass(frozen=True)
+class Search:
+    """The search of pressures in z (states and inputs of a plant) that meet a target.
+
+    Newton's method within the range, and where not both are possible one muscle at an end of its
+    range: one function for Python and for targets, each call of which takes the same time.
+
+    equations : z -> (acceleration[, stiffness], slopes over the pressures). size : of z; place :
+    where the pressures stand in it. low, high : their range.
+    """
+
+    equations: ca.Function
+    size: int
+    place: Sequence[int]
+    low: Array
+    high: Array
+
+    @property
+    def steps(self) -> int:
+        """Of Newton's method in each search; one for straight lines, and one for rounding."""
+        z = ca.SX.sym("z", self.size)
+        pressures = ca.vertcat(*(z[int(i)] for i in self.place))
+        slopes = ca.vec(self.equations(z)[1])
+        return STEPS if any(ca.which_depends(slopes, pressures, 1, True)) else 2
+
+    @property
+    def function(self) -> ca.Function:
+        """(z, acceleration[, stiffness]) -> pressures; those in z do not count."""
+        n = len(self.place)
+        z, target = ca.MX.sym("z", self.size), ca.MX.sym("target", n)
+        middle = ca.DM((self.low + self.high) / 2)
+        both = self._search(list(range(n)), list(range(n)))
+        pressures, miss, inside = both(middle, z, target)
+        if n == 1:
+            return ca.Function("inverse_dynamics", [z, target], [pressures])
+        met = ca.logic_or(ca.fmax(miss[0], miss[1]) <= MISS, inside)
+        alone = [self._search([0], [1 - i]) for i in (0, 1)]
+        best: Any = middle
+        least: Any = (ca.MX(np.inf), ca.MX(np.inf))
+        for i, ends in product((0, 1), (self.low, self.high)):
+            start = np.array(middle).ravel()
+            start[i] = ends[i]
+            p, missed, within = alone[i](ca.DM(start), z, target)
+            first = ca.if_else(ca.logic_or(missed[0] <= MISS, within), 0, missed[0])
+            ahead = ca.logic_and(first == least[0], missed[1] < least[1])
+            better = ca.logic_or(first < least[0], ahead)
+            best = _either(better, p, best)
+            least = tuple(
+                ca.if_else(better, new, old)
+                for new, old in zip((first, missed[1]), least, strict=True)
+            )
+        return ca.Function("inverse_dynamics", [z, target], [_either(met, pressures, best)])
+
+    def _search(self, equations: list[int], unknown: list[int]) -> ca.Function:
+        """(pressures to begin from, z, target) ->
+        (pressures, what is missed, relative, whether the unknown ones settled within their range).
+        """
+        n = len(self.place)
+        w, z, target = (ca.SX.sym(k, m) for k, m in (("w", n), ("z", self.size), ("t", n)))
+        here = ca.SX(z)
+        for i, place in enumerate(self.place):
+            here[int(place)] = w[i]
+        values, slopes = self.equations(here)
+        missed = values - target
+        step = _shortest(slopes[equations, unknown], missed[equations])
+        moved, inside = ca.SX(w), ca.SX(1)
+        for k, i in enumerate(unknown):
+            low, high = float(self.low[i]), float(self.high[i])
+            moved[i] = ca.fmin(ca.fmax(w[i] - step[k], low), high)
+            within = ca.logic_and(w[i] > low, w[i] < high)
+            settled = ca.fabs(step[k]) <= SETTLED[0] * (high - low)
+            inside = ca.logic_and(inside, ca.logic_and(within, settled))
+        label = f"newton_{''.join(map(str, equations))}_{''.join(map(str, unknown))}"
+        one = ca.Function(label, [w, z, target], [moved], {"cse": True})
+        size = ca.fabs(missed) / ca.fmax(ca.fabs(target), 1)
+        for i in equations:
+            inside = ca.logic_and(inside, size[i] <= SETTLED[1])
+        rest = ca.Function(f"{label}_missed", [w, z, target], [size, inside], {"cse": True})
+        arguments = [ca.MX.sym(k, m) for k, m in (("w", n), ("z", self.size), ("t", n))]
+        p = arguments[0]
+        for _ in range(self.steps):
+            p = one(p, *arguments[1:])
+        results = [p, *rest(p, *arguments[1:])]
+        return ca.Function(f"{label}_search", arguments, results)
+
+
+def _either(condition: Any, yes: Any, no: Any) -> Any:
+    pairs = zip(ca.vertsplit(ca.MX(yes)), ca.vertsplit(ca.MX(no)), strict=True)
+    return ca.vertcat(*(ca.if_else(condition, a, b) for a, b in pairs))
+
+
+def _shortest(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """The shortest step of least squares of one or two equations of as many unknowns."""
+    if matrix.numel() == 1:
+        there = ca.fabs(matrix) > 0
+        return ca.if_else(there, right / ca.if_else(there, matrix, 1), 0)
+    a, b, c, d = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
+    determinant, size = a * d - b * c, a * a + b * b + c * c + d * d
+    whole = ca.fabs(determinant) > RANK * size
+    safe = ca.if_else(whole, determinant, 1)
+    exact = ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / safe
+    spread = ca.if_else(size > 0, size, 1)
+    flat = ca.mtimes(matrix.T, right) / spread
+    return ca.vertcat(*(ca.if_else(whole, exact[i], flat[i]) for i in (0, 1)))
+
+
+# ---- in blocks ----------------------------------------------------------------------------------
+def wanted_motion(
+    draft: Draft, inverse: InverseDynamics, start: tuple[float, float, float], first: str = "wanted"
+) -> tuple[Symbol, Symbol, Symbol]:
+    """Inputs for position, velocity and acceleration."""
+    plant = inverse.plant
+    position, velocity = (plant.variable(n) for n in (inverse.position, inverse.velocity))
+    moved = [
+        draft.wanted(v, value, first) for v, value in zip((position, velocity), start, strict=False)
+    ]
+    acceleration = draft.input(
+        f"{first}.acceleration",
+        start[2],
+        unit=per(velocity.unit, "s") if "/" not in velocity.unit else f"{velocity.unit}2",
+        nominal=10.0 * velocity.nominal,
+        description="to be reached: acceleration",
+    )
+    return moved[0], moved[1], acceleration
+
+
+def wanted_stiffness(
+    draft: Draft, plant: Plant, start: float | None, first: str = "wanted"
+) -> Symbol:
+    """The input for the stiffness of a pair."""
+    return draft.wanted(plant.variable("stiffness"), float(start or 0.0), first)
+
+
+def pressures_of(
+    draft: Draft,
+    inverse: InverseDynamics,
+    x: Symbol,
+    v: Symbol,
+    a: Symbol,
+    stiffness: Symbol | None,
+    states: dict[str, Symbol] | None = None,
+) -> Symbol:
+    """Pressures of the muscles by inverse dynamics; states : of memories, by name."""
+    count = inverse.search.steps
+    known = {inverse._at[0]: x, inverse._at[1]: v}
+    known |= {inverse._where[n]: s for n, s in (states or {}).items()}
+    z = ca.vertcat(*(known.get(i, float(start)) for i, start in enumerate(inverse._z)))
+    draft.repeats("Newton steps of the inverse dynamics", count * (1 if stiffness is None else 5))
+    target = a if stiffness is None else ca.vertcat(a, stiffness)
+    return inverse.search.function(z, target)
+
+
+def at_an_end(inverse: InverseDynamics, p: Symbol) -> Symbol:
+    """Whether a pressure stands at an end of its range."""
+    at_end = type(p)(0)
+    for i in range(len(inverse.muscles)):
+        ends = ca.logic_or(p[i] <= float(inverse.low[i]), p[i] >= float(inverse.high[i]))
+        at_end = ca.fmax(at_end, ends)
+    return at_end
+
+
+@BLOCKS.register("InverseDynamics")
+def inverse_dynamics(
+    inverse: InverseDynamics, name: str = "inverse", *, sample_time: float = 1e-3
+) -> Block:
+    """Feed-forward alone: outputs ``wanted.MUSCLE.pressure`` of a motion, for a PressureLoop.
+
+    As :class:`InverseDynamics`. sample_time : [s].
+    """
+    plant = inverse.plant
+    draft = Draft(name, sample_time, "inverse dynamics", ca.MX)
+    start = plant.variable(inverse.position).start or 0.0
+    x, v, a = wanted_motion(draft, inverse, (start, 0.0, 0.0))
+    k = None
+    if len(inverse.muscles) == 2:
+        at = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression("stiffness")])
+        rest = float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))
+        k = wanted_stiffness(draft, plant, rest)
+    p = pressures_of(draft, inverse, x, v, a, k)
+    for i, m in enumerate(inverse.muscles):
+        pressure = plant.variable(f"{m}.pressure")
+        about = Variable(
+            f"wanted.{m}.pressure",
+            "output",
+            unit="Pa",
+            start=pressure.start,
+            min=pressure.min,
+            max=pressure.max,
+            nominal=pressure.nominal,
+            description=f"gauge pressure of {m} that the motion needs",
+        )
+        draft.output(about, p[i])
+    return draft.block()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,10 @@ from ..core.plausible import outside
 from ..core.stop import verb
 from ..operating.linear import held, inside, linearize, no_influence
 from ..operating.resting_point import OperatingPoint
-from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .controller import Measured
 from .kinds import CONTROLLERS
 from .reach import effort_units
-from .references import Source
-
-if TYPE_CHECKING:
-    import control
+from .state_feedback import Setpoint, StateFeedback
 
 __all__ = ["StateFeedback", "Weighting", "lqr", "require_quick"]
 
@@ -36,7 +31,6 @@ OVER = 5.0
 """Time constants after which a motion is over."""
 DECAY = 1e-8
 """A pole of the closed loop slower than this part of the fastest rate counts as none."""
-Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
 
 
 @dataclass(frozen=True)
@@ -150,172 +144,6 @@ class Weighting:
             k[:, :n] * effort / self.plant.vector("state", attribute="nominal"),
             k[:, n:] * effort / self.scales(self.integrated),
         )
-
-
-class Integrals:
-    """Integrated errors, frozen for the samples in which an input is at its end."""
-
-    def __init__(self, names: list[str]) -> None:
-        self.names = names
-        self.reset()
-
-    def reset(self) -> None:
-        self.values = np.zeros(len(self.names))
-
-    def add(self, error: Array, sample_time: float, saturated: bool) -> None:
-        if not saturated:
-            self.values = self.values + sample_time * error
-
-
-def saturated(u: Array, low: Array, high: Array) -> bool:
-    """Whether an input is asked for beyond its range."""
-    return bool(np.any((u < low) | (u > high)))
-
-
-def states_of(inversion: Inversion | None, states: list[str], measured: Measured) -> Array:
-    """Measured states as a controller counts them: those of spools in openings."""
-    seen = inversion.entry(measured) if inversion else measured
-    return np.array([seen[n] for n in states])
-
-
-def sent(
-    inversion: Inversion | None, inputs: list[str], u: Array, measured: Measured
-) -> dict[str, float]:
-    """A controller's answer by name: openings become the commands that give them."""
-    answer = dict(zip(inputs, u.tolist(), strict=True))
-    return inversion.commands(answer, measured=measured) if inversion else answer
-
-
-@dataclass
-class StateFeedback:
-    """u = u0 - K (x - x0) - Ki integral(y - wanted): a Controller for :func:`closed_loop`.
-
-    K : (inputs, states), Ki : (inputs, integrated outputs), SI units. ``closed`` : python-control's
-    system of the closed loop (linear), ``loop`` : the loop broken at the inputs, for margins.
-    inversion : for a plant fed by valves, whose openings are u (then ``point`` and ``inputs`` speak
-    of them): the commands that give these openings are sent.
-    """
-
-    point: OperatingPoint
-    inputs: list[str]
-    K: Array
-    Ki: Array
-    integrated: list[str]
-    sample_time: float
-    setpoint: Setpoint = None
-    system: Any = field(default=None, repr=False)
-    inversion: Inversion | None = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        plant = self.point.plant
-        names = [v.name for v in plant.inputs]
-        self._columns = [names.index(n) for n in self.inputs]
-        self._states = [v.name for v in plant.states]
-        self._low, self._high = (
-            plant.vector("input", attribute=a)[self._columns] for a in ("min", "max")
-        )
-        self._integrals = Integrals(self.integrated)
-        if isinstance(self.setpoint, Mapping):
-            self._check_setpoint(self.setpoint)
-
-    def _check_setpoint(self, given: Mapping[str, float]) -> None:
-        for name, value in given.items():
-            variable = self.point.plant.variable(name)
-            if variable.name not in self.integrated:
-                raise InputError(
-                    f"setpoint: {name} is not integrated, so the feedback holds it at its point; "
-                    f"design lqr(..., integral={{{name!r}: weight}})"
-                )
-            variable.check(value, "setpoint")
-
-    def reset(self) -> None:
-        """See :class:`Controller`."""
-        self._integrals.reset()
-
-    def wanted(self, t: float) -> dict[str, float]:
-        """Values that the integrated outputs are to reach: the point's, or the set point's."""
-        given = self.setpoint(t) if callable(self.setpoint) else (self.setpoint or {})
-        named = {self.point.plant.variable(n).name: v for n, v in given.items()}
-        return {n: named.get(n, self.point[n]) for n in self.integrated}
-
-    def aims(self, t: float) -> dict[str, float]:
-        """What is to arrive: what is integrated, or else the positions at the point."""
-        if self.integrated:
-            return self.wanted(t)
-        return {p.name: self.point[p.name] for p in self.point.plant.resting()}
-
-    def tracking(
-        self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
-    ) -> StateFeedback:
-        """The Controller that takes what it integrates to ``reference``; see :class:`Tracking`."""
-        for name in reference:
-            if name not in self.integrated:
-                raise InputError(
-                    f"reference: {name} is not integrated, so the feedback holds it at its point; "
-                    f"design lqr(..., integral={{{name!r}: weight}})"
-                )
-        return replace(self, setpoint=lambda t: {n: at(t) for n, at in reference.items()})
-
-    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
-        """See :class:`Controller`."""
-        x = states_of(self.inversion, self._states, measured)
-        u = self.point.u[self._columns] - self.K @ (x - self.point.x)
-        u = u - self.Ki @ self._integrals.values
-        if self.integrated:
-            goal = self.wanted(t)
-            error = np.array([measured[n] - goal[n] for n in self.integrated])
-            self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self.inversion, self.inputs, u, measured)
-
-    def _augmented(self) -> tuple[Array, Array, Array]:
-        """A, B with the integrals as last states, and all gains; continuous time, all states."""
-        a, b = np.asarray(self.system.A), np.asarray(self.system.B)
-        labels = [n.replace(".", "_") for n in self.integrated]
-        c = np.asarray(self.system.C)[[self.system.output_labels.index(n) for n in labels]]
-        n, k = len(a), len(c)
-        a = np.block([[a, np.zeros((n, k))], [c, np.zeros((k, k))]])
-        return a, np.vstack([b, np.zeros((k, b.shape[1]))]), np.hstack([self.K, self.Ki])
-
-    def _stuck(
-        self, a: Array, b: Array, k: Array, nominal: Array | None = None
-    ) -> tuple[Array, Array, Array]:
-        """A, B and gains without held memories, which stick to the other states."""
-        more = len(self.integrated)
-        lift, pick = self.point.stuck.lift(nominal, more), self.point.stuck.pick(more)
-        return pick @ a @ lift, pick @ b, k @ lift
-
-    @property
-    def loop(self) -> control.StateSpace:
-        """K (s I - A)^-1 B, in units of the inputs' nominals: the loop broken at the inputs."""
-        import control
-
-        a, b, k = self._augmented()
-        plant = self.point.plant
-        effort = np.array([plant.variable(n).nominal for n in self.inputs])
-        states = np.concatenate(
-            [plant.vector("state", attribute="nominal")]
-            + [[plant.variable(n).nominal] for n in self.integrated]
-        )
-        a, b = a * states / states[:, None], b * effort / states[:, None]
-        k = k * states / effort[:, None]
-        a, b, k = self._stuck(a, b, k, self.point.plant.vector("state", attribute="nominal"))
-        labels = [n.replace(".", "_") for n in self.inputs]
-        return control.ss(
-            a,
-            b,
-            k,
-            np.zeros((len(k), len(k))),
-            inputs=labels,
-            outputs=[f"{n}_fed" for n in labels],
-            name="loop",
-        )
-
-    @property
-    def poles(self) -> NDArray[np.complex128]:
-        """Of the closed loop [1/s], sorted by falling real part."""
-        a, b, k = self._stuck(*self._augmented())
-        found = np.linalg.eigvals(a - b @ k)
-        return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 
 
 def stationary(

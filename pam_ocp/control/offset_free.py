@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.block import Block
 from ..core.errors import InputError, require_instance
+from ..core.stop import turns
 from ..operating.linear import chosen_signals, linearize
+from .blocks.chain import chain
+from .blocks.draft import Draft, clipped
+from .blocks.kinds import BLOCKS
+from .blocks.running import Running
 from .controller import Measured
-from .estimators.stationary import StationaryFilter
-from .linear_quadratic import StateFeedback, sent
+from .estimators.stationary import StationaryFilter, stationary_filter
+from .state_feedback import StateFeedback
 
 __all__ = ["OffsetFree"]
 
@@ -57,7 +65,6 @@ class OffsetFree:
         self._check()
         plant = self.feedback.point.plant
         self._goal = {plant.variable(n).name: float(v) for n, v in self.goal.items()}
-        self._states = [v.name for v in plant.states]
         every = [v.name for v in plant.inputs]
         self._chosen, unknown = (
             [every.index(n) for n in names]
@@ -130,13 +137,47 @@ class OffsetFree:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        point, feedback = self.feedback.point, self.feedback
-        estimate = self.filter.correct(measured)
-        unknown = np.array([v - point[n] for n, v in self.filter.disturbance.items()])
-        wanted = np.array([self._goal.get(n, point[n]) - point[n] for n in self._held])
-        rest = self._to_goal @ wanted + self._to_disturbance @ unknown
-        n = len(self._states)
-        u = point.u[self._chosen] + rest[n:] - feedback.K @ (estimate - point.x - rest[:n])
-        u = np.clip(u, self._low, self._high)
-        self.filter.predict(dict(zip(feedback.inputs, u.tolist(), strict=True)))
-        return sent(feedback.inversion, feedback.inputs, u, self.filter.estimate.state)
+        law, filter = self._law, self.filter
+        filter.correct(measured)
+        law.measure({**filter.state, **filter.disturbance})
+        sent = law.commands()
+        filter.predict(sent)
+        return sent
+
+    @cached_property
+    def _law(self) -> Running:
+        return self._running()
+
+    @turns
+    def _running(self) -> Running:
+        return Running(_feedback(self))
+
+
+# ---- as a block ---------------------------------------------------------------------------------
+@BLOCKS.register("OffsetFree")
+def offset_free(controller: OffsetFree, name: str = "offset_free") -> Block:
+    """u = u0 + u_d - K (estimate - x0 - x_d), as :class:`OffsetFree`.
+
+    Inputs are what its filter measures, and ``wanted.NAME`` of what is held.
+    """
+    return chain([stationary_filter(controller.filter), _feedback(controller)], name=name)
+
+
+def _feedback(controller: OffsetFree) -> Block:
+    feedback, point = controller.feedback, controller.feedback.point
+    plant = point.plant
+    draft = Draft("feedback", feedback.sample_time, "state feedback to the rest without offset")
+    chosen = [plant.variable(n) for n in feedback.inputs]
+    estimate = draft.states(feedback.inversion, plant.states)
+    unknown = [plant.variable(n) for n in controller.filter.disturbances]
+    disturbed = [draft.like(v) - float(point[v.name]) for v in unknown]
+    held = ((plant.variable(n), float(point[n])) for n in controller._held)
+    wanted = [draft.wanted(v, controller._goal.get(v.name, at)) - at for v, at in held]
+    k = draft.matrix("K", feedback.K, chosen, plant.states)
+    rest = ca.mtimes(ca.DM(controller._to_goal), ca.vertcat(*wanted))
+    rest = rest + ca.mtimes(ca.DM(controller._to_disturbance), ca.vertcat(*disturbed))
+    x_rest, u_rest = ca.vertsplit(rest, [0, len(plant.states), rest.numel()])
+    u = ca.DM(point.u[controller._chosen]) + u_rest
+    u = u - ca.mtimes(k, estimate - ca.DM(point.x) - x_rest)
+    draft.send(feedback.inversion, chosen, clipped(u, controller._low, controller._high))
+    return draft.block()

@@ -10,14 +10,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.block import Block
 from ..core.errors import InputError, require_positive
+from ..core.stop import turns
+from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
+from .blocks.draft import Draft, Symbol, as_output, compensated, sent_by
+from .blocks.kinds import BLOCKS, law_of
+from .blocks.running import ByBlock, Running
 from .controller import Measured
-from .inverse import InverseDynamics
+from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
 from .references import Reference
 
-__all__ = ["PID", "PositionController", "PressureLoop"]
+__all__ = ["PID", "PositionController", "PressureLoop", "pid_law"]
 
 Array: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = Mapping[str, Any]
@@ -145,10 +151,10 @@ class PressureLoop:
 
     def inputs(self, wanted: Values, measured: Values) -> dict[str, Any]:
         """Inputs for wanted pressures {muscle: Pa}, openings as they are: numbers, or symbols."""
-        found: dict[str, Any] = {}
+        inputs: dict[str, Any] = {}
         for rule in self._rules:
-            found.update(rule(wanted, measured))
-        return found
+            inputs.update(rule(wanted, measured))
+        return inputs
 
     def __call__(self, wanted: Mapping[str, float], measured: Measured) -> dict[str, float]:
         """Inputs by name for wanted pressures {muscle: Pa}."""
@@ -156,7 +162,7 @@ class PressureLoop:
         return self.inversion.commands(inputs, measured=measured)
 
 
-class PositionController:
+class PositionController(ByBlock):
     """Position loop: PID plus feed-forward by the exact inverse of the plant's equations.
 
     The PID gives an acceleration, to which the reference's is added; the inverse at the reference
@@ -195,12 +201,13 @@ class PositionController:
         self.reference, self.pid = reference, pid
         self.stiffness, self.feedforward = stiffness, feedforward
         self.inner = inner or PressureLoop(plant)
-        self._saturated = False
+        at = self.inverse.position, self.inverse.velocity, "acceleration"
+        self._names = [f"wanted.{n}" for n in at]
 
-    def reset(self) -> None:
-        """See :class:`Controller`."""
-        self.pid.reset()
-        self._saturated = False
+    @turns
+    def _running(self) -> Running:
+        pressures = (f"{m}.pressure" for m in self.inverse.muscles)
+        return Running(law_of(self), {self.inverse.position, *pressures})
 
     def wanted(self, t: float) -> dict[str, float]:
         """The position to be reached at a time [s]."""
@@ -214,7 +221,131 @@ class PositionController:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        error = self.reference(t)[0] - measured[self.inverse.position]
-        p = self.pressures(t, self.pid(error, self.sample_time, self._saturated))
-        self._saturated = bool(np.any((p <= self.inverse.low) | (p >= self.inverse.high)))
-        return self.inner(dict(zip(self.inverse.muscles, p.tolist(), strict=True)), measured)
+        law = self._law
+        law.measure(measured)
+        law.tell(dict(zip(self._names, self.reference(t), strict=False)))
+        if callable(self.stiffness):
+            law.tell({"wanted.stiffness": self.stiffness(t)})
+        return law.commands()
+
+
+# ---- as blocks ----------------------------------------------------------------------------------
+@BLOCKS.register("PID")
+def pid(
+    controller: PID,
+    name: str = "pid",
+    *,
+    sample_time: float = 1e-3,
+    measured: str = "measured",
+    command: str = "command",
+    plant: Plant | None = None,
+) -> Block:
+    """command = PID(wanted - measured), as :class:`PID`, on one measured value.
+
+    sample_time : [s]. measured, command : names; of a ``plant``, which then says their units.
+    """
+    draft = Draft(name, sample_time, "PID controller")
+    if plant is None:
+        seen, sent = Variable(measured, "output"), Variable(command, "input")
+    else:
+        seen, sent = plant.variable(measured), plant.variable(command)
+    error = draft.like(seen, "wanted.") - draft.like(seen)
+    unit = draft.sent([sent])[0]
+    value = pid_law(draft, controller, error, draft.limited, unit)
+    draft.output(as_output(sent), value, command=True)
+    return draft.block()
+
+
+def pid_law(
+    draft: Draft, controller: PID, error: Symbol, saturated: Symbol, sent: Symbol | None = None
+) -> Symbol:
+    """The PID's output for an error; ``saturated`` is what became of its last one.
+
+    sent : the output that acted in its place while something else was sent; the integral follows
+    it. None: the integral is empty then.
+    """
+    kp, ki, kd = (
+        draft.parameter(n, getattr(controller, n), description=words)
+        for n, words in (("kp", "proportional"), ("ki", "integral"), ("kd", "derivative gain"))
+    )
+    filter_time = draft.parameter(
+        "filter_time", controller.filter_time, unit="s", min=0.0, description="of the derivative"
+    )
+    time = draft.sample_time
+    integral = draft.memory("integral", description="integral of the error")
+    carry = draft.memory("carry", description="what rounding took from the integral")
+    slope = draft.memory("slope", description="filtered derivative of the error")
+    last = draft.memory("last_error", description="error of the last step")
+    started = draft.memory("started", description="1 after the first step")
+    share = filter_time / (filter_time + time)
+    turned = share * slope + (1 - share) * (error - last) / time
+    slope_now = ca.if_else(started, turned, slope)
+    frozen = ca.logic_and(saturated, error * integral > 0)
+    added, left = compensated(integral, carry, error * time)
+    added, left = (ca.if_else(frozen, a, b) for a, b in ((integral, added), (carry, left)))
+    follow = draft.kind(0)
+    if sent is not None:
+        acts = ca.fabs(ki) > 0
+        rest = sent - kp * error - kd * slope_now
+        follow = ca.if_else(acts, rest / ca.if_else(acts, ki, 1), 0)
+    now = ca.if_else(draft.active, added, follow)
+    draft.next("integral", now)
+    draft.next("carry", ca.if_else(draft.active, left, 0))
+    draft.next("slope", slope_now)
+    draft.next("last_error", error)
+    draft.next("started", draft.kind(1))
+    return kp * error + ki * now + kd * slope_now
+
+
+@BLOCKS.register("PositionController")
+def position_controller(controller: PositionController, name: str = "position") -> Block:
+    """PID on position with feed-forward by the exact inverse, as :class:`PositionController`.
+
+    Inputs are the position, the pressures, and what is to be reached: ``wanted.POSITION``,
+    ``wanted.VELOCITY``, ``wanted.acceleration`` and for a pair ``wanted.stiffness``.
+    """
+    c, inverse, plant = controller, controller.inverse, controller.inverse.plant
+    draft = Draft(name, c.sample_time, "position controller with feed-forward", ca.MX)
+    x, v, a = wanted_motion(draft, inverse, c.reference(0.0))
+    stiffness = c.stiffness(0.0) if callable(c.stiffness) else c.stiffness
+    inverse.require_stiffness(stiffness)
+    k = wanted_stiffness(draft, plant, stiffness) if len(inverse.muscles) == 2 else None
+    error = x - draft.like(plant.variable(inverse.position))
+    saturated = draft.memory("saturated", description="a pressure was at an end of its range")
+    frozen = ca.logic_or(saturated, draft.held_back)
+    more = pid_law(draft, c.pid, error, frozen)
+    if not c.feedforward:
+        at = c.reference(0.0)
+        x, v, a = (
+            draft.parameter(f"at.{n}", value)
+            for n, value in zip(("position", "velocity", "acceleration"), at, strict=True)
+        )
+    p = pressures_of(draft, inverse, x, v, a + more, k)
+    draft.next("saturated", at_an_end(inverse, p))
+    _send(draft, c.inner, {m: p[i] for i, m in enumerate(inverse.muscles)}, plant)
+    return draft.block()
+
+
+def _send(draft: Draft, loop: PressureLoop, wanted: dict[str, Symbol], plant: Plant) -> None:
+    measured: dict[str, Any] = {
+        f"{m}.pressure": draft.like(plant.variable(f"{m}.pressure"))
+        for m in wanted
+        if plant.variable(f"{m}.pressure").causality == "state"
+    }
+    for variable, value in sent_by(loop.inversion, loop.inputs(wanted, measured), draft):
+        draft.output(as_output(variable), value, command=True)
+
+
+@BLOCKS.register("PressureLoop")
+def pressure_loop(
+    controller: PressureLoop, name: str = "pressure_loop", *, sample_time: float = 1e-3
+) -> Block:
+    """From wanted pressures ``wanted.MUSCLE.pressure`` to the plant's inputs.
+
+    As :class:`PressureLoop`. sample_time : [s].
+    """
+    plant = controller.inversion.plant
+    draft = Draft(name, sample_time, "pressure loops")
+    wanted = {m: draft.like(plant.variable(f"{m}.pressure"), "wanted.") for m in controller.muscles}
+    _send(draft, controller, wanted, plant)
+    return draft.block()

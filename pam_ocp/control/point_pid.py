@@ -7,16 +7,23 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.block import Block
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.stop import turns
 from ..operating.linear import OperatingPoint, inside, linearize, no_influence
 from ..plants.plant import Plant, Values, require_plant
+from .blocks.draft import Draft, clipped
+from .blocks.kinds import BLOCKS, law_of
+from .blocks.running import ByBlock, Running
 from .controller import Measured
 from .kinds import CONTROLLERS
-from .pid import PID
+from .pid import PID, pid_law
 from .references import Source
+from .state_feedback import acting, at_rest
 
 if TYPE_CHECKING:
     import control
@@ -28,7 +35,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 @CONTROLLERS.register("pid", units={"filter_time": "s", "sample_time": "s"})
 @dataclass
-class PointPid:
+class PointPid(ByBlock):
     """u = u0 + weight (P e + I + D), e = wanted - position: a Controller for :func:`closed_loop`.
 
     plant : the model. at : the point of rest (an OperatingPoint, or conditions of one), at whose
@@ -87,9 +94,8 @@ class PointPid:
         unknown = [n for n in self.shares if n not in inputs]
         if unknown:
             raise InputError(f"PointPid.weights: {unknown[0]} is none of {', '.join(inputs)}")
-        self._limits = {n: (inner.variable(n).min, inner.variable(n).max) for n in self.shares}
         self.pid = PID(self.proportional, self.integral, self.derivative, self.filter_time)
-        self._saturated = False
+        self._at_point = float(self.point[self.position])
 
     def _signs(self, inputs: list[str]) -> dict[str, float]:
         """Which way each input first moves the position: of the first Markov parameter there is."""
@@ -132,18 +138,13 @@ class PointPid:
     def poles(self) -> NDArray[np.complex128]:
         """Of the closed loop [1/s], sorted by falling real part."""
         a, b, c = (np.asarray(getattr(self.loop, n)) for n in ("A", "B", "C"))
-        found = np.linalg.eigvals(a - b @ c)
-        return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
+        poles = np.linalg.eigvals(a - b @ c)
+        return np.asarray(poles[np.argsort(-poles.real)], dtype=np.complex128)
 
     # ---- a Controller ----------------------------------------------------------------------------
-    def reset(self) -> None:
-        """See :class:`Controller`."""
-        self.pid.reset()
-        self._saturated = False
-
     def wanted(self, t: float) -> dict[str, float]:
         """The position to be reached at a time [s]."""
-        return {self.position: self.point[self.position] if self.goal is None else self.goal(t)}
+        return {self.position: self._at_point if self.goal is None else self.goal(t)}
 
     def tracking(
         self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
@@ -156,16 +157,53 @@ class PointPid:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        error = self.wanted(t)[self.position] - measured[self.position]
-        output = self.pid(error, self.sample_time, self._saturated)
-        asked = {n: self.point[n] + w * output for n, w in self.shares.items()}
-        held = {n: float(np.clip(u, *self._limits[n])) for n, u in asked.items()}
-        self._saturated = all(held[n] != asked[n] for n in asked)
-        if not self.inversion:
-            return held
-        rest = {
-            v.name: self.point[v.name]
-            for v in self.point.plant.inputs
-            if not v.disturbance and v.name not in held
-        }
-        return self.inversion.commands({**rest, **held}, measured=measured)
+        law = self._law
+        law.measure(measured)
+        law.tell({f"wanted.{n}": value for n, value in self.wanted(t).items()})
+        return law.commands()
+
+    @turns
+    def _running(self) -> Running:
+        return Running(law_of(self), {self.position})
+
+
+# ---- as a block ---------------------------------------------------------------------------------
+@BLOCKS.register("PointPid")
+def point_pid(controller: PointPid, name: str = "pid") -> Block:
+    """u = u0 + weight PID(wanted - position), as :class:`PointPid`.
+
+    Inputs are the position and ``wanted.POSITION``; gains, weights and the point are parameters.
+    Of a plant with valves the other openings are held where they rest.
+    """
+    point, inversion = controller.point, controller.inversion
+    draft = Draft(name, controller.sample_time, "PID about a point of rest")
+    weights = controller.shares
+    chosen = [
+        v
+        for v in point.plant.inputs
+        if v.name in weights or (inversion and not v.disturbance)  # all openings are sent
+    ]
+    position = controller.plant.variable(controller.position)
+    wanted = draft.wanted(position, controller.wanted(0.0)[position.name])
+    u0 = at_rest(draft, "u0", chosen, np.array([point[v.name] for v in chosen]))
+    w = ca.vertcat(
+        *(
+            draft.parameter(
+                f"weight.{v.name}", weights[v.name], description=f"part of {v.name} in the loop"
+            )
+            if v.name in weights
+            else 0.0
+            for v in chosen
+        )
+    )
+    size = ca.sumsqr(w)
+    acted = ca.dot(w, acting(draft, inversion, chosen) - u0) / ca.if_else(size > 0, size, 1)
+    saturated = draft.memory("saturated", description="all inputs were beyond their ranges")
+    error = wanted - draft.like(position)
+    frozen = ca.logic_or(saturated, draft.held_back)
+    u = u0 + w * pid_law(draft, controller.pid, error, frozen, acted)
+    sent = clipped(u, [v.min for v in chosen], [v.max for v in chosen])
+    beyond = [sent[i] != u[i] for i, v in enumerate(chosen) if v.name in weights]
+    draft.next("saturated", ca.mmin(ca.vertcat(1, *beyond)))
+    draft.send(inversion, chosen, sent)
+    return draft.block()

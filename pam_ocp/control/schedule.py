@@ -6,16 +6,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.block import Block
 from ..core.errors import require_positive
 from ..core.stop import verb
 from ..operating.linear import LinearGrid, linearize_grid
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
+from .blocks.draft import Draft, Symbol
+from .blocks.kinds import BLOCKS
+from .blocks.running import ByBlock
 from .controller import Measured
-from .linear_quadratic import Integrals, lqr, saturated, sent, states_of
+from .linear_quadratic import lqr
+from .state_feedback import feedback_law
 
 __all__ = ["ScheduledFeedback", "scheduled_lqr"]
 
@@ -23,7 +29,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass
-class ScheduledFeedback:
+class ScheduledFeedback(ByBlock):
     """u = u0(s) - K(s) (x - x0(s)) - Ki(s) integral(y - y(s)): a Controller, s the place in the
     grid.
 
@@ -44,18 +50,12 @@ class ScheduledFeedback:
         plant = self.family.plant
         names = [v.name for v in plant.inputs]
         self._columns = [names.index(n) for n in self.family.inputs]
-        self._states = [v.name for v in plant.states]
         self._low, self._high = (
             plant.vector("input", attribute=a)[self._columns] for a in ("min", "max")
         )
         self._goals = np.array(
             [[p[n] for n in self.integrated] for p in self.family.points.ravel()]
         ).reshape(*self.family.points.shape, len(self.integrated))
-        self._integrals = Integrals(self.integrated)
-
-    def reset(self) -> None:
-        """See :class:`Controller`."""
-        self._integrals.reset()
 
     def where(self, t: float) -> dict[str, float]:
         """The place in the grid at a time [s], within its borders."""
@@ -73,17 +73,10 @@ class ScheduledFeedback:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        where = self.where(t)
-        x0, u0, k, ki, goals = (
-            self.family.interpolated(m, where)
-            for m in (self.family.x, self.family.u, self.K, self.Ki, self._goals)
-        )
-        x = states_of(self.inversion, self._states, measured)
-        u = u0[self._columns] - k @ (x - x0) - ki @ self._integrals.values
-        if self.integrated:
-            error = np.array([measured[n] for n in self.integrated]) - goals
-            self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self.inversion, list(self.family.inputs), u, measured)
+        law = self._law
+        law.measure(measured)
+        law.tell({f"place.{n}": value for n, value in self.where(t).items()})
+        return law.commands()
 
 
 @verb
@@ -134,3 +127,60 @@ def scheduled_lqr(
         require_positive("sample_time", sample_time, "s"),
         inversion if inversion else None,
     )
+
+
+# ---- as a block ---------------------------------------------------------------------------------
+@BLOCKS.register("ScheduledFeedback")
+def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -> Block:
+    """u = u0(s) - K(s) (x - x0(s)) - Ki(s) integral(y - y(s)), as :class:`ScheduledFeedback`.
+
+    The place s in the grid are the inputs ``place.AXIS``, kept within its borders.
+    """
+    c, family = controller, controller.family
+    plant = family.plant
+    draft = Draft(name, c.sample_time, "scheduled state feedback", ca.MX)
+    start = c.where(0.0)
+    places = []
+    for n, axis in family.axes.items():
+        v = plant.variable(n)
+        s = draft.input(
+            f"place.{n}",
+            start[n],
+            unit=v.unit,
+            nominal=v.nominal,
+            description="where the plant is to be: it chooses the gains",
+        )
+        places.append(ca.fmin(ca.fmax(s, float(axis[0])), float(axis[-1])))
+    at = ca.vertcat(*places)
+    axes = [np.asarray(axis, dtype=float).tolist() for axis in family.axes.values()]
+    chosen = [plant.variable(n) for n in family.inputs]
+    integrated = [plant.variable(n) for n in c.integrated]
+    nu, nx, ni = len(chosen), len(plant.states), len(integrated)
+
+    def table(name: str, values: Array) -> Symbol:
+        if not values.size:
+            return draft.kind.zeros(0, 1)
+        return _interpolated(name, axes, values, len(family.axes))(at)
+
+    x0, u0 = table("x0", family.x), table("u0", family.u[..., c._columns])
+    k = ca.reshape(table("gains", np.swapaxes(c.K, -1, -2)), nu, nx)
+    ki = ca.reshape(table("integral_gains", np.swapaxes(c.Ki, -1, -2)), nu, ni)
+    goals = ca.vertsplit(table("goals", c._goals)) if integrated else []
+    feedback_law(
+        draft,
+        c.inversion,
+        plant.states,
+        chosen,
+        (k, ki),
+        (x0, u0),
+        (integrated, goals),
+        (c._low, c._high),
+    )
+    return draft.block()
+
+
+def _interpolated(name: str, axes: list[list[float]], values: Array, depth: int) -> ca.Function:
+    """place -> values, linear along each axis; entries of an array run along its last axes."""
+    flat = values.reshape(*values.shape[:depth], -1)
+    order = np.moveaxis(flat, -1, 0).reshape(flat.shape[-1], -1, order="F")
+    return ca.interpolant(name, "linear", axes, order.T.ravel().tolist())

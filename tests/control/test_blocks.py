@@ -9,19 +9,16 @@ import pam_ocp as pam
 from pam_ocp.control import (
     PID,
     BlockController,
-    HysteresisCompensation,
     InverseDynamics,
     KalmanFilter,
     OffsetFree,
     OpenLoop,
     PointPid,
-    PositionController,
     PressureLoop,
     block,
     chain,
     kalman,
     lqr,
-    scheduled_lqr,
     tvlqr,
 )
 from pam_ocp.control.blocks.kinds import BLOCKS
@@ -95,59 +92,12 @@ def test_lqg_as_a_block_gives_the_same_commands(slide):
     same_commands(WithEstimate(lqr(slide, REST, sample_time=STEP), estimator), slide)
 
 
-def test_scheduled_feedback_as_a_block_gives_the_same_commands(slide):
-    def place(t):
-        return {"x": 0.004 * np.sin(10 * t), "stiffness": 2.2e4}
-
-    axes = {"x": [-0.01, 0.0, 0.01], "stiffness": [2e4, 2.3e4]}
-    feedback = scheduled_lqr(slide, axes, place, integral={"x": 80.0}, sample_time=STEP)
-    same_commands(feedback, slide, lambda t: {f"place.{n}": v for n, v in place(t).items()})
-
-
 def test_feedback_along_a_motion_and_the_motion_alone_give_the_same_commands(valved):
     feedback = lqr(valved, REST, integral={"x": 80.0}, sample_time=STEP)
     run = pam.closed_loop(feedback, valved, {"x": step_of}, duration=0.1)
     along = tvlqr(valved, run.trajectory, integral={"x": 50.0}, sample_time=STEP)
     same_commands(along, valved)
     same_commands(OpenLoop(valved, run.trajectory, STEP), valved)
-
-
-@pytest.mark.parametrize("inner", [None, 0.02])
-def test_position_control_as_a_block_gives_the_same_commands(valved, slide, inner):
-    plant = slide if inner else valved
-    path = sine(0.0, 0.012, 3.0)
-    controller = PositionController(
-        plant,
-        path,
-        PID.placed(3.0),
-        sample_time=STEP,
-        stiffness=2.2e4,
-        inner=PressureLoop(plant, time_constant=inner),
-    )
-
-    def told(t):
-        names = ("wanted.x", "wanted.v", "wanted.acceleration")
-        return dict(zip(names, path(t), strict=True))
-
-    same_commands(controller, plant, told)
-
-
-def test_compensation_of_hysteresis_as_a_block_gives_the_same_commands():
-    plant = pam.HangingLoad(MUSCLE, 15.0, losses=pam.losses.PrandtlIshlinskii())
-    start = plant.equilibrium(x=0.03)
-    controller = HysteresisCompensation(plant.with_values(start), sample_time=STEP, frequency=2.0)
-    wanted = {"x": lambda t: 0.03 + 0.008 * np.sin(8 * t)}
-    path = controller.tracking(dict(wanted), {}, True)._path
-
-    def told(t):
-        pairs = {"wanted": path(t), "ahead": path(t + STEP)}
-        return {
-            f"{first}.{n}": value
-            for first, found in pairs.items()
-            for n, value in zip(("x", "v", "acceleration"), found, strict=True)
-        }
-
-    same_commands(controller, plant, told, reference=wanted, start=start)
 
 
 def test_an_extended_filter_and_a_feedback_in_a_chain_give_the_same_commands(slide):

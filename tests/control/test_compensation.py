@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import pam_ocp as pam
 from pam_ocp.control import HysteresisCompensation
-from pam_ocp.control.compensation import _PressureInputs, _Rounded
-from pam_ocp.control.memory_model import MemoryModel
+from pam_ocp.control.blocks.draft import Draft
+from pam_ocp.control.blocks.running import Running
+from pam_ocp.control.compensation import MemoryModel, _PressureInputs, _Rounded
 from pam_ocp.core.errors import InputError
 
 L = pam.losses
@@ -82,14 +84,18 @@ def test_the_memory_along_a_motion_is_that_of_the_sharp_operator():
     loss = L.PrandtlIshlinskii(edge=0.01)
     plant = pam.HangingLoad(MUSCLE, 15.0, losses=loss, feed=pam.feeds.IdealPressure())
     model, operator = MemoryModel(plant, "x", "v"), loss.elements()
-    for x in (0.002, 0.008, 0.03, 0.06, 0.055, 0.03, 0.034, 0.02):
-        for part in np.linspace(model._z[0], x, 30)[1:]:
-            model.move(float(part), 0.01)
-        largest = [c * (1 + 2 * 0.279) for c in loss.contracting]
-        force = sum(f * z for f, z in zip(largest, model.values.values(), strict=True))
-        assert force == pytest.approx(operator.force(x / 0.4), abs=0.05)
-    model.reset()
+    way, memory = ca.MX.sym("way", 2), ca.MX.sym("memory", len(model.values))
+    pressure = {"muscle.pressure": plant.variable("muscle.pressure").start}
+    after = model.moved(memory, (way[0], way[1]), pressure, 0.01)
+    move = ca.Function("move", [memory, way], [after])
+    here, kept = plant.variable("x").start, np.array([*model.values.values()])
     assert set(model.values.values()) == {0.0}
+    for x in (0.002, 0.008, 0.03, 0.06, 0.055, 0.03, 0.034, 0.02):
+        for part in np.linspace(here, x, 30)[1:]:
+            kept, here = np.asarray(move(kept, [here, part])).ravel(), float(part)
+        largest = [c * (1 + 2 * 0.279) for c in loss.contracting]
+        force = sum(f * z for f, z in zip(largest, kept, strict=True))
+        assert force == pytest.approx(operator.force(x / 0.4), abs=0.05)
 
 
 def test_a_corner_is_rounded_within_the_kernel_and_a_line_stays():
@@ -106,10 +112,15 @@ def test_a_corner_is_rounded_within_the_kernel_and_a_line_stays():
 def test_inputs_give_a_pressure_the_rate_that_was_asked_whatever_feeds_it():
     for feed in (pam.feeds.Regulator(0.08), pam.feeds.SpoolValve(), pam.feeds.OnOffValves()):
         plant = pam.HangingLoad(MUSCLE, 15.0, feed=feed)
-        inputs = _PressureInputs(plant, ["muscle"])
+        draft = Draft("inputs", 0.02, "", ca.MX)
+        target = draft.input("wanted.pressure"), draft.input("wanted.rate")
+        _PressureInputs(plant, ["muscle"]).enter(draft, {"muscle": target}, 0.02)
+        inputs = Running(draft.block())
         state = {v.name: v.start for v in plant.states} | {"muscle.pressure": 2e5, "v": 0.05}
         for rate in (-3e5, 2e5, 6e5):
-            sent = inputs({"muscle": (2e5, rate)}, 0.02, state)
+            inputs.measure(state)
+            inputs.tell({"wanted.pressure": 2e5, "wanted.rate": rate})
+            sent = inputs.commands()
             u = plant.vector("input", sent)
             xdot = plant.function(plant.vector("state", state), u, plant.vector("parameter"))[0]
             at = [v.name for v in plant.states].index("muscle.pressure")

@@ -5,6 +5,7 @@ load.
 import numpy as np
 import pytest
 from conftest import benchmark_slide
+from scipy.optimize import lsq_linear
 from test_estimate import H, damped_spring
 from test_mpc import double_integrator
 
@@ -150,6 +151,33 @@ def test_bounds_give_the_constrained_optimum():
     assert window.correct({"x": 0.3}).state["x"] == pytest.approx(0.15)  # half way, bound idle
     window.correct({"x": 0.9})  # replaces the value: 0.45 without the bound
     assert window.estimate.state["x"] == pytest.approx(0.2, abs=1e-8)
+
+
+def test_a_bounded_window_is_the_least_squares_fit_of_scipy():
+    """Of a leak p' = -p/0.2: prior, noise of each step and measurements over p >= 0."""
+    window = MovingHorizonEstimator(
+        reservoir(),
+        sample_time=H,
+        measured={"p": 3e3},
+        process={"p": 2e3},
+        uncertainty={"p": 4e3},
+        horizon=15,
+    )
+    whole, half = np.exp(-H / 0.2), np.exp(-H / 2 / 0.2)
+    noise = 2e3 * np.sqrt(H / 6 * (whole**2 + 4 * half**2 + 1))
+    seen = 3e3 * np.random.default_rng(4).standard_normal(12)
+    rows, right = [np.eye(12)[0] / 4e3], [2e3 / 4e3]
+    for k, y in enumerate(seen):
+        rows, right = [*rows, np.eye(12)[k] / 3e3], [*right, y / 3e3]
+        if k:
+            rows.append((np.eye(12)[k] - whole * np.eye(12)[k - 1]) / noise)
+            right.append(0.0)
+            window.predict()
+        window.correct({"p": float(y)})
+    fit = lsq_linear(np.array(rows), np.array(right), (0.0, np.inf), method="bvls", tol=1e-14)
+    assert fit.active_mask.any()
+    assert not fit.active_mask.all()
+    assert window.window["p"] == pytest.approx(fit.x, abs=0.01)  # of 3 kPa
 
 
 def test_a_disturbance_inside_given_bounds():

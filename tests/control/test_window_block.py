@@ -63,7 +63,6 @@ def entered(made: Any, seen: dict[str, float], sent: Any) -> np.ndarray:
 CASES: dict[str, tuple[dict[str, Any], float]] = {
     "free": ({}, 1e-10),
     "robust": ({"robust": 1.5}, 1e-10),
-    # with fewer steps one of the two may stop short of where both lead
     "bounded": ({"bounds": {"mass": (1.0, 2.2)}, "iterations": 12}, 2e-6),
     "one step": ({"horizon": 1}, 1e-10),
 }
@@ -71,7 +70,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_it_tells_what_the_estimator_tells(case: str) -> None:
-    """Of a smoother and an active-set method, against a smoother and a barrier."""
+    """Whose window grows from its first node, where that of the block begins full."""
     (more, limit), plant = CASES[case], benchmark_slide()
     known = estimator(plant, **more)
     made = block(known, plant=plant, guard=False)

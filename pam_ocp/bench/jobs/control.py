@@ -20,12 +20,11 @@ from typing import Any
 import numpy as np
 
 from ...control.analysis import frequency_response, margins
-from ...control.channels import Actuators
 from ...control.linear_quadratic import StateFeedback, lqr
 from ...control.loop import ClosedLoop, closed_loop
 from ...control.mpc.mpc import Mpc
 from ...control.point_pid import PointPid
-from ...control.sides import PlantSide, Side, side_of
+from ...control.sides import Actuators, PlantSide, Side, side_of
 from ...core.errors import InputError
 from ...export.package import export_fmu
 from ...figures.scene import scene_of

@@ -94,17 +94,17 @@ class _Chain:
     def _source(self, i: int, k: int) -> tuple[int, int] | None:
         """The output that feeds an input; None for an input of the chain."""
         wanted = self.blocks[i].inputs[k]
-        found = self.given.get((i, k))
-        if found is None:
+        source = self.given.get((i, k))
+        if source is None:
             for j in reversed(range(i)):
                 outputs = [v.name for v in self.blocks[j].outputs]
                 for name in (wanted.name, f"estimate.{wanted.name}"):
-                    if name in outputs and found is None:
-                        found = j, outputs.index(name)
-        if found is not None:
-            output = self.blocks[found[0]].outputs[found[1]]
-            self._same_unit(wanted, output, f"{self.blocks[found[0]].name}.{output.name}", i)
-        return found
+                    if name in outputs and source is None:
+                        source = j, outputs.index(name)
+        if source is not None:
+            output = self.blocks[source[0]].outputs[source[1]]
+            self._same_unit(wanted, output, f"{self.blocks[source[0]].name}.{output.name}", i)
+        return source
 
     def _same_unit(self, wanted: Variable, other: Variable, who: str, i: int) -> None:
         if unit(wanted.unit) != unit(other.unit):
@@ -172,14 +172,14 @@ class _Chain:
         names = [v.name for b in self.blocks for v in b.outputs]
         names += [v.name for v in self._inputs().values()]
         taken = {s for s in self.sources.values() if s is not None}
-        found, commands = [], []
+        variables, commands = [], []
         for i, b in enumerate(self.blocks):
             for k, v in enumerate(b.outputs):
                 name = f"{b.name}.{v.name}" if names.count(v.name) > 1 else v.name
-                found.append(replace(v, name=name))
+                variables.append(replace(v, name=name))
                 if v.name in b.commands and (i, k) not in taken:
                     commands.append(name)
-        return found, commands
+        return variables, commands
 
     def _step(self, inputs: list[str], late: list[tuple[int, int]]) -> ca.Function:
         plain = all(b.step.is_a("SXFunction") for b in self.blocks)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -17,7 +17,7 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant
 from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
-__all__ = ["Draft", "compensated", "least_norm", "per"]
+__all__ = ["Draft", "clipped", "compensated", "least_norm", "per"]
 
 Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
@@ -39,16 +39,17 @@ class Draft:
             "state": {},
         }
         self._next: dict[str, Symbol] = {}
+        self._column: tuple[list[Variable], Symbol, Symbol] | None = None
         self._outputs: list[tuple[Variable, Symbol]] = []
         self._commands: list[str] = []
         self._missing: list[str] = []
         self.loops: dict[str, int] = {}
 
     def _enter(self, variable: Variable) -> Symbol:
-        kept = self._kept[variable.causality]
-        if variable.name not in kept:
-            kept[variable.name] = variable, self.kind.sym(variable.name)
-        return kept[variable.name][1]
+        entered = self._kept[variable.causality]
+        if variable.name not in entered:
+            entered[variable.name] = variable, self.kind.sym(variable.name)
+        return entered[variable.name][1]
 
     # ---- variables ----------------------------------------------------------------------------
     def input(self, name: str, start: float = 0.0, missing: bool = False, **about: Any) -> Symbol:
@@ -66,6 +67,16 @@ class Draft:
             nominal=variable.nominal,
             description=variable.description,
             **more,
+        )
+
+    def wanted(self, variable: Variable, start: float, first: str = "wanted") -> Symbol:
+        """The input ``wanted.NAME``: what a variable of a plant is to reach."""
+        return self.input(
+            f"{first}.{variable.name}",
+            start,
+            unit=variable.unit,
+            nominal=variable.nominal,
+            description=f"to be reached: {variable.description}",
         )
 
     def column(self, variables: Iterable[Variable], prefix: str = "", **more: Any) -> Symbol:
@@ -115,6 +126,21 @@ class Draft:
         """What the memory ``name`` is in the next step."""
         self._next[name] = value
 
+    def memories(self, start: Array, description: str) -> Symbol:
+        """A column that is carried to the next step, its entries named w1, w2, ...; once."""
+        variables = [
+            Variable(f"w{i + 1}", "state", start=float(value), description=description)
+            for i, value in enumerate(start)
+        ]
+        symbol = self.kind.sym("memories", len(variables))
+        self._column = variables, symbol, symbol
+        return symbol
+
+    def next_memories(self, value: Symbol) -> None:
+        """What that column is in the next step."""
+        assert self._column is not None
+        self._column = *self._column[:2], value
+
     def output(self, variable: Variable, value: Symbol, command: bool = False) -> None:
         """An output. command : it drives a plant."""
         self._outputs.append((variable, value))
@@ -136,6 +162,12 @@ class Draft:
             )
         )
 
+    def deviation(self, variable: Variable, value: Symbol) -> None:
+        """The output ``deviation.NAME``, standard deviation of an estimate."""
+        name, unit, nominal = f"deviation.{variable.name}", variable.unit, variable.nominal
+        told = Variable(name, "output", unit=unit, nominal=nominal, min=0.0, start=0.0)
+        self._outputs.append((told, value))
+
     def repeats(self, what: str, count: int) -> None:
         """What is done ``count`` times in a step, besides what was told before."""
         self.loops[what] = self.loops.get(what, 0) + count
@@ -154,22 +186,31 @@ class Draft:
     @property
     def held_back(self) -> Symbol:
         """1 where a limit that the law cannot know acted on the last command."""
-        words = "1 where a rate or a narrower range acted on the last command"
-        return self.input(HELD_BACK, 0.0, description=words)
+        description = "1 where a rate or a narrower range acted on the last command"
+        return self.input(HELD_BACK, 0.0, description=description)
 
     def sent(self, variables: Iterable[Variable]) -> Symbol:
         """The commands that acted since the last step, as a column."""
         return self.column(variables, SENT)
 
     # ---- of plants with valves ---------------------------------------------------------------
-    def send(self, inversion: Inversion | None, inner: list[Variable], u: Symbol) -> None:
-        """The commands of chosen inputs: for openings those that give them."""
+    def send(
+        self,
+        inversion: Inversion | None,
+        inner: Sequence[Variable],
+        u: Symbol,
+        known: tuple[Symbol, Symbol] | None = None,
+    ) -> None:
+        """The commands of chosen inputs: for openings those that give them.
+
+        known : parameters and states of the plant, where the block has them.
+        """
         if not inversion:
             for i, variable in enumerate(inner):
                 self.output(as_output(variable), u[i], command=True)
             return
         chosen = {v.name: u[i] for i, v in enumerate(inner)}
-        for variable, value in sent_by(inversion, chosen, self):
+        for variable, value in sent_by(inversion, chosen, self, known):
             self.output(as_output(variable), value, command=True)
 
     def states(self, inversion: Inversion | None, variables: Iterable[Variable]) -> Symbol:
@@ -185,17 +226,21 @@ class Draft:
             list(self._kept[c].values()) for c in ("input", "parameter", "state")
         )
         after = [self._next.get(v.name, s) for v, s in memory]
+        symbols, carried = [s for _, s in memory], [v for v, _ in memory]
+        if self._column is not None:
+            variables, symbol, following = self._column
+            carried, symbols, after = carried + variables, [*symbols, symbol], [*after, following]
         results = [
-            _column(self.kind, found) for found in (after, [value for _, value in self._outputs])
+            _column(self.kind, column) for column in (after, [value for _, value in self._outputs])
         ]
-        groups = [[s for _, s in part] for part in (memory, inputs, parameters)]
+        groups = [symbols, *([s for _, s in part] for part in (inputs, parameters))]
         return Block(
             name=self.name,
             sample_time=self.sample_time,
             inputs=tuple(v for v, _ in inputs),
             outputs=tuple(v for v, _ in self._outputs),
             parameters=tuple(v for v, _ in parameters),
-            memory=tuple(v for v, _ in memory),
+            memory=tuple(carried),
             step=self._step(groups, results),
             description=self.description,
             commands=tuple(self._commands),
@@ -208,10 +253,16 @@ class Draft:
         if self.kind is ca.SX:
             columns = [_column(ca.SX, group) for group in groups]
             return ca.Function("step", columns, results, *names, {"cse": True})
-        scalars = [s for group in groups for s in group]
-        law = ca.Function("law", scalars, results)
-        columns = [ca.MX.sym(n, len(g)) for n, g in zip(names[0], groups, strict=True)]
-        entries = [e for c in columns if c.numel() for e in ca.vertsplit(c)]
+        symbols = [s for group in groups for s in group]
+        law = ca.Function("law", symbols, results)
+        sizes = [[s.numel() for s in group] for group in groups]
+        columns = [ca.MX.sym(n, sum(size)) for n, size in zip(names[0], sizes, strict=True)]
+        entries = [
+            e
+            for c, size in zip(columns, sizes, strict=True)
+            if size
+            for e in ca.vertsplit(c, np.cumsum([0, *size]).tolist())
+        ]
         return ca.Function("step", columns, law.call(entries, True, False), *names)
 
 
@@ -234,21 +285,24 @@ def as_output(variable: Variable) -> Variable:
 
 
 def sent_by(
-    inversion: Inversion, chosen: Mapping[str, Symbol], draft: Draft
+    inversion: Inversion,
+    chosen: Mapping[str, Symbol],
+    draft: Draft,
+    known: tuple[Symbol, Symbol] | None = None,
 ) -> list[tuple[Variable, Symbol]]:
     """(input of the plant, value) of inputs by inner name, openings through their inverse."""
     plant = inversion.plant
-    x = states_beside(inversion, draft)
-    found: list[tuple[Variable, Symbol]] = []
+    p, x = known or (plant.vector("parameter"), states_beside(inversion, draft))
+    results: list[tuple[Variable, Symbol]] = []
     for name, value in chosen.items():
         opening = inversion.opening_of(name)
         if opening is None:
-            found.append((plant.variable(name), value))
+            results.append((plant.variable(name), value))
             continue
-        sent = inversion.inverse(opening)(value, plant.vector("parameter"), x)
+        sent = inversion.inverse(opening)(value, p, x)
         commands = inversion.commands_of(opening)
-        found += [(plant.variable(c), sent[i]) for i, c in enumerate(commands)]
-    return found
+        results += [(plant.variable(c), sent[i]) for i, c in enumerate(commands)]
+    return results
 
 
 def states_beside(inversion: Inversion, draft: Draft) -> Symbol:
@@ -259,24 +313,29 @@ def states_beside(inversion: Inversion, draft: Draft) -> Symbol:
     return draft.column(states)
 
 
-def opened_by(inversion: Inversion | None, plant: Plant, draft: Draft) -> dict[str, Symbol]:
-    """{inner input: value} that the commands sent since the last step gave."""
+def opened_by(
+    inversion: Inversion | None,
+    plant: Plant,
+    draft: Draft,
+    known: tuple[Symbol, Symbol] | None = None,
+) -> dict[str, Symbol]:
+    """{inner input: value} that the commands sent since the last step gave; known : see send."""
     controls = [v for v in plant.inputs if not v.disturbance]
     sent = draft.sent(controls)
     named = {v.name: sent[i] for i, v in enumerate(controls)}
     if not inversion:
         return named
-    found: dict[str, Symbol] = {}
-    x = states_beside(inversion, draft)
+    inner: dict[str, Symbol] = {}
+    p, x = known or (plant.vector("parameter"), states_beside(inversion, draft))
     for variable in inversion.inner.inputs:
         opening = inversion.opening_of(variable.name)
         if opening is None:
             if variable.name in named:
-                found[variable.name] = named[variable.name]
+                inner[variable.name] = named[variable.name]
             continue
         commands = ca.vertcat(*(named[c] for c in inversion.commands_of(opening)))
-        found[variable.name] = inversion.forward(opening)(commands, plant.vector("parameter"), x)
-    return found
+        inner[variable.name] = inversion.forward(opening)(commands, p, x)
+    return inner
 
 
 def per(unit: str, *others: str) -> str:
@@ -298,6 +357,15 @@ def per(unit: str, *others: str) -> str:
     except InputError:
         return "1"
     return name
+
+
+def clipped(column: Symbol, low: Iterable[float], high: Iterable[float]) -> Symbol:
+    """Each entry within its range; an open end is no operation (in C it would be an infinity)."""
+    within = []
+    for entry, least, most in zip(ca.vertsplit(column), low, high, strict=True):
+        value = ca.fmax(entry, float(least)) if np.isfinite(least) else entry
+        within.append(ca.fmin(value, float(most)) if np.isfinite(most) else value)
+    return ca.vertcat(*within)
 
 
 def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Symbol]:

@@ -202,8 +202,8 @@ class _Guarded:
             good = ca.fabs(s[v.name]) <= LARGEST
             value = ca.if_else(good, s[v.name], s[f"held.{v.name}"])
             age = ca.if_else(good, 0, ca.fmin(s[f"age.{v.name}"] + 1, NEVER))
-            own = v.name in self.law.missing
-            seen[v.name] = ca.if_else(good, s[v.name], ca.SX.nan()) if own else value
+            by_the_law = v.name in self.law.missing
+            seen[v.name] = ca.if_else(good, s[v.name], ca.SX.nan()) if by_the_law else value
             held.append(value)
             ages.append(age)
             missing = ca.fmax(missing, ca.logic_not(good))
@@ -222,16 +222,16 @@ class _Guarded:
         flags = ca.SX.sym("flags", 3)
         before, after = (ca.SX.sym(n, len(self.law.memory)) for n in ("before", "after"))
         outputs = ca.SX.sym("outputs", len(self.law.outputs))
-        place = [v.name for v in self.law.outputs]
-        asked = {v.name: outputs[place.index(v.name)] for v in self.commands}
+        names = [v.name for v in self.law.outputs]
+        asked = {v.name: outputs[names.index(v.name)] for v in self.commands}
         whole = ca.SX(1)
         for entry in [*ca.vertsplit(after), *asked.values()] if after.numel() else asked.values():
             whole = ca.logic_and(whole, ca.fabs(entry) <= LARGEST)
         awake = ca.logic_and(flags[0], ca.logic_not(flags[2]))
-        kept = ca.if_else(whole, after, before) if after.numel() else after
+        memory_kept = ca.if_else(whole, after, before) if after.numel() else after
         status = ca.logic_not(flags[0]) + 2 * flags[1] + 4 * flags[2] + 32 * ca.logic_not(whole)
         sent, fade, at_range, narrowed, at_rate = [], [], ca.SX(0), ca.SX(0), ca.SX(0)
-        given = [outputs[i] for i in range(len(place))]
+        given = [outputs[i] for i in range(len(names))]
         for v in self.commands:
             value, left, ranged, rated = self._sent(v, s, asked[v.name], awake, whole)
             sent.append(value)
@@ -239,7 +239,7 @@ class _Guarded:
             at_range, at_rate = ca.fmax(at_range, ranged), ca.fmax(at_rate, rated)
             if self.ranges[v.name] != (v.min, v.max):
                 narrowed = ca.fmax(narrowed, ranged)
-            given[place.index(v.name)] = value
+            given[names.index(v.name)] = value
         for i, v in enumerate(self.law.outputs):
             if v.name not in asked:  # an estimate or a status that is no number is not told either
                 good = ca.fabs(outputs[i]) <= LARGEST
@@ -247,7 +247,7 @@ class _Guarded:
         status += 8 * at_range + 16 * at_rate
         limited = [ca.fmax(at_range, at_rate), ca.fmax(narrowed, at_rate)]
         done = [ca.logic_and(awake, whole), *limited] if self.commands else []
-        results = [kept, _cat(sent), _cat(fade), _cat(done), _cat([*given, status])]
+        results = [memory_kept, _cat(sent), _cat(fade), _cat(done), _cat([*given, status])]
         return _function("act", [*columns, flags, before, after, outputs], results)
 
     def _sent(
@@ -267,8 +267,8 @@ class _Guarded:
             step = s[f"rate.{v.name}"] * time
             value = ca.fmin(ca.fmax(wanted, last - step), last + step)
             rated = ca.fabs(wanted - value) > ROUNDING * v.nominal
-        kept = ca.fmin(ca.fmax(value, s[f"min.{v.name}"]), s[f"max.{v.name}"])
-        return kept, fade, ca.fabs(kept - value) > ROUNDING * v.nominal, rated
+        within = ca.fmin(ca.fmax(value, s[f"min.{v.name}"]), s[f"max.{v.name}"])
+        return within, fade, ca.fabs(within - value) > ROUNDING * v.nominal, rated
 
     # ---- the block ------------------------------------------------------------------------------
     def block(self) -> Block:
@@ -319,13 +319,13 @@ class _Guarded:
         kind = ca.SX if law.step.is_a("SXFunction") else ca.MX
         names = ["memory", "inputs", "parameters"]
         columns: list[Any] = [kind.sym(n, size) for n, size in zip(names, sizes, strict=True)]
-        mine, own = _split(columns[0], len(law.memory))
+        of_law, of_guard = _split(columns[0], len(law.memory))
         inputs, enable = _split(columns[1], len(self.inputs))
         gains, settings = _split(columns[2], len(law.parameters))
-        known = [own, inputs, enable, settings]
+        known = [of_guard, inputs, enable, settings]
         seen, held, ages, flags = _called(self._watch(), known)
-        after, outputs = _called(law.step, [mine, seen, gains])
-        results = _called(self._act(), [*known, flags, mine, after, outputs])
+        after, outputs = _called(law.step, [of_law, seen, gains])
+        results = _called(self._act(), [*known, flags, of_law, after, outputs])
         memory, sent, fade, done, given = results
         order = [f"held.{v.name}" for v in self.inputs] + [f"age.{v.name}" for v in self.inputs]
         order += [f"{part}.{v.name}" for part in ("sent", "fade") for v in self.commands]

@@ -17,6 +17,7 @@ from ..controller import Measured
 from ..references import Source
 from .guard import Guard, guarded
 from .kinds import TOLD, law_of
+from .running import Running
 
 __all__ = ["BlockController", "block"]
 
@@ -107,8 +108,7 @@ class BlockController:
             raise InputError(f"{block.name} gives no commands, so it cannot close a loop")
         self.block, self._told = block, inputs
         self.sample_time = block.sample_time
-        self._place = {v.name: i for i, v in enumerate(block.inputs)}
-        self._start = block.start("inputs")
+        self._running, self._start = Running(block, ()), block.start("inputs")
         self.parameters = block.start("parameters")
         self._reference: dict[str, Source] = {}
         self.reset()
@@ -118,8 +118,10 @@ class BlockController:
     ) -> BlockController:
         """The Controller whose inputs ``wanted.NAME`` are these references; see Tracking."""
         for name in reference:
-            if f"wanted.{name}" not in self._place:
-                known = [n.partition(".")[2] for n in self._place if n.startswith("wanted.")]
+            if f"wanted.{name}" not in self._running.places:
+                known = [
+                    n.partition(".")[2] for n in self._running.places if n.startswith("wanted.")
+                ]
                 raise InputError(
                     f"reference: {self.block.name} is not told {name}; it tracks "
                     f"{', '.join(known) or 'nothing'}"
@@ -129,9 +131,9 @@ class BlockController:
             before = dict(self._told(t)) if self._told else {}
             return before | {f"wanted.{n}": at(t) for n, at in reference.items()}
 
-        found = BlockController(self.block, told)
-        found.parameters, found._reference = self.parameters, dict(reference)
-        return found
+        tracker = BlockController(self.block, told)
+        tracker.parameters, tracker._reference = self.parameters, dict(reference)
+        return tracker
 
     def wanted(self, t: float) -> dict[str, float]:
         """What the loop told to reach at a time [s]."""
@@ -139,21 +141,24 @@ class BlockController:
 
     def reset(self) -> None:
         """See :class:`Controller`."""
-        self.memory: Array = self.block.start("memory")
+        self._running.reset()
         self.outputs: dict[str, float] = {}
+
+    @property
+    def memory(self) -> Array:
+        """As it stands now."""
+        return self._running.memory
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        values = self._start.copy()
-        for name, place in self._place.items():
-            if name in measured:
-                values[place] = measured[name]
+        running = self._running
+        running.inputs[:] = self._start
+        running.parameters[:] = self.parameters
+        running.tell({n: v for n, v in measured.items() if n in running.places})
         for name, value in (self._told(t) if self._told else {}).items():
-            if name not in self._place:
-                raise UnknownNameError(f"input of {self.block.name}", name, self._place)
-            values[self._place[name]] = value
-        memory, outputs = self.block.step(self.memory, values, self.parameters)
-        self.memory = np.asarray(memory).ravel()
-        numbers = np.asarray(outputs).ravel().tolist()
-        self.outputs = dict(zip((v.name for v in self.block.outputs), numbers, strict=True))
+            if name not in running.places:
+                raise UnknownNameError(f"input of {self.block.name}", name, running.places)
+            running.tell({name: value})
+        numbers = running.step().tolist()
+        self.outputs = dict(zip(running.outputs, numbers, strict=True))
         return {n: self.outputs[n] for n in self.block.commands}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -17,17 +17,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.stop import locked
+from ...core.variables import Variable
 from ...export.machine import quick
 from ...numerics.buffered import Buffered
 from ...plants.plant import Plant, Values, require_plant
+from ..blocks.draft import Draft, Symbol, clipped
+from ..blocks.kinds import BLOCKS, LARGEST
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
 from ..step import Givens, Step, StepMethod
-from .correction import taken_in
 
-__all__ = ["Estimate", "Estimator", "KalmanFilter"]
+__all__ = ["Estimate", "Estimator", "KalmanFilter", "estimated_variables"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -149,19 +152,25 @@ class Estimator(ABC):
         n, count = len(self.names), len(self.measured)
         mean, covariance = ca.SX.sym("mean", n), ca.SX.sym("covariance", n, n)
         whole, a, half = step
-        noise = self._simpson(a, half, ca.DM(self._density), a.T, half.T)
+        noise = self.noise_of_step(a, half)
         spread = ca.densify(a @ covariance @ a.T + noise)
-        self._going = self._buffered("going", [*point, covariance], [whole, spread, a])
+        self.going = ca.Function("going", [*point, covariance], [whole, spread, a], {"cse": True})
+        """(z, u, q, covariance) -> (z, covariance a step on, Jacobian of the step)."""
         measured, weight = ca.SX.sym("measured", count), ca.SX.sym("weight", count)
-        found = taken_in(
-            (mean, covariance), point[0], seen, measured, self._noise**2, ca.vertsplit(weight)
+        known = taken_in(
+            (mean, covariance),
+            point[0],
+            seen,
+            measured,
+            [*(self._noise**2).tolist()],
+            ca.vertsplit(weight),
         )
         arguments = [*point, mean, covariance, measured, weight]
-        self._taking = self._buffered("taking", arguments, [ca.densify(e) for e in found])
-
-    def _buffered(self, name: str, arguments: list[ca.SX], results: list[ca.SX]) -> Buffered:
-        function = ca.Function(name, arguments, results, {"cse": True})
-        return Buffered(quick(function, self._compiled))
+        self.taking = ca.Function("taking", arguments, [*map(ca.densify, known)], {"cse": True})
+        """(z, u, q, mean, covariance, measured, weights) -> (mean, covariance), see taken_in."""
+        self._going, self._taking = (
+            Buffered(quick(f, self._compiled)) for f in (self.going, self.taking)
+        )
 
     def _after(self, z: Array, u: Array, q: Array, covariance: Array) -> tuple[Array, Array]:
         """State and covariance a step on."""
@@ -221,17 +230,12 @@ class Estimator(ABC):
             seen[known[name]] = require_finite(given, value) / self.measured[known[name]].nominal
         return seen
 
-    def _step_noise(self, a: Array, half: Array) -> Array:
-        """Covariance that the noise adds in a step,
-        from the Jacobians over the step and its half.
+    def noise_of_step(self, a: Symbol, half: Symbol) -> Any:
+        """Covariance that the noise adds in a step, from the Jacobians over it and over its half:
+        Simpson's rule for the integral of exp(A s) Q exp(A s)'.
         """
-        turned = np.swapaxes(a, -1, -2), np.swapaxes(half, -1, -2)
-        noise: Array = self._simpson(a, half, self._density, *turned)
-        return noise
-
-    def _simpson(self, a: Any, half: Any, density: Any, a_turned: Any, half_turned: Any) -> Any:
-        """Simpson's rule for the integral of exp(A s) Q exp(A s)' over the step."""
-        noise = a @ density @ a_turned + 4 * half @ density @ half_turned
+        density = ca.DM(self._density)
+        noise = ca.mtimes([a, density, a.T]) + 4 * ca.mtimes([half, density, half.T])
         return self.sample_time / 6 * (noise + density)
 
     def _inputs(self, inputs: Values | None) -> Array:
@@ -325,4 +329,84 @@ def _deviations(plant: Plant, given: Mapping[str, float] | None, argument: str) 
         if variable.causality != "state":
             raise InputError(f"{argument}: {variable.name} is a {variable.causality}; give states")
         found[variable.name] = require_positive(f"{argument}[{name!r}]", value, zero=True)
+    return found
+
+
+# ---- equations -----------------------------------------------------------------------------------
+def taken_in(
+    known: tuple[ca.SX, ca.SX],
+    at: ca.SX,
+    seen: tuple[ca.SX, ca.SX],
+    measured: ca.SX,
+    noise: Sequence[float | ca.SX],
+    weights: Sequence[ca.SX],
+) -> tuple[ca.SX, ca.SX]:
+    """Mean and covariance (n, n) after a measurement, from those before, ``known``.
+
+    seen : the measurement of the model and its Jacobian (measured, n) at the state ``at``.
+    noise : variances of the measured values, which are independent and so taken in one by one.
+    weights : what their inverses are multiplied by; 0 for a value that is missing.
+    The covariance in Joseph's form, which rounding leaves symmetric and positive (R. S. Bucy and
+    P. D. Joseph, Filtering for Stochastic Processes, 1968).
+    """
+    mean, covariance = known
+    values, slopes = seen
+    eye = ca.SX.eye(mean.numel())
+    for i, (variance, weight) in enumerate(zip(noise, weights, strict=True)):
+        c = slopes[i, :]
+        across = covariance @ c.T
+        gain = across / (weight * (c @ across) + variance)
+        mean = mean + weight * gain * (measured[i] - values[i] - c @ (mean - at))
+        keep = eye - weight * gain @ c
+        covariance = keep @ covariance @ keep.T + weight * variance * gain @ gain.T
+    return mean, covariance
+
+
+# ---- as a block ---------------------------------------------------------------------------------
+@BLOCKS.register("KalmanFilter")
+def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
+    """The estimate of states and unknowns, as :class:`KalmanFilter`, begun anew.
+
+    Inputs are what is measured (NaN where a value is missing) and the commands sent since the last
+    step; outputs ``estimate.NAME`` and ``deviation.NAME``.
+    """
+    draft = Draft(name, filter.sample_time, "extended Kalman filter")
+    estimated, n = estimated_variables(filter), len(filter.names)
+    start_z, start_p = filter._first
+    begin = zip(estimated, start_z, strict=True)
+    z = ca.vertcat(*(draft.memory(f"scaled.{v.name}", float(s)) for v, s in begin))
+    rows = [
+        [draft.memory(f"covariance.c{i}_{j}", float(start_p[i, j])) for j in range(n)]
+        for i in range(n)
+    ]
+    p = ca.vertcat(*(ca.horzcat(*row) for row in rows))
+    started = draft.memory("started", description="1 after the first step")
+    sent = draft.sent(filter.given.controls)
+    q = ca.DM(filter.given.vector())
+    moved, p_moved, _ = filter.going(z, sent, q, p)
+    z, p = ca.if_else(started, moved, z), ca.if_else(started, p_moved, p)
+    y = draft.column(filter.measured, missing=True)
+    good = ca.fabs(y) <= LARGEST
+    scaled = ca.if_else(good, y, 0) / ca.DM([v.nominal for v in filter.measured])
+    mean, p = filter.taking(z, sent, q, z, p, scaled, good)
+    z = clipped(mean, filter._low, filter._high)
+    for i, v in enumerate(estimated):
+        draft.next(f"scaled.{v.name}", z[i])
+        draft.estimate(v, z[i] * float(filter._scale[i]))
+        for j in range(n):
+            draft.next(f"covariance.c{i}_{j}", p[i, j])
+    for i, v in enumerate(estimated):
+        draft.deviation(v, ca.sqrt(ca.fmax(p[i, i], 0)) * float(filter._scale[i]))
+    draft.next("started", draft.kind(1))
+    return draft.block()
+
+
+def estimated_variables(filter: Estimator) -> list[Variable]:
+    """Variables of states and unknowns; that of an offset der(STATE) is offset.STATE."""
+    found = []
+    for name, scale in zip(filter.names, filter._scale, strict=True):
+        if name.startswith("der("):
+            found.append(Variable(f"offset.{name[4:-1]}", "output", nominal=float(scale)))
+        else:
+            found.append(filter.plant.variable(name))
     return found

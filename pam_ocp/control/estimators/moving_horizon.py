@@ -4,38 +4,38 @@ measurements.
 At each measurement the trajectory of the window is the most probable one under the model, the noise
 and the bounds (Rao, Rawlings, Mayne, IEEE Trans. Automat. Control 48, 2003); what came before the
 window enters as an arrival cost carried on by the extended Kalman filter. Solved by Gauss-Newton
-steps, each by a smoother of the linearised window; where that leaves the bounds, by a quadratic
-program in the window's start and the noise of each step.
+steps, each by a smoother of the linearised window; where that leaves the bounds, by an
+interior-point method whose steps are the same smoother (estimators/smoother.py).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.block import Block
 from ...core.errors import InputError, require_count, require_finite, require_positive
 from ...core.stop import locked
 from ...export.machine import quick
 from ...numerics.buffered import Buffered
-from ...numerics.solvers import Native, conic
+from ...numerics.portable import portable
 from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
+from ..blocks.draft import Draft
+from ..blocks.kinds import BLOCKS, LARGEST
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
-from .extended_kalman import Estimator
-from .smoother import Smoother
+from .extended_kalman import Estimator, estimated_variables
+from .smoother import PASSES, Smoother
 
 __all__ = ["MovingHorizonEstimator"]
 
 Array: TypeAlias = NDArray[np.float64]
-
-TOLERANCE = 1e-9
-"""Change of the window's trajectory, in units of nominal, that ends the Gauss-Newton steps."""
 
 
 @locked
@@ -104,10 +104,11 @@ class MovingHorizonEstimator(Estimator):
         self.robust = math.inf if robust is None else require_positive("robust", robust)
         self._narrow(bounds or {})
         self._empty()
-        self._fit = Buffered(quick(self._smoothing(), compiled))
-        self._look = Buffered(quick(self._measure, compiled))
-        self._bounded = np.flatnonzero(np.isfinite(self._low) | np.isfinite(self._high))
-        self._qp: Native | None = None
+        functions = self._predict, self._measure
+        smoother = Smoother(self, horizon + 1, self.robust, functions, iterations)
+        self._fit, self._arrive = (
+            Buffered(quick(f, compiled)) for f in (smoother.improve(), smoother.arrive())
+        )
 
     def _empty(self) -> None:
         """A window of one node: the present."""
@@ -157,9 +158,7 @@ class MovingHorizonEstimator(Estimator):
         k, seen = self._last, self._seen(measurement)
         self._controls[0, :, k], self._givens[0, :, k] = self._inputs(inputs), self._q
         self._values[k] = np.where(np.isfinite(seen), seen, self._values[k])
-        for _ in range(self.iterations):
-            if self._improve() <= TOLERANCE:
-                break
+        self._improve()
         self._z = self._nodes[:, k].copy()
         return self.estimate
 
@@ -170,7 +169,7 @@ class MovingHorizonEstimator(Estimator):
         u = self._controls[1, :, k]
         z, self.covariance = self._after(self._nodes[:, k], u, self._q, self.covariance)
         if k == self.horizon:
-            self._arrive()
+            self._forget()
             for array in (self._nodes, self._controls, self._givens):
                 array[..., :-1] = array[..., 1:]
             self._values[:-1] = self._values[1:]
@@ -187,118 +186,42 @@ class MovingHorizonEstimator(Estimator):
         return dict(zip(self.names, rows, strict=True))
 
     # ---- the fit --------------------------------------------------------------------------------
-    def _smoothing(self) -> ca.Function:
-        """(z, u and following u, y, has, real, q and following q, prior, its covariance) ->
-        (changes of the nodes, covariance of the last one, and what the window is linearised to).
-        """
-        n, nodes = len(self.names), self.horizon + 1
-        smoother = Smoother(self, nodes, self.robust, (self._predict, self._measure))
-        sizes = {"z": n, "u": smoother.nu, "then": smoother.nu, "y": smoother.m, "has": smoother.m}
-        sizes |= {"real": 1, "q": smoother.nq, "q_then": smoother.nq}
-        columns = [ca.MX.sym(name, size, nodes) for name, size in sizes.items()]
-        z, *rest = columns
-        prior, p = ca.MX.sym("prior", n), ca.MX.sym("p", n * n)
-        linear = smoother.linear(z, ca.horzcat(z[:, 1:], z[:, nodes - 1]), *rest)
-        no_bounds = ca.MX(0, nodes)
-        found = smoother.smooth(prior - z[:, 0], p, *linear, no_bounds, no_bounds)
-        return ca.Function("smoothing", [*columns, prior, p], [*found, *linear])
-
-    def _improve(self) -> float:
-        """One Gauss-Newton step of the window's trajectory; returns its largest change."""
-        last = self._last
-        has = np.isfinite(self._values)
+    def _improve(self) -> None:
+        """Gauss-Newton steps of the window's trajectory."""
+        last, has = self._last, np.isfinite(self._values)
+        self._nodes[:, last + 1 :] = self._nodes[:, last : last + 1]  # they stand still
         u, q = self._controls, self._givens
-        change, covariance, *linear = self._fit(
-            *(e.T.ravel() for e in (self._nodes, u[0], u[1])),
+        nodes, covariance, _ = self._fit(
+            self._nodes.T.ravel(),
+            self.covariance.ravel(),
+            1.0,
+            self._prior,
+            self._prior_covariance.ravel(),
+            *(e.T.ravel() for e in u),
             np.where(has, self._values, 0.0).ravel(),
             has.ravel(),
             self._real,
-            *(e.T.ravel() for e in (q[0], q[1])),
+            *(e.T.ravel() for e in q),
+        )
+        self._nodes[:] = nodes
+        self.covariance = covariance.reshape(len(self._z), -1).copy()
+
+    def _forget(self) -> None:
+        """Carry what is known of the window's first node on to its second."""
+        values = self._values[0]
+        has = np.isfinite(values)
+        u, q = self._controls[:, :, 0], self._givens[:, :, 0]
+        prior, covariance = self._arrive(
             self._prior,
             self._prior_covariance.ravel(),
+            self._nodes[:, 0],
+            *u,
+            np.where(has, values, 0.0),
+            has,
+            *q,
         )
-        change = change[:, : last + 1].T
-        if self._outside(change):
-            change = self._constrained(change, linear)
-        fitted = self._nodes[:, : last + 1] + change.T
-        self._nodes[:, : last + 1] = np.clip(fitted.T, self._low, self._high).T  # rounding
-        self.covariance = covariance.reshape(len(self._z), -1).copy()
-        return float(np.max(np.abs(change), initial=0.0))
-
-    def _condensed(self, linear: Sequence[Array]) -> tuple[Array, Array]:
-        """Each node's change as offset + spread @ (start, noise), all unknowns of unit variance."""
-        last, n = self._last, len(self._z)
-        a, noise = (linear[i].T.reshape(-1, n, n)[:last].transpose(0, 2, 1) for i in (0, 2))
-        roots = _root(np.concatenate([self._prior_covariance[None], noise]))
-        offset, spread = np.zeros((last + 1, n)), np.zeros((last + 1, n, n * (last + 1)))
-        offset[0], spread[0, :, :n] = self._prior - self._nodes[:, 0], roots[0]
-        for k in range(last):
-            known = n * (k + 1)
-            offset[k + 1] = linear[1][:, k] + a[k] @ offset[k]
-            spread[k + 1, :, :known] = a[k] @ spread[k, :, :known]
-            spread[k + 1, :, known : known + n] = roots[k + 1]
-        return offset, spread
-
-    def _weights(self, residual: Array) -> Array:
-        """Of squared residuals: 0 where nothing was measured, Huber's beyond the threshold."""
-        size = np.abs(np.nan_to_num(residual))
-        huber = np.where(size > self.robust, self.robust / np.maximum(size, 1e-300), 1.0)
-        weights: Array = np.where(np.isfinite(residual), huber, 0.0)
-        return weights
-
-    def _arrive(self) -> None:
-        """Carry what is known of the window's first node on to its second."""
-        z, u, q = self._nodes[:, 0], self._controls[:, :, 0], self._givens[:, :, 0]
-        value, _ = self._look(z, u[0], q[0])
-        weight = self._weights((value.ravel() - self._values[0]) / self._noise)
-        known = (self._prior, self._prior_covariance)
-        mean, covariance = self._with((z, u[0], q[0]), known, self._values[0], weight)
-        following, self._prior_covariance = self._after(z, u[1], q[1], covariance)
-        self._prior = following + self._going.results[2] @ (mean - z)
-
-    # ---- bounds ---------------------------------------------------------------------------------
-    def _limits(self) -> tuple[Array, Array]:
-        """How far bounded states and unknowns of each node may change."""
-        nodes = self._nodes[self._bounded, : self._last + 1].T
-        return self._low[self._bounded] - nodes, self._high[self._bounded] - nodes
-
-    def _outside(self, change: Array) -> bool:
-        low, high = self._limits()
-        change = change[:, self._bounded]
-        return bool(np.any(change < low - TOLERANCE) or np.any(change > high + TOLERANCE))
-
-    def _constrained(self, free: Array, linear: Sequence[Array]) -> Array:
-        """The step that keeps the bounds: a dense quadratic program by an active-set method;
-        ``free`` where there is none.
-        """
-        nodes, n = self._last + 1, len(self._z)
-        offset, spread = self._condensed(linear)
-        error, variance = (linear[i][:, :nodes].T for i in (4, 5))
-        slope = linear[3].T.reshape(-1, n, len(self.measured))[:nodes].transpose(0, 2, 1)
-        slope = -slope / np.sqrt(variance)[:, :, None]
-        residual = error / np.sqrt(variance) + np.einsum("kij,kj->ki", slope, offset)
-        jacobian = (slope @ spread).reshape(residual.size, -1)
-        hessian = np.eye(jacobian.shape[1]) + jacobian.T @ jacobian
-        gradient = jacobian.T @ residual.ravel()
-        matrix = spread[:, self._bounded].reshape(-1, len(gradient))
-        start = offset[:, self._bounded].ravel()
-        low, high = (e.ravel() - start for e in self._limits())
-        if self._qp is None or self._qp.size1_in("a") != len(matrix):
-            dense = {"h": ca.Sparsity.dense(*hessian.shape), "a": ca.Sparsity.dense(*matrix.shape)}
-            self._qp = conic("window", "daqp", dense, {"error_on_fail": False})
-        result = self._qp(h=hessian, g=gradient, a=matrix, lba=low, uba=high)
-        found = np.asarray(result["x"]).ravel()
-        if not (self._qp.stats()["success"] and np.all(np.isfinite(found))):
-            return free
-        change: Array = offset + spread @ found
-        return change
-
-
-def _root(covariance: Array) -> Array:
-    """A factor G of each covariance = G G', which may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
-    return root
+        self._prior = prior[:, 0].copy()
+        self._prior_covariance = covariance.reshape(len(prior), -1).copy()
 
 
 def _range(name: str, value: Any) -> tuple[float, float]:
@@ -312,3 +235,91 @@ def _range(name: str, value: Any) -> tuple[float, float]:
     if low > high:
         raise InputError(f"{label} = {value!r}: the bounds are crossed")
     return low, high
+
+
+# ---- as a block ---------------------------------------------------------------------------------
+@BLOCKS.register("MovingHorizonEstimator")
+def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> Block:
+    """The estimate of states and unknowns, as :class:`MovingHorizonEstimator`, begun anew.
+
+    Inputs are what is measured (NaN where a value is missing) and the commands sent since the last
+    step; outputs ``estimate.NAME`` and ``deviation.NAME``. Memory is the window.
+    """
+    given, functions = ca.DM(filter.given.vector()), (filter._predict, filter._measure)
+    low, high = ca.DM(filter._low), ca.DM(filter._high)
+    window = Smoother(
+        filter,
+        filter.horizon + 1,
+        filter.robust,
+        (portable(functions[0]), portable(functions[1])),
+        filter.iterations,
+        given,
+    )
+    n, m, nodes = window.n, window.m, window.nodes
+    controls = filter.given.controls
+    sizes = {
+        "nodes": n * nodes,
+        "values": m * nodes,
+        "present": m * nodes,
+        "controls": len(controls) * nodes,
+        "prior": n,
+        "covariance": n * n,
+        "counts": 2,
+    }
+    draft = Draft(
+        name, filter.sample_time, f"moving-horizon estimator, {filter.horizon} steps", ca.MX
+    )
+    measured = draft.column(filter.measured, missing=True)
+    sent = draft.sent(controls)
+    memory = draft.memories(_start(filter, sizes), "of the window")
+    ends = np.cumsum([0, *sizes.values()]).tolist()
+    part = dict(zip(sizes, ca.vertsplit(memory, ends), strict=True))
+    z, y, has, u = (
+        ca.reshape(part[key], -1, nodes) for key in ("nodes", "values", "present", "controls")
+    )
+    prior, p = part["prior"], part["covariance"]
+    started, count = part["counts"][0], part["counts"][1]
+    good = ca.fabs(measured) <= LARGEST
+    value = ca.if_else(good, measured, 0) / ca.DM([v.nominal for v in filter.measured])
+
+    # one step on, where there was one before
+    oldest = [z[:, 0], u[:, 0], u[:, 1], y[:, 0], has[:, 0]]
+    following, onward = window.arrive()(prior, p, *oldest)
+    full = ca.logic_and(started, count >= filter.horizon)
+    prior, p = (ca.if_else(full, a, b) for a, b in ((following, prior), (onward, p)))
+    after = window.predict(z[:, nodes - 1], sent, given)[0]
+    after = ca.fmax(ca.fmin(after, high), low)
+    z = ca.if_else(started, ca.horzcat(z[:, 1:], after), z)
+    y, has, u = (
+        ca.horzcat(ca.if_else(started, old[:, 1:], old[:, : nodes - 1]), new)
+        for old, new in ((y, value), (has, good), (u, sent))
+    )
+    count = ca.fmin(ca.if_else(started, count + 1, 0), filter.horizon)
+    real = count >= filter.horizon - ca.DM(range(nodes)).T
+    has = has * ca.repmat(real, m, 1)
+
+    then = ca.horzcat(u[:, 1:], u[:, nodes - 1])
+    begun = [z, ca.MX.zeros(n * n), ca.MX(ca.DM(1.0))]
+    z, covariance, _ = window.improve()(*begun, prior, p, u, then, y, has, real)
+    scale = ca.DM(filter._scale)
+    square = ca.diag(ca.reshape(covariance, n, n))
+    deviation = ca.sqrt(ca.fmax(square, 0)) * scale
+    rest = [ca.vec(e) for e in (z, y, has, u)] + [prior, p, ca.MX(1), count]
+    draft.next_memories(ca.densify(ca.vertcat(*rest)))
+    for i, v in enumerate(estimated_variables(filter)):
+        draft.estimate(v, z[i, nodes - 1] * scale[i])
+    for i, v in enumerate(estimated_variables(filter)):
+        draft.deviation(v, deviation[i])
+    draft.repeats("Gauss-Newton steps", filter.iterations)
+    if window.sides:
+        draft.repeats("passes of the smoother", filter.iterations * (PASSES + 1))
+    return draft.block()
+
+
+def _start(filter: MovingHorizonEstimator, sizes: dict[str, int]) -> Array:
+    """The block's memory before the first step."""
+    start_z, start_p = filter._first
+    parts: dict[str, Array] = {n: np.zeros(size) for n, size in sizes.items()}
+    parts |= {"nodes": np.tile(start_z, filter.horizon + 1), "prior": start_z}
+    parts |= {"covariance": start_p.ravel()}
+    return np.concatenate([*parts.values()])

@@ -2,22 +2,39 @@
 
 A Kalman filter forwards and the adjoint recursion backwards (G. J. Bierman, Automatica 9, 1973),
 which inverts no matrix, so that states without noise are no exception. Measurements enter one
-number at a time; a bound of an entry can be one more of them.
+number at a time. Where the result leaves its bounds, an interior-point method repeats it: the
+barrier of a bound is one more measured number, whose variance falls as the bound comes near. All is
+written as Functions of one node, mapped over the window; the work of a call is bounded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ...numerics.bounded_loop import inlined
-from .extended_kalman import Estimator
+from ...numerics.bounded_loop import inlined, repeated
+from ..blocks.kinds import LARGEST
+from .extended_kalman import Estimator, taken_in
 
-__all__ = ["Side", "Smoother", "noise_of_step"]
+__all__ = ["Smoother"]
+
+TOLERANCE = 1e-9
+"""Change of the window's trajectory, in units of nominal, that ends the Gauss-Newton steps."""
+PASSES = 25
+"""Of the smoother in one step that bounds hold back, at most."""
+GAP = 1e-13
+"""Mean complementarity that ends them, in squared standard deviations."""
+CLOSED = 1e-7
+"""Above it the bounds are left to the last resort: what is estimated is cut off at them."""
+SHORT = 0.995
+"""Share of the way to the nearest bound that is gone."""
+ROOM = 1e-2
+"""Least distance from a bound at the start, in units of nominal."""
+CENTRED, LOST = 0.02, 0.5
+"""How far the barrier falls after a long step, and after a short one."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +50,7 @@ class Smoother:
     """The Functions of a filter's window; columns are nodes, the last is the present.
 
     linear : of all nodes. smooth : changes of all nodes, and the covariance of the last one.
+    improve : Gauss-Newton steps of the window. arrive : the prior one node on.
     """
 
     def __init__(
@@ -41,17 +59,23 @@ class Smoother:
         nodes: int,
         robust: float,
         functions: tuple[ca.Function, ca.Function],
-        sides: Sequence[Side] = (),
+        iterations: int,
         q: ca.DM | None = None,
     ) -> None:
         """functions : the filter's prediction and measurement. robust : Huber's limit.
-        sides : bounded entries, with a target and a weight each. q : where it never changes.
+        iterations : Gauss-Newton steps, at most. q : where it never changes.
         """
-        self.filter, self.nodes, self.robust, self.sides = filter, nodes, robust, sides
+        self.filter, self.nodes, self.robust = filter, nodes, robust
+        self.iterations, self.q = iterations, q
+        self.sides = [
+            Side(i, sign, float(bound))
+            for i in range(len(filter.names))
+            for sign, bound in ((1.0, filter._low[i]), (-1.0, filter._high[i]))
+            if np.isfinite(bound)
+        ]
         self.n, self.m = len(filter.names), len(filter.measured)
         self.nu, self.nq = len(filter.given.controls), len(filter.given.names)
         self.predict, self.measure = functions
-        self.q = q
         self.linear = self._linear().map(nodes)
         self.smooth = self._smooth()
 
@@ -59,7 +83,7 @@ class Smoother:
     def moved(self, z: Any, u: Any, q: Any) -> tuple[Any, Any, Any]:
         """(following node, its Jacobian, covariance that the noise adds)."""
         after, a, half = inlined(self.predict, [z, u, q])
-        return after, a, noise_of_step(self.filter, a, half)
+        return after, a, self.filter.noise_of_step(a, half)
 
     def seen(self, z: Any, u: Any, q: Any, y: Any, has: Any) -> tuple[Any, Any, Any]:
         """(Jacobian, measured - expected, variances) of a node; what is missing has no rows."""
@@ -177,7 +201,112 @@ class Smoother:
         assert gains.shape == (n * rows, nodes)
         return ca.Function("smooth", [first, p, *given], [smoothed[:, order], square[:, nodes - 1]])
 
+    # ---- bounds ------------------------------------------------------------------------------
+    def _bounded(self) -> ca.Function:
+        """(first, p, linear..., free changes, nodes) -> changes that keep the bounds."""
+        n, nodes, count = self.n, self.nodes, len(self.sides)
+        sizes = (n * n, n, n * n, self.m * n, self.m, self.m)
+        first, p = ca.MX.sym("first", n), ca.MX.sym("p", n * n)
+        linear = [ca.MX.sym(f"linear{k}", size, nodes) for k, size in enumerate(sizes)]
+        z = ca.MX.sym("z", n, nodes)
+        d, s, mu = (
+            ca.MX.sym(k, size, nodes) for k, size in (("d", n), ("s", count), ("mu", count))
+        )
+        told = ca.MX.sym("told", 2)  # mean complementarity, length of the last step
+        signs = ca.repmat(ca.DM([side.sign for side in self.sides]), 1, nodes)
+        entries = [side.entry for side in self.sides]
+        ends = ca.repmat(ca.DM([side.bound for side in self.sides]), 1, nodes) - z[entries, :]
+        centre = told[0] * ca.if_else(told[1] > 0.9, CENTRED, LOST)
+        weight = mu / s
+        push = centre / s + mu
+        target = ends + signs * push / weight
+        new, _ = self.smooth(first, p, *linear, target, weight)
+        ahead = signs * (new[entries, :] - ends)
+        ds, dmu = ahead - s, push - weight * ahead - mu
+        share = 1 / ca.fmax(
+            1, ca.fmax(ca.mmax(ca.vec(-ds / s)), ca.mmax(ca.vec(-dmu / mu))) / SHORT
+        )
+        after = [d + share * (new - d), s + share * ds, mu + share * dmu]
+        gap = ca.sum1(ca.sum2(after[1] * after[2])) / (count * nodes)
+        constants = [first, p, *linear, z]
+        body = ca.Function("pass", [d, s, mu, told, *constants], [*after, ca.vertcat(gap, share)])
+        # a gap that is no number ends the passes, too
+        wanted = told[0] > GAP
+        loop = repeated(body, 4, PASSES, wanted, [d, s, mu, told])
+        free = ca.MX.sym("free", n, nodes)
+        room = ca.fmax(signs * (free[entries, :] - ends), ROOM)
+        begun = [free, room, 1 / room, ca.MX(ca.DM([1.0, 1.0]))]
+        found, _, _, end = loop(*begun, *constants)
+        sound = ca.logic_and(end[0] <= CLOSED, _finite(found))
+        return ca.Function("bounded", [*constants, free], [ca.if_else(sound, found, free)])
 
-def noise_of_step(filter: Estimator, a: Any, half: Any) -> Any:
-    """Covariance that the noise adds in a step; see :meth:`Estimator._step_noise`."""
-    return filter._simpson(a, half, ca.DM(filter._density), a.T, half.T)
+    # ---- one call ------------------------------------------------------------------------------
+    def improve(self) -> ca.Function:
+        """(z, covariance, largest change, prior, its covariance, u, following u, y, has, real, q,
+        following q) -> the first three after Gauss-Newton steps; without q where it never changes.
+        """
+        n, nodes = self.n, self.nodes
+        z, square, change = (
+            ca.MX.sym("z", n, nodes),
+            ca.MX.sym("square", n * n),
+            ca.MX.sym("change"),
+        )
+        prior, p = ca.MX.sym("prior", n), ca.MX.sym("p", n * n)
+        sizes = {"u": self.nu, "then": self.nu, "y": self.m, "has": self.m, "real": 1}
+        if self.q is None:
+            sizes |= {"q": self.nq, "q_then": self.nq}
+        rest = [ca.MX.sym(k, size, nodes) for k, size in sizes.items()]
+        linear = self.linear(z, ca.horzcat(z[:, 1:], z[:, nodes - 1]), *rest)
+        none = ca.MX.zeros(len(self.sides), nodes)
+        first = prior - z[:, 0]
+        free, covariance = self.smooth(first, p, *linear, none, none)
+        found = free
+        low, high = ca.DM(self.filter._low), ca.DM(self.filter._high)
+        if self.sides:
+            ends = (ca.repmat(e, 1, nodes) - TOLERANCE for e in (low, -high))
+            least, most = ends
+            inside = ca.logic_and(
+                ca.mmin(ca.vec(z + free - least)) >= 0, ca.mmin(ca.vec(-z - free - most)) >= 0
+            )
+            arguments = [first, p, *linear, z, free]
+            symbols = [ca.MX.sym(f"e{k}", e.sparsity()) for k, e in enumerate(arguments)]
+            stay = ca.Function("stay", symbols, [symbols[-1]])
+            found = ca.Function.if_else("within", stay, self._bounded())(inside, *arguments)
+        fitted = z + found
+        fitted = ca.fmax(ca.fmin(fitted, ca.repmat(high, 1, nodes)), ca.repmat(low, 1, nodes))
+        sound = ca.logic_and(_finite(found), _finite(covariance))
+        fitted = ca.if_else(sound, fitted, z)
+        covariance = ca.if_else(sound, covariance, square)
+        size = ca.if_else(sound, ca.mmax(ca.fabs(ca.vec(found))), 0)
+        constants = [prior, p, *rest]
+        body = ca.Function("gauss", [z, square, change, *constants], [fitted, covariance, size])
+        return repeated(body, 3, self.iterations, change > TOLERANCE, [z, square, change])
+
+    def arrive(self) -> ca.Function:
+        """(prior, its covariance, z, u, following u, y, has, q, following q) -> the prior one node
+        on, and its covariance: a step of the extended Kalman filter about the window.
+        """
+        n = self.n
+        prior, p = ca.SX.sym("prior", n), ca.SX.sym("p", n * n)
+        z, u, then = ca.SX.sym("z", n), ca.SX.sym("u", self.nu), ca.SX.sym("then", self.nu)
+        y, has = ca.SX.sym("y", self.m), ca.SX.sym("has", self.m)
+        told = [] if self.q is not None else [ca.SX.sym(k, self.nq) for k in ("q", "q_then")]
+        q, q_then = told if self.q is None else (self.q, self.q)
+        c, error, variance = self.seen(z, u, q, y, has)
+        # taken_in reads measured - expected alone
+        mean, square = taken_in(
+            (prior, ca.reshape(p, n, n)),
+            z,
+            (ca.SX.zeros(self.m), c),
+            error,
+            ca.vertsplit(variance),
+            ca.vertsplit(has),
+        )
+        after, a, noise = self.moved(z, then, q_then)
+        square = ca.mtimes([a, square, a.T]) + noise
+        results = [after + ca.mtimes(a, mean - z), ca.vec((square + square.T) / 2)]
+        return ca.Function("arrive", [prior, p, z, u, then, y, has, *told], results, {"cse": True})
+
+
+def _finite(columns: ca.MX) -> ca.MX:
+    return ca.sum1(ca.fabs(ca.vec(columns))) <= LARGEST

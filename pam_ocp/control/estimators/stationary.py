@@ -4,20 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.block import Block
 from ...core.errors import InputError, require_instance, require_positive
 from ...core.stop import verb
+from ...core.variables import Variable
+from ...numerics.buffered import Buffered
 from ...operating.linear import inside, linearize
 from ...operating.resting_point import OperatingPoint
 from ...operating.stuck import Stuck
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
+from ..blocks.chain import chain
+from ..blocks.draft import Draft, clipped, opened_by
+from ..blocks.kinds import BLOCKS, LARGEST, law_of
+from ..blocks.running import Running
 from ..controller import Controller, Estimate, Measured
-from .correction import corrected
 
 __all__ = ["StationaryFilter", "WithEstimate", "kalman"]
 
@@ -58,16 +66,21 @@ class StationaryFilter:
     """Of states and disturbances after a correction [SI], stationary."""
 
     def __post_init__(self) -> None:
-        self._a, self._b, self._c, self._d = (
-            np.asarray(getattr(self.system, n)) for n in ("A", "B", "C", "D")
-        )
-        self._y0 = np.array([self.point[n] for n in self.measured])
+        plant = self.point.plant
+        self._states = [v.name for v in plant.states]
+        self._inputs = [(v.name, v.start or 0.0) for v in plant.inputs]
+        self._x = self.point.x
+        self._disturbed = {n: float(self.point[n]) for n in self.disturbances}
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
+        self._spread = dict(zip([*self._states, *self.disturbances], spread, strict=False))
+        whole = self.inversion.plant.inputs if self.inversion else ()
+        self._commands = [v.name for v in whole if not v.disturbance]
         self.reset()
 
     def reset(self) -> None:
         """Back to the point itself."""
-        self.deviation: Array = np.zeros(len(self._a))
-        self._u: Array = np.zeros(self._b.shape[1])
+        self.deviation: Array = np.zeros(len(self.system.A))
+        self._u: Array = np.zeros(len(self._inputs))
 
     @property
     def plant(self) -> Plant:
@@ -82,42 +95,87 @@ class StationaryFilter:
     @property
     def estimate(self) -> Estimate:
         """The present knowledge."""
-        states = [v.name for v in self.plant.states]
-        x = self.point.x + self.deviation[: len(states)]
+        return Estimate(self.state, self.disturbance, dict(self._spread))
+
+    @property
+    def state(self) -> dict[str, float]:
+        """The estimated states by name [SI]."""
+        x = self._x + self.deviation[: len(self._x)]
         if self.inversion:
             x = self.inversion.inside(x, inwards=False)
-        spread = np.sqrt(np.diag(self.covariance)).tolist()
-        return Estimate(
-            dict(zip(states, x.tolist(), strict=True)),
-            self.disturbance,
-            dict(zip([*states, *self.disturbances], spread, strict=True)),
-        )
+        return dict(zip(self._states, x.tolist(), strict=True))
 
     def correct(self, measured: Measured, inputs: Mapping[str, float] | None = None) -> Array:
         """The estimated states (nx,) after a measurement.
 
         Inputs that act while it is measured are those of the last :meth:`predict`.
         """
-        y = np.array([measured[n] for n in self.measured]) - self._y0
-        error = y - self._c @ self.deviation - self._d @ self._u
-        self.deviation = self.deviation + self.gain @ error
-        return np.asarray(self.point.x + self.deviation[: len(self.point.x)])
+        y = [measured[n] for n in self.measured]
+        self.deviation = self._correct(self.deviation, self._u, y)[0][:, 0].copy()
+        return np.asarray(self._x + self.deviation[: len(self._x)])
 
     @property
     def disturbance(self) -> dict[str, float]:
         """The estimated disturbances by name [SI]."""
-        found = self.deviation[len(self.point.x) :]
-        return {n: self.point[n] + float(d) for n, d in zip(self.disturbances, found, strict=True)}
+        drifted = self.deviation[len(self._x) :].tolist()
+        return {n: u + d for (n, u), d in zip(self._disturbed.items(), drifted, strict=True)}
 
     def predict(self, inputs: Mapping[str, float] | None = None) -> None:
         """Go on to the next sample under inputs by name (kept within the plant's range)."""
-        variables, inputs = self.point.plant.inputs, inputs or {}
-        if self.inversion:
-            inputs = self.inversion.openings(inputs, measured=self.estimate.state)
-        u = np.array([np.clip(inputs.get(v.name, v.start or 0.0), v.min, v.max) for v in variables])
-        self._u = u - self.point.u
-        self._u[[v.name in self.disturbances for v in variables]] = 0.0  # they are states here
-        self.deviation = self._a @ self.deviation + self._b @ self._u
+        given, inversion = inputs or {}, self.inversion
+        if inversion and all(n in given for n in self._commands):
+            entry = self._entry
+            if inversion.by_states:
+                entry.measure(self.state)
+            entry.tell({f"sent.{n}": given[n] for n in self._commands})
+            acted = dict(zip(entry.outputs, entry.step().tolist(), strict=True))
+            given = acted | {n: u for n, u in given.items() if n in acted}
+        elif inversion:
+            given = inversion.openings(given, measured=self.state)
+        u = [given.get(n, start) for n, start in self._inputs]
+        after, moved = self._predict(self.deviation, u)
+        self.deviation, self._u = after[:, 0].copy(), moved[:, 0].copy()
+
+    # ---- equations -------------------------------------------------------------------------------
+    def correction(self) -> ca.Function:
+        """(deviation, inputs' deviation, measured) -> deviation; what is missing has no row."""
+        c, d = (ca.DM(np.asarray(getattr(self.system, n))) for n in "CD")
+        x, u, y = (
+            ca.SX.sym(n, k) for n, k in (("x", c.shape[1]), ("u", d.shape[1]), ("y", c.shape[0]))
+        )
+        good = ca.fabs(y) <= LARGEST
+        expected = ca.DM([self.point[n] for n in self.measured]) + ca.mtimes(c, x) + ca.mtimes(d, u)
+        error = ca.if_else(good, ca.if_else(good, y, 0) - expected, 0)
+        return ca.Function("correct", [x, u, y], [x + ca.mtimes(ca.DM(self.gain), error)])
+
+    def prediction(self) -> ca.Function:
+        """(deviation, inputs) -> (deviation of the next sample, inputs' deviation), inputs within
+        their range; those that are estimated are states."""
+        variables, estimated = self.point.plant.inputs, self.disturbances
+        a, b = (ca.DM(np.asarray(getattr(self.system, n))) for n in "AB")
+        x, u = ca.SX.sym("x", a.shape[0]), ca.SX.sym("u", len(variables))
+        low, high = ([getattr(v, end) for v in variables] for end in ("min", "max"))
+        moved = clipped(u, low, high) - ca.DM(self.point.u)
+        moved = moved * ca.DM([v.name not in estimated for v in variables])
+        return ca.Function("predict", [x, u], [ca.mtimes(a, x) + ca.mtimes(b, moved), moved])
+
+    @cached_property
+    def _entry(self) -> Running:
+        """From commands to the inputs of the linear model, openings among them."""
+        assert self.inversion
+        draft = Draft("entry", self.sample_time, "openings of commands")
+        acted = opened_by(self.inversion, self.inversion.plant, draft)
+        for v in self.point.plant.inputs:
+            draft.output(Variable(v.name, "output"), acted.get(v.name, draft.kind(v.start or 0.0)))
+        return Running(draft.block())
+
+    @cached_property
+    def _correct(self) -> Buffered:
+        return Buffered(self.correction())
+
+    @cached_property
+    def _predict(self) -> Buffered:
+        return Buffered(self.prediction())
 
 
 @verb
@@ -293,6 +351,18 @@ def _stationary(
     return present * nominal[:, None] / noise, left * nominal * nominal[:, None]
 
 
+def corrected(covariance: Array, c: Array, noise: Array) -> tuple[Array, Array]:
+    """Gain (n, measured) and covariance (n, n) after a measurement y = c x + noise.
+
+    noise : variances. The covariance in Joseph's form, which rounding leaves symmetric and positive
+    (R. S. Bucy and P. D. Joseph, Filtering for Stochastic Processes, 1968).
+    """
+    r = np.diag(noise)
+    gain = np.linalg.solve(c @ covariance @ c.T + r, c @ covariance).T
+    keep = np.eye(len(covariance)) - gain @ c
+    return gain, keep @ covariance @ keep.T + gain @ r @ gain.T
+
+
 @dataclass
 class WithEstimate:
     """A controller that sees the filter's estimate in place of the states, and what is measured.
@@ -326,9 +396,56 @@ class WithEstimate:
     def __call__(self, t: float, measured: Measured) -> Mapping[str, float]:
         """See :class:`Controller`."""
         self.filter.correct(measured)
-        seen = self.filter.estimate.state
+        seen = self.filter.state
         visible = [n for n in (*self.filter.measured, *self.also) if n not in seen]
         seen.update({n: measured[n] for n in visible})
         inputs = self.controller(t, seen)
         self.filter.predict(inputs)
         return inputs
+
+
+# ---- as blocks ----------------------------------------------------------------------------------
+@BLOCKS.register("StationaryFilter")
+def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
+    """The estimate of states and disturbances, as :class:`StationaryFilter`.
+
+    Inputs are what is measured (NaN where a value is missing: the others correct alone) and the
+    commands sent since the last step; outputs ``estimate.NAME``.
+    """
+    point, draft = filter.point, Draft(name, filter.sample_time, "stationary Kalman filter")
+    plant = point.plant
+    whole = filter.inversion.plant if filter.inversion else plant
+    names = [v.name for v in plant.states]
+    estimated = [plant.variable(n) for n in (*names, *filter.disturbances)]
+    deviation = ca.vertcat(
+        *(
+            draft.memory(
+                f"deviation.{v.name}", unit=v.unit, nominal=v.nominal, description="x - x0"
+            )
+            for v in estimated
+        )
+    )
+    started = draft.memory("started", description="1 after the first step")
+    acted = opened_by(filter.inversion, whole, draft)
+    u = ca.vertcat(*(acted.get(v.name, v.start or 0.0) for v in plant.inputs))
+    predicted, moved = filter.prediction()(deviation, u)
+    y = draft.column([plant.variable(n) for n in filter.measured], missing=True)
+    expected = ca.if_else(started, predicted, deviation)
+    after = filter.correction()(expected, ca.if_else(started, moved, 0), y)
+    estimate = ca.DM([point[v.name] for v in estimated]) + after
+    if filter.inversion and not filter.inversion.exact:
+        x = estimate[: len(names)]
+        back = filter.inversion.entering(False)(x, whole.vector("parameter"))
+        estimate = ca.vertcat(back, estimate[len(names) :])
+    for i, v in enumerate(estimated):
+        draft.next(f"deviation.{v.name}", after[i])
+        draft.estimate(v, estimate[i])
+    draft.next("started", draft.kind(1))
+    return draft.block()
+
+
+@BLOCKS.register("WithEstimate")
+def with_estimate(controller: WithEstimate, name: str = "with_estimate") -> Block:
+    """A controller that sees the filter's estimate, as :class:`WithEstimate`."""
+    parts = [stationary_filter(controller.filter), law_of(controller.controller)]
+    return chain(parts, name=name)

@@ -11,8 +11,9 @@ from ...core.block import Block
 from ...core.errors import InputError, require_count, require_instance
 from ...core.stop import turns
 from ...core.variables import Variable
-from ..blocks.draft import as_output
-from ..blocks.kinds import BLOCKS, SENT
+from ...plants.plant import Plant
+from ..blocks.draft import Draft, Symbol, opened_by
+from ..blocks.kinds import BLOCKS
 from .mpc import Mpc
 from .real_time import FACTS, PATIENCE, RealTimeIteration
 
@@ -30,26 +31,6 @@ _TOLD = {
     "missing": "samples in a row that lacked a measurement: predicted values stood in",
     "failures": "samples in a row whose quadratic program failed",
 }
-
-
-class _Columns:
-    """Variables entered one by one; their symbols are the entries of a column."""
-
-    def __init__(self) -> None:
-        self.kept: dict[str, Variable] = {}
-
-    def enter(self, name: str, like: Variable | None = None, **about: Any) -> str:
-        """A variable, which takes its unit, nominal and description from another."""
-        if like is not None:
-            known = {"unit": like.unit, "nominal": like.nominal, "description": like.description}
-            about = {**known, **about}
-        self.kept[name] = Variable(name, **about)
-        return name
-
-    def column(self) -> tuple[ca.MX, dict[str, ca.MX]]:
-        """(column, its entries by name)."""
-        column = ca.MX.sym("c", len(self.kept))
-        return column, dict(zip(self.kept, ca.vertsplit(column), strict=True))
 
 
 @BLOCKS.register("Mpc")
@@ -97,177 +78,89 @@ def mpc_block(
     require_count("iterations", count)
     require_count("patience", patience, 0)
     core = controller.real_time(count, patience)
-    return _MpcBlock(controller, core, preview, estimated).block(name)
-
-
-class _MpcBlock:
-    def __init__(
-        self, mpc: Mpc, core: RealTimeIteration, preview: bool, estimated: Sequence[str]
-    ) -> None:
-        self.mpc, self.core, self.plant, self.model = mpc, core, mpc.plant, mpc.model
-        self.given, self.inversion = mpc.given, mpc.inversion
-        self.ahead = range(1, mpc.horizon + 1) if preview else range(0)
-        self.estimated = [self.given.name(n) for n in estimated]
-        self.inputs, self.parameters = _Columns(), _Columns()
-        self.states = [self._measured(v) for v in self.plant.states]
-        self.sent = {v.name: self._measured(v, SENT) for v in self._commands()}
-        self.wanted = [self._wanted(e.variable) for e in mpc.program.penalties]
-        self.told = [self._told(n) for n in self.given.names]
-        self._declare_parameters()
-
-    def _commands(self) -> list[Variable]:
-        return [v for v in self.plant.inputs if not v.disturbance]
-
-    # ---- variables ------------------------------------------------------------------------------
-    def _measured(self, variable: Variable, prefix: str = "") -> str:
-        start = variable.start or 0.0
-        return self.inputs.enter(prefix + variable.name, variable, causality="input", start=start)
-
-    def _wanted(self, variable: Variable) -> list[str]:
-        """Inputs of the references at the nodes: those given, and then the last one."""
-        name, about = variable.name, {"causality": "input", "start": variable.start or 0.0}
-        first = self.inputs.enter(f"wanted.{name}", variable, **about)
-        found = [self.inputs.enter(f"ahead.{name}.k{k}", variable, **about) for k in self.ahead]
-        return [first, *(found or [first] * self.mpc.horizon)]
-
-    def _told(self, name: str) -> str:
-        """The input or parameter that holds an entry of q; "" for an offset that nobody tells."""
-        if name.startswith("der("):
-            if name not in self.estimated:
-                return ""
-            state = self.plant.variable(name[4:-1])
-            return self.inputs.enter(
-                f"der.{state.name}",
-                causality="input",
-                start=0.0,
-                description=f"added to the derivative of {state.name}, per second",
-            )
-        variable = self.plant.variable(name)
-        start = variable.start or 0.0
-        if variable.disturbance or name in self.estimated:
-            return self.inputs.enter(name, variable, causality="input", start=start)
-        return self.parameters.enter(
-            name,
-            variable,
-            causality="parameter",
-            start=start,
-            min=variable.min,
-            max=variable.max,
-            tunable=True,
+    mpc, plant, inversion, given = (
+        controller,
+        controller.plant,
+        controller.inversion,
+        controller.given,
+    )
+    words = f"model predictive control of {plant.name}, horizon {mpc.horizon}"
+    draft = Draft(name, mpc.sample_time, words, ca.MX)
+    x = draft.column(plant.states, missing=True)
+    draft.sent(v for v in plant.inputs if not v.disturbance)
+    steps = mpc.horizon if preview else 0
+    rows = [_wanted(draft, e.variable, steps, mpc.horizon) for e in mpc.program.penalties]
+    told = [given.name(n) for n in estimated]
+    q = ca.vertcat(*(_told(draft, plant, n, n in told) for n in given.names))
+    p, _ = ca.vertsplit(q, [0, len(plant.parameters), len(given.names)])
+    acted = opened_by(inversion, plant, draft, (p, x))
+    memory = draft.memories(core.start(plant.vector("state")), "of the last plan")
+    after, chosen, facts = core.step(
+        memory,
+        x if inversion.exact else inversion.entering()(x, p),
+        ca.vertcat(*(acted[v.name] for v in given.controls)),
+        ca.vertcat(*rows),
+        q,
+        _bounds(draft, core),
+        _fallback(draft, mpc),
+    )
+    draft.next_memories(after)
+    draft.send(inversion, given.controls, chosen, (p, x))
+    for i, fact in enumerate(FACTS):
+        draft.output(
+            Variable(f"solver.{fact}", "output", start=0.0, description=_TOLD[fact]), facts[i]
         )
+    draft.repeats("SQP steps", core.iterations)
+    draft.repeats("iterations of the interior-point method", core.worst_work)
+    return draft.block()
 
-    def _declare_parameters(self) -> None:
-        self.bounds, self.fallback = [], []
-        for bound in self.core.bounds:
-            variable, side = bound.limit.variable, "high" if bound.high else "low"
-            self.bounds.append(
-                self.parameters.enter(
-                    f"{side}.{variable.name}",
-                    variable,
-                    causality="parameter",
-                    start=bound.value,
-                    tunable=True,
-                    description=f"{side}est {variable.name} planned",
-                )
-            )
-        rest = self.inversion.rows(self.plant.vector("input")[None, :])[0]
-        starts = dict(zip((v.name for v in self.model.inputs), rest, strict=True))
-        for variable in self.given.controls:
-            self.fallback.append(
-                self.parameters.enter(
-                    f"fallback.{variable.name}",
-                    variable,
-                    causality="parameter",
-                    start=float(starts[variable.name]),
-                    tunable=True,
-                    description=f"{variable.name} where programs fail for too long",
-                )
-            )
 
-    def _outputs(
-        self, inputs: ca.MX, p: ca.MX, x: ca.MX, facts: ca.MX
-    ) -> list[tuple[Variable, ca.MX]]:
-        """Commands of the inputs chosen (of openings those that give them), and the facts."""
-        found = []
-        for i, variable in enumerate(self.given.controls):
-            opening = self.inversion.opening_of(variable.name)
-            if opening is None:
-                found.append((as_output(self.plant.variable(variable.name)), inputs[i]))
-                continue
-            sent = self.inversion.inverse(opening)(inputs[i], p, x)
-            for k, command in enumerate(self.inversion.commands_of(opening)):
-                found.append((as_output(self.plant.variable(command)), sent[k]))
-        for i, name in enumerate(FACTS):
-            told = Variable(f"solver.{name}", "output", start=0.0, description=_TOLD[name])
-            found.append((told, facts[i]))
-        return found
+def _wanted(draft: Draft, variable: Variable, steps: int, horizon: int) -> Symbol:
+    """A row of references at the nodes: those given, or the present one at each."""
+    start = variable.start or 0.0
+    first = draft.like(variable, "wanted.")
+    about: dict[str, Any] = {
+        "unit": variable.unit,
+        "nominal": variable.nominal,
+        "description": variable.description,
+    }
+    ahead = [draft.input(f"ahead.{variable.name}.k{k + 1}", start, **about) for k in range(steps)]
+    return ca.horzcat(first, *(ahead or [first] * horizon))
 
-    def _memory(self) -> tuple[Variable, ...]:
-        start = self.core.start(self.plant.vector("state"))
-        return tuple(
-            Variable(f"w{i + 1}", "state", start=float(value), description="of the last plan")
-            for i, value in enumerate(start)
-        )
 
-    # ---- equations ------------------------------------------------------------------------------
-    def block(self, name: str) -> Block:
-        inputs, seen = self.inputs.column()
-        parameters, set_ = self.parameters.column()
-        memory_in = self._memory()
-        memory = ca.MX.sym("memory", len(memory_in))
-        known = {"": ca.MX(0.0), **seen, **set_}
+def _told(draft: Draft, plant: Plant, name: str, estimated: bool) -> Symbol:
+    """An entry of q, as an input or a parameter; 0 for an offset that nobody tells."""
+    if name.startswith("der("):
+        if not estimated:
+            return draft.kind(0.0)
+        state = plant.variable(name[4:-1])
+        words = f"added to the derivative of {state.name}, per second"
+        return draft.input(f"der.{state.name}", description=words)
+    v = plant.variable(name)
+    if v.disturbance or estimated:
+        return draft.like(v)
+    about = {"unit": v.unit, "nominal": v.nominal, "description": v.description}
+    return draft.parameter(name, v.start or 0.0, min=v.min, max=v.max, **about)
 
-        def column(names: Sequence[str]) -> ca.MX:
-            return ca.MX(ca.vertcat(*(known[n] for n in names))) if names else ca.MX(0, 1)
 
-        q = column(self.told)
-        p, _ = ca.vertsplit(q, [0, len(self.plant.parameters), len(self.told)])
-        x = column(self.states)
-        references = ca.vertcat(*(ca.horzcat(*(seen[n] for n in row)) for row in self.wanted))
-        after, chosen, facts = self.core.step(
-            memory,
-            x if self.inversion.exact else self.inversion.entering()(x, p),
-            self._applied(seen, p, x),
-            references,
-            q,
-            column(self.bounds),
-            column(self.fallback),
-        )
-        outputs = self._outputs(chosen, p, x, facts)
-        step = ca.Function(
-            "step",
-            [memory, inputs, parameters],
-            [after, ca.vertcat(*(value for _, value in outputs))],
-            ["memory", "inputs", "parameters"],
-            ["memory_next", "outputs"],
-        )
-        mpc = self.mpc
-        return Block(
-            name=name,
-            sample_time=mpc.sample_time,
-            inputs=tuple(self.inputs.kept.values()),
-            outputs=tuple(v for v, _ in outputs),
-            parameters=tuple(self.parameters.kept.values()),
-            memory=memory_in,
-            step=step,
-            description=f"model predictive control of {self.plant.name}, horizon {mpc.horizon}",
-            commands=tuple(v.name for v in self._commands()),
-            missing=tuple(self.states),
-            loops={
-                "SQP steps": self.core.iterations,
-                "iterations of the interior-point method": self.core.worst_work,
-            },
-        )
+def _bounds(draft: Draft, core: RealTimeIteration) -> Symbol:
+    """The ends of limits, each a parameter."""
+    ends = []
+    for bound in core.bounds:
+        v, side = bound.limit.variable, "high" if bound.high else "low"
+        words = f"{side}est {v.name} planned"
+        about = {"unit": v.unit, "nominal": v.nominal, "description": words}
+        ends.append(draft.parameter(f"{side}.{v.name}", bound.value, **about))
+    return ca.vertcat(*ends)
 
-    def _applied(self, seen: dict[str, ca.MX], p: ca.MX, x: ca.MX) -> ca.MX:
-        """The inputs of the model that acted since the last call, openings from the commands."""
-        found = []
-        for variable in self.given.controls:
-            opening = self.inversion.opening_of(variable.name)
-            if opening is None:
-                found.append(seen[self.sent[variable.name]])
-                continue
-            commands = self.inversion.commands_of(opening)
-            sent = ca.vertcat(*(seen[self.sent[c]] for c in commands))
-            found.append(self.inversion.forward(opening)(sent, p, x))
-        return ca.MX(ca.vertcat(*found))
+
+def _fallback(draft: Draft, mpc: Mpc) -> Symbol:
+    """Inputs where programs fail for too long, each a parameter; by default those at the start."""
+    rest = mpc.inversion.rows(mpc.plant.vector("input")[None, :])[0]
+    starts = dict(zip((v.name for v in mpc.model.inputs), rest, strict=True))
+    inputs = []
+    for v in mpc.given.controls:
+        words = f"{v.name} where programs fail for too long"
+        about = {"unit": v.unit, "nominal": v.nominal, "description": words}
+        inputs.append(draft.parameter(f"fallback.{v.name}", float(starts[v.name]), **about))
+    return ca.vertcat(*inputs)

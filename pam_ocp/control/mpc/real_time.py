@@ -18,9 +18,8 @@ from ...export.machine import quick
 from ...numerics.bounded_loop import inlined, repeated
 from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
-from .limit_sides import bounds_of, sides_of
 from .riccati import ITERATIONS, RiccatiQp
-from .shooting import TrackingPoint, TrackingProgram
+from .shooting import TrackingPoint, TrackingProgram, bounds_of, sides_of
 from .sqp import DAMPING, MISS, PROXIMAL, SqpOutcome
 
 __all__ = ["FACTS", "PATIENCE", "RealTimeCalls", "RealTimeIteration"]

@@ -16,8 +16,7 @@ import numpy as np
 
 from ...numerics.bounded_loop import inlined, repeated
 from ...numerics.portable import portable
-from .limit_sides import Side
-from .shooting import TrackingProgram
+from .shooting import Side, TrackingProgram
 
 __all__ = ["GAP", "ITERATIONS", "RiccatiQp"]
 
