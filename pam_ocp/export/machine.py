@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import warnings
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -102,6 +103,33 @@ class MachinePlant:
             check()
             goes_on = self._simulate(ctypes.byref(run), self._budget)
         return states if goes_on == 0 else None
+
+    def motions(
+        self,
+        u: PiecewisePolynomial,
+        coefficients: Array,
+        grid: Array,
+        x0: Array,
+        p: Array,
+        nominal: Array,
+        tolerance: float,
+        max_steps: int,
+        wanted: NDArray[np.bool_],
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """States (cases, times, nx) of cases that differ in numbers only, and which of them came to
+        their end: those ``wanted`` that the solver did not give up.
+
+        coefficients : of the inputs on the breaks of ``u``, of each case or one for all.
+        x0 : (cases, nx). p : (cases, np). Each case has steps of its own.
+        """
+        states = np.zeros((len(x0), len(grid), self._nx))
+        done = np.zeros(len(x0), bool)
+        for i in np.flatnonzero(wanted).tolist():
+            own = replace(u, coefficients=coefficients[min(i, len(coefficients) - 1)])
+            found = self.motion(own, grid, x0[i], p[i], nominal, tolerance, max_steps)
+            if found is not None and np.all(np.isfinite(found)):
+                states[i], done[i] = found, True
+        return states, done
 
     def outputs(self, x: Array, u: Array, p: Array, xdot: Array | None = None) -> Array:
         """Outputs (rows, ny) at rows of states and inputs; ``xdot`` takes the derivatives."""
