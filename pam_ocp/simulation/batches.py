@@ -94,9 +94,9 @@ class Batch:
 
 
 def batches(cases: Iterable[Case], first: int = 0) -> Iterator[Batch]:
-    """Of ``BATCH`` cases each."""
+    """Of ``BATCH`` cases each; they end at multiples of it, wherever the first one is."""
     stream = iter(cases)
-    while part := tuple(islice(stream, BATCH)):
+    while part := tuple(islice(stream, BATCH - first % BATCH)):
         yield _batch(first, part)
         first += len(part)
 
@@ -307,7 +307,7 @@ def _filled(plant: Plant, batch: Batch, blocks: Mapping[str, Array]) -> NDArray[
 
 
 def _number(label: str, value: Any) -> float:
-    found = require_numbers(label, value, "")
+    found = np.atleast_1d(require_numbers(label, value, ""))
     if found.size != 1:
         raise InputError(f"{label} has {found.size} numbers; give one")
     return float(found.ravel()[0])
@@ -336,7 +336,7 @@ class _Motions:
             variables = [v.name for v in self.plant.variables if v.causality == kind]
             if kind == "parameter":
                 return self.parameters[:, variables.index(name), None]
-            block = {"state": self.states, "input": self._u, "output": self._y}[kind]
+            block = self.states if kind == "state" else self._u if kind == "input" else self._y
             for i, own in enumerate(variables):
                 self._columns[own] = np.ascontiguousarray(block[:, :, i])
         return self._columns[name]

@@ -98,8 +98,9 @@ class KeptNumbers:
         for part in _parts(place):
             table = read_table(part, list(names))
             columns = {n: table.column(n).to_numpy() for n in names}
-            for begin in range(0, len(table), BATCH):
-                found.count_in({n: c[begin : begin + BATCH] for n, c in columns.items()})
+            for _ in found.count_all(columns):
+                pass
+        found.settle()
         return cls(names, found.count, found.statistics, bool(content.get("stopped")), place)
 
     @property
@@ -209,6 +210,7 @@ def keep_numbers(
         known = f"{told.text} {uuid.uuid4().hex}" if told.doubts else told.text
         going = _Going(run, folder, known, size, taken, until, progress, bar)
         going(cases)
+        taken.settle()
         if folder is not None:
             more = {"names": list(work.keep), "stopped": going.stopped}
             write_study(folder, FORMAT, told.text, size, going.parts, **more)
@@ -240,12 +242,34 @@ class _Taken:
         self.errors: dict[int, Exception] = {}
         self._keeps, self._drawn = keeps, drawn
         self._columns: dict[str, list[tuple[int, Array]]] = {}
+        self._waiting: dict[str, list[Array]] = {n: [] for n in names}
 
     def count_in(self, numbers: Mapping[str, Array]) -> None:
-        """Into the statistics."""
-        for name, statistic in self.statistics.items():
-            statistic.add(numbers[name])
+        """Into the statistics, ``BATCH`` at a time, so that parts of any length give the same bits.
+
+        The numbers go to the next multiple of it at most.
+        """
+        for name, waiting in self._waiting.items():
+            waiting.append(numbers[name])
         self.count += len(next(iter(numbers.values())))
+        if self.count % BATCH == 0:
+            self.settle()
+
+    def count_all(self, columns: Mapping[str, Array]) -> Iterator[None]:
+        """Any number of them; stops after each time that the statistics are up to date."""
+        begin, end = 0, len(next(iter(columns.values())))
+        while begin < end:
+            more = BATCH - self.count % BATCH
+            self.count_in({n: c[begin : begin + more] for n, c in columns.items()})
+            begin += more
+            yield
+
+    def settle(self) -> None:
+        """Take into the statistics what waits."""
+        for name, waiting in self._waiting.items():
+            if waiting:
+                self.statistics[name].add(np.concatenate(waiting))
+                waiting.clear()
 
     def take(self, rows: Rows) -> None:
         """Into statistics and memory."""
@@ -405,15 +429,14 @@ class _Going:
         assert entry.index is not None
         table = read_table(part_of(self.folder, entry.index), list(self.taken.statistics))
         columns = {n: table.column(n).to_numpy() for n in self.taken.statistics}
-        for begin in range(0, len(table), BATCH):
-            self.taken.count_in({n: c[begin : begin + BATCH] for n, c in columns.items()})
+        for _ in self.taken.count_all(columns):
             self._look()
         self.parts = entry.index + 1
         self._tell(len(table))
 
     def _look(self) -> None:
         """Whether all intervals are as narrow as asked for."""
-        if self.until and self.taken.count >= LEAST:
+        if self.until and self.taken.count >= LEAST and self.taken.count % BATCH == 0:
             found = self.taken.statistics
             self.stopped = all(found[n].half_width <= w for n, w in self.until.items())
 

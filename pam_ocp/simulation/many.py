@@ -189,9 +189,10 @@ def simulate_many(
     into : a folder for the results, in place of memory: one Parquet file per task, which the
         workers make. A path, a URL such as "s3://bucket/runs", or a file system of fsspec or
         pyarrow (see docs/many.md). Needs pyarrow. Run again with the same arguments, only what is
-        not there is computed. Functions count by their code and all that it leads to; what cannot be told from
-        something else (compiled functions, open files) is computed anew, with a warning. A folder
-        of other arguments, or of other versions of the packages that compute, is refused.
+        not there is computed. Functions count by their code and all that it leads to; what cannot
+        be told from something else (compiled functions, open files) is computed anew, with a
+        warning. A folder of other arguments, or of other versions of the packages that compute, is
+        refused.
     keep : {name: what to keep of each motion}, in place of the motions: words such as "x.final",
         "max(muscle1.force)", "crossing(x, '10 mm')" (docs/many.md has all of them), or a function
         of a Trajectory that gives a number. One row a case, with the parameters that it names.
@@ -229,7 +230,9 @@ def simulate_many(
         many = (count is None and keep is not None) or (count or 0) >= COMPILED
         if many and not {"compiled", "method", "step"} & set(common):
             with suppress(InputError):
-                Integration.built(plant)
+                machine = Integration.built(plant)
+                if machine is not None and keep is not None:
+                    machine.lanes()  # before workers begin with what is here
                 common["compiled"] = None
         work = Simulation(plant, common)
         place = None if into is None else folder_of("into", into)

@@ -44,7 +44,7 @@ def _rms(t: Array, s: Array) -> Array:
     return np.asarray(np.sqrt(_mean(t, s * s)))
 
 
-def _first_of(found: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+def _first_of(found: Any) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
     """(whether there is one, the first place of it) for each row, as columns."""
     return found.any(axis=1)[:, None], np.argmax(found, axis=1)[:, None]
 
@@ -70,7 +70,8 @@ def _overshoot(t: Array, s: Array, target: Array | None = None) -> Array:
     step = target - s[:, :1]
     beyond = ((s - target) * np.sign(step)).max(axis=1, keepdims=True)
     with np.errstate(all="ignore"):
-        return np.where(step == 0, np.nan, np.maximum(beyond, 0.0) / np.abs(step))
+        parts = np.maximum(beyond, 0.0) / np.abs(step)
+    return np.where(step == 0, np.nan, parts)
 
 
 def _settling(
@@ -169,7 +170,7 @@ class Reduction:
         """(count,) numbers."""
         with np.errstate(all="ignore"):
             found = np.asarray(self.node.of(t, of), float)
-        return np.broadcast_to(found, (count, 1))[:, 0].copy()
+        return np.array(np.broadcast_to(found, (count, 1))[:, 0], float)
 
 
 @dataclass(frozen=True)
@@ -287,14 +288,14 @@ class _Reader:
         raise error
 
     def _call(self, tree: ast.Call) -> _Node:
-        word = self._dotted(tree.func)
+        word = self._dotted(tree.func) or ast.unparse(tree.func)
         if word in FUNCTIONS and len(tree.args) == 1 and not tree.keywords:
             inner = self._number_or_series(tree.args[0])
             made = FUNCTIONS[word]
             return _Node(lambda t, of: made(inner.of(t, of)), inner.series)
-        word = ALIASES.get(word or "", word)
+        word = ALIASES.get(word, word)
         if word not in REDUCERS:
-            raise UnknownNameError(f"reducer in {self.label}", str(word), [*REDUCERS, *FUNCTIONS])
+            raise UnknownNameError(f"reducer in {self.label}", word, [*REDUCERS, *FUNCTIONS])
         if not tree.args:
             raise self.refuse(f"{word} of what?")
         return self._reduced(word, tree.args, {k.arg or "**": k.value for k in tree.keywords})

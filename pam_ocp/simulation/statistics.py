@@ -19,8 +19,9 @@ Array: TypeAlias = NDArray[np.float64]
 
 NORMAL = 1.959963984540054
 """Half the width of a 95 % interval, in standard errors."""
-CENTROIDS = 400
-"""Of a digest at most: quantiles are good to some 1e-4 of the cases, at the ends to single ones."""
+CENTROIDS = 2000
+"""Of a digest at most: quantiles are good to 1e-3 of the cases and better, at the ends to single
+ones."""
 BUFFER = 20_000
 """Numbers that wait until they are put into the digest."""
 BLOCK = 1024

@@ -82,7 +82,7 @@ def store(
 
     def missing() -> Iterator[Task]:
         nonlocal parts
-        for task in split(iter(cases), chunk):
+        for task in split(iter(cases), size):
             parts = task.index + 1
             held, found = digest_held(part_of(folder, task.index)), _of_task(arguments, task)
             doubts.update(dict.fromkeys(found.doubts))
@@ -92,7 +92,7 @@ def store(
                 yield task
 
     with (
-        opened_folder(folder, FORMAT, told.text, chunk, CHUNK) as chunk,
+        opened_folder(folder, FORMAT, told.text, chunk, CHUNK) as size,
         working("simulations", run.count) as bar,
         closing(run(missing())) as ended,
     ):
@@ -101,7 +101,7 @@ def store(
                 raise content
             write_bytes(part_of(folder, task.index), content)
             report(len(task.cases))
-        write_study(folder, FORMAT, told.text, chunk, parts)
+        write_study(folder, FORMAT, told.text, size, parts)
     warn_of_doubts(folder, doubts)
     return StoredSimulations(folder)
 
