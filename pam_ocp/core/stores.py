@@ -131,9 +131,11 @@ def folder_of(label: str, given: Store) -> Folder:
         text = os.fspath(given)
         return _of_url(label, text) if is_url(text) else Path(text)
     fs, path = given if isinstance(given, tuple) and len(given) == 2 else (given, "")
-    fs = _of_fsspec(label, fs)
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"{label}: the path is a {type(path).__name__}; {GIVE}")
+    if hasattr(fs, "base_fs") and hasattr(fs, "base_path"):  # pyarrow's SubTreeFileSystem
+        fs, path = fs.base_fs, posixpath.join(fs.base_path, os.fspath(path))
+    fs = _of_fsspec(label, fs)
     fs.invalidate_cache()
     path = os.fspath(path).rstrip("/")
     return Remote(fs, path, f"{_protocol(fs)}://{path.lstrip('/')}")

@@ -229,7 +229,8 @@ def progress(done, count):
     if done >= int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
 
-pam.simulate_many(spring(), masses(2000), into=sys.argv[1], chunk=500, executor=2, progress=progress, **SAID)
+place = {"into": sys.argv[1], "chunk": 500, "executor": 2, "progress": progress}
+pam.simulate_many(spring(), masses(2000), **place, **SAID)
 """
 
 
@@ -313,7 +314,7 @@ def test_sobol_indices_of_a_known_function():
     assert found.first["spring.rate"][0] == pytest.approx(1.0, abs=0.1)
     assert abs(found.total["mass"][0]) < 1e-6
     # Ishigami's function has indices in closed form
-    cases = pam.simulation.SobolCases({n: (-np.pi, np.pi) for n in "abc"}, 4096, seed=2)
+    cases = pam.simulation.SobolCases(dict.fromkeys("abc", (-np.pi, np.pi)), 4096, seed=2)
     a, b, c = np.array([list(x["parameters"].values()) for x in cases]).T
     found = cases.indices(np.sin(a) + 7 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a))
     for name, first, total in (("a", 0.3139, 0.5576), ("b", 0.4424, 0.4424), ("c", 0.0, 0.2437)):
