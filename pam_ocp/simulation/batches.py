@@ -158,7 +158,7 @@ def keep_of(plant: Plant, keep: Keep) -> dict[str, Reduction | Callable[[Traject
         if not isinstance(name, str) or not name or name in ("case", "error"):
             raise InputError(f"keep: {name!r} is no name for a column; 'case' and 'error' are ours")
         if isinstance(said, str):
-            found[name] = parsed(f"keep[{name!r}]", said, known, plant.variable)
+            found[name] = parsed(f"keep[{name!r}]", said, known)
         elif callable(said):
             found[name] = said
         else:

@@ -165,6 +165,10 @@ class Reduction:
     signals: frozenset[str]
     """What it asks for."""
     node: _Node
+    made_of: tuple[str, str, tuple[Variable, ...]]
+
+    def __reduce__(self) -> tuple[Any, ...]:  # it travels as its words
+        return parsed, self.made_of
 
     def __call__(self, t: Array, of: Signals, count: int) -> Array:
         """(count,) numbers."""
@@ -185,13 +189,10 @@ class _Node:
     """A quantity that is not read yet."""
 
 
-def parsed(
-    label: str, text: str, variables: Sequence[Variable], resolve: Callable[[str], Variable]
-) -> Reduction:
+def parsed(label: str, text: str, variables: Sequence[Variable]) -> Reduction:
     """The number that words name. Raises InputError, UnknownNameError.
 
-    label : ``keep['x_end']``. variables : states, inputs, outputs and parameters of the plant.
-    resolve : a name, which may have ``_`` for ``.``, to its variable.
+    label : ``keep['x_end']``. variables : what may be named (states, inputs, outputs, parameters).
     """
     if len(text) > LONGEST:
         raise InputError(f"{label} has {len(text)} characters; give at most {LONGEST}")
@@ -199,7 +200,7 @@ def parsed(
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise InputError(f"{label} = {text!r} cannot be read; {GRAMMAR}") from None
-    reader = _Reader(label, text, {v.name: v for v in variables}, resolve, set())
+    reader = _Reader(label, text, {v.name: v for v in variables}, set())
     try:
         node = reader.node(tree)
     except RecursionError:
@@ -211,7 +212,7 @@ def parsed(
             f"{label} = {text!r} is a signal, not a number: say which number of it is kept, such "
             f"as 'max({text})'"
         )
-    return Reduction(text, frozenset(reader.asked), node)
+    return Reduction(text, frozenset(reader.asked), node, (label, text, tuple(variables)))
 
 
 @dataclass(frozen=True)
@@ -219,7 +220,6 @@ class _Reader:
     label: str
     text: str
     known: Mapping[str, Variable]
-    resolve: Callable[[str], Variable]
     asked: set[str]
 
     def refuse(self, why: str) -> InputError:
@@ -258,11 +258,10 @@ class _Reader:
         return None
 
     def _variable(self, name: str) -> Variable | None:
-        try:
-            found = self.resolve(name)
-        except UnknownNameError:
-            return None
-        return self.known.get(found.name)
+        """Of this name; ``_`` may stand for ``.``."""
+        if name in self.known:
+            return self.known[name]
+        return next((v for n, v in self.known.items() if n.replace(".", "_") == name), None)
 
     def _name(self, tree: ast.Name | ast.Attribute) -> _Node:
         name = self._dotted(tree)

@@ -1,8 +1,8 @@
 """A study by the jobs of an array: each runs its share of the steps, the last word merges them.
 
 A shard leaves what it made among the kept results, and a record of itself in ``OUT/shards``. A
-merge sees that every shard came to its end, names those that did not, and then runs the study as always:
-everything is there already but the sweeps' tables and the report.
+merge sees that every shard came to its end, names those that did not, and then runs the study as
+always: everything is there already but the tables of sweeps and the report.
 """
 
 from __future__ import annotations

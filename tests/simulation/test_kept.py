@@ -4,13 +4,13 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import pam_ocp as pam
 from pam_ocp import InputError
-from pam_ocp.core.exceptions import UnknownNameError
 from pam_ocp.simulation.batches import BATCH, Batch, batches
 from pam_ocp.simulation.folder import part_of
 from pam_ocp.simulation.reducers import parsed
@@ -37,14 +37,7 @@ def masses(count: int) -> list[dict]:
 
 def words(text: str, columns: dict[str, list], t=None, **units: str) -> float:
     variables = [pam.core.variables.Variable(n, "output", units.get(n, "1")) for n in columns]
-    known = {v.name: v for v in variables}
-
-    def resolve(name):
-        if name not in known:
-            raise UnknownNameError("variable", name, known)
-        return known[name]
-
-    found = parsed("keep['y']", text, variables, resolve)
+    found = parsed("keep['y']", text, variables)
     times = np.arange(len(next(iter(columns.values()))), dtype=float) if t is None else t
     return float(found(times, lambda n: np.array([columns[n]], float), 1)[0])
 
@@ -352,6 +345,15 @@ def test_a_case_that_kills_its_worker_is_the_only_one_lost():
 def test_what_cannot_be_kept_is_said(given, match):
     with pytest.raises(InputError, match=match):
         pam.simulate_many(spring(), masses(2), t=T, **given)
+
+
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_words_travel_to_any_executor(pool):
+    cases = masses(12)
+    with pool(2) as executor:
+        kept = pam.simulate_many(spring(), cases, executor=executor, **SAID)
+    assert not kept.failures
+    assert np.array_equal(kept["peak"], pam.simulate_many(spring(), cases, **SAID)["peak"])
 
 
 def test_batches_hold_numbers_as_arrays_and_give_the_cases_back():
