@@ -4,6 +4,7 @@ takes.
     python benchmarks/many.py                    cost and scaling, some hundred cases
     python benchmarks/many.py --large            100 000 simulations of a slide, 1000 plans
     python benchmarks/many.py --memory [cases]   memory by the number of cases, into a folder
+    python benchmarks/many.py --keep [base]      numbers kept of 10 base cases, with Sobol indices
 
 Cost: processor seconds of all processes for a case, by ``simulate_many`` or ``each``, over those
 of a plain loop, which is run on a sample of the same cases in the same minute. Scaling: wall time
@@ -152,10 +153,48 @@ def memory(count: int) -> None:
     print(f"{count} cases: {seconds[1]:.0f} s, {size:.0f} MB on disk, a worker {worker:.0f} MB")
 
 
+def kept(base: int) -> dict[str, float]:
+    """Two numbers of a slide's motion, 8 parameters, ten times ``base`` cases."""
+    plant = pam.AntagonisticSlide("DMSP-20-400N", mass=2.0)
+    names = [f"muscle{i}.{n}" for i in (1, 2) for n in ("a3", "a4", "lag")]
+    starts = {n: plant.variable(n).start for n in ("mass", "damping", *names)}
+    ranges = {n: tuple(sorted((0.9 * v, 1.1 * v))) for n, v in starts.items()}
+    common = {
+        **COMMON,
+        "keep": {"x_end": "x.final", "peak": "max(muscle1.force)"},
+        "inputs": {"muscle1.command": 4e5, "muscle2.command": 3e5},
+    }
+    few = pam.simulation.SobolCases(ranges, 64)
+    pam.simulate_many(plant, few, executor=0, **common)  # compiled once
+    cases, found = pam.simulation.SobolCases(ranges, base), {}
+    for rtol in (1e-10, 1e-6):
+        with tempfile.TemporaryDirectory() as folder:
+            ways = {"executor": 2, "into": folder, "rtol": rtol}
+            numbers = []
+            work = lambda w=ways, n=numbers: n.append(  # noqa: E731
+                pam.simulate_many(plant, cases, **w, **common)
+            )
+            seconds, wall = measured(work)
+            size = sum(p.stat().st_size for p in Path(folder).rglob("*.parquet"))
+            found[f"kept, rtol {rtol:g}, a case [ms]"] = 1e3 * seconds / len(cases)
+            found[f"kept, rtol {rtol:g}, two processes, a case, wall [ms]"] = (
+                1e3 * wall / len(cases)
+            )
+            found["kept, a case on disk [B]"] = size / len(cases)
+            found["Sobol indices of one number [s]"] = measured(
+                lambda n=numbers: n[0].sobol("peak")
+            )[0]
+    return found
+
+
 def main() -> None:
     print(f"load {os.getloadavg()[0]:.1f}", flush=True)
     if "--memory" in sys.argv:
         memory(int(sys.argv[2]) if len(sys.argv) > 2 else 100_000)
+        return
+    if "--keep" in sys.argv:
+        for name, value in kept(int(sys.argv[2]) if len(sys.argv) > 2 else 2048).items():
+            print(f"{name:<52}{value:>10.3f}")
         return
     large = "--large" in sys.argv
     parts = (

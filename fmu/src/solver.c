@@ -89,6 +89,7 @@ static INLINE double change_of_step(double error) {
     return factor < SHRINK ? SHRINK : (factor > GROW ? GROW : factor);
 }
 
+#ifndef SOLVER_TABLES_ONLY /* which lanes.c takes, to step many cases side by side */
 static INLINE void swap(double *vector, int i, int j) {
     double value = vector[i];
     vector[i] = vector[j];
@@ -297,3 +298,4 @@ static const char *solver_message(SolverStatus status) {
     default: return "too many internal steps";
     }
 }
+#endif /* SOLVER_TABLES_ONLY */

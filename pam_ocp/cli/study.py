@@ -79,6 +79,12 @@ def add_study(commands: Any) -> None:
         "--workers", type=whole, default=1, metavar="N", help="processes (default: 1, this one)"
     )
     study.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, as tcp://host:8786")
+    study.add_argument(
+        "--shard", metavar="K/N", help="run the K-th of N shares of the steps, for a job array"
+    )
+    study.add_argument(
+        "--merge", action="store_true", help="put together what all shards made, and report"
+    )
     study.add_argument("--fresh", action="store_true", help="do all of it anew")
     study.add_argument("--cache", type=Path, metavar="DIR", help="of kept results (your own only)")
     add_allow_code(study)
@@ -98,6 +104,8 @@ def _study(options: argparse.Namespace) -> int:
             allow_code=options.allow_code,
             fresh=options.fresh,
             cache=options.cache,
+            shard=options.shard,
+            merge=options.merge,
         )
     steps = {
         n: {"kind": s.kind, "state": s.state, "verdict": s.verdict, "good": s.good}
@@ -105,7 +113,8 @@ def _study(options: argparse.Namespace) -> int:
         for n, s in found.steps.items()
     }
     tell(options, found, {"title": found.title, "ok": found.ok, "steps": steps})
-    wrote(options, found.report)
+    if options.shard is None:
+        wrote(options, found.report)
     return 0 if found.ok else 1
 
 

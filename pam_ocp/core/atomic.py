@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import re
 import stat
 import sys
@@ -11,16 +12,25 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .exceptions import WriteError
+from .exceptions import InputError, WriteError
 from .interrupts import interruptible
 
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["atomic_path", "make_folder", "require_local", "require_place", "spelled"]
+__all__ = [
+    "atomic_path",
+    "in_use",
+    "is_url",
+    "make_folder",
+    "require_local",
+    "require_place",
+    "spelled",
+]
 
 _MARK = "pam-part"
 """In the names of temporary files, so that those left behind by a killed process are known."""
+_LOCK = ".in-use"
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
 """Of two letters and more before the colon: one is a drive. A Path has one slash left of two."""
 _REMEDIES = {
@@ -71,6 +81,11 @@ def spelled(path: str | os.PathLike[str]) -> str:
     """A path for a message: on one line, whatever stands in it."""
     name = os.fspath(path)
     return name if isinstance(name, str) and name.isprintable() else repr(name)
+
+
+def is_url(name: str | bytes) -> bool:
+    """Whether a name is that of something elsewhere, such as s3://bucket/runs."""
+    return isinstance(name, str) and _URL.match(name) is not None
 
 
 def require_local(target: str | os.PathLike[str]) -> None:
@@ -205,5 +220,39 @@ def _settled(temporary: Path, mode: int | None) -> None:
     handle = os.open(temporary, os.O_RDWR)
     try:
         os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+# ---- one writer ----------------------------------------------------------------------------------
+@contextmanager
+def in_use(folder: Path) -> Iterator[None]:
+    """For the time of the block this process alone works in a folder.
+
+    The lock goes with the process, however that ends. Raises InputError where another one holds it,
+    and names it. A file system without locks lets all of them in.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    try:
+        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise _refused(folder, error) from None
+    try:
+        try:
+            # a record lock: children by fork do not have it, so it ends with this process
+            fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            who = os.pread(handle, 200, 0).decode(errors="replace").strip()
+            raise InputError(
+                f"{spelled(folder)}: another process is at work in this folder ({who}); wait for "
+                "it, end it, or give another folder"
+            ) from None
+        except OSError:
+            pass
+        os.truncate(handle, 0)
+        os.pwrite(handle, f"process {os.getpid()} on {platform.node()}".encode(), 0)
+        yield
     finally:
         os.close(handle)

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import ctypes
 import warnings
-from functools import cache
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,6 +25,8 @@ from ..core.stop import check
 from ..plants.plant import Plant
 from .cache import cache_folder, digest, keep, kept, usable_folder
 from .compile import compile_library, native
+from .lanes import MAIN as LANES
+from .lanes import LaneCases, lane_sources, lanes_here
 from .runtime import c_text
 from .source import plant_code
 
@@ -36,6 +40,8 @@ OWN = (MAIN, "solver.c", "solver.h", "generated.c", "elementary.h")
 BUDGET = 1e6
 """Interrupts and time limits are asked for after so many steps, divided by the states' third power
 (some milliseconds of work)."""
+AGREED, OVER = 1e-6, 0.05
+"""What two ways to step may differ by over so many seconds, in nominals and of the value."""
 ALIKE = 1e-9
 """What the library and CasADi may differ by, in units of nominal and of the value: rounding."""
 
@@ -63,6 +69,8 @@ class MachinePlant:
         self._outputs.argtypes = (*[ctypes.c_void_p] * 5, ctypes.c_longlong)
         self._outputs.restype = None
         self._nx, self._ny = states, outputs
+        self.lanes: Callable[[], LaneCases | None] = lambda: None
+        """What steps many cases side by side, where it is there."""
         members = {"_fields_": [("x", ctypes.c_double * states)]}
         self._structure: Any = type("Simulation", (_Simulation,), members)
         self._simulate = self._library.simulate
@@ -102,6 +110,37 @@ class MachinePlant:
             check()
             goes_on = self._simulate(ctypes.byref(run), self._budget)
         return states if goes_on == 0 else None
+
+    def motions(
+        self,
+        u: PiecewisePolynomial,
+        coefficients: Array,
+        grid: Array,
+        x0: Array,
+        p: Array,
+        nominal: Array,
+        tolerance: float,
+        max_steps: int,
+        wanted: NDArray[np.bool_],
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """States (cases, times, nx) of cases that differ in numbers only, and which of them came to
+        their end: those ``wanted`` that the solver did not give up.
+
+        coefficients : of the inputs on the breaks of ``u``, of each case or one for all.
+        x0 : (cases, nx). p : (cases, np). Each case has steps of its own, and depends on no other.
+        """
+        lanes = self.lanes()
+        given = (grid, x0, p, nominal, tolerance, max_steps)
+        if lanes is not None:
+            return lanes.motions(u, coefficients, *given, wanted)
+        states = np.zeros((len(x0), len(grid), self._nx))
+        done = np.zeros(len(x0), bool)
+        for i in np.flatnonzero(wanted).tolist():
+            own = replace(u, coefficients=coefficients[min(i, len(coefficients) - 1)])
+            found = self.motion(own, grid, x0[i], p[i], nominal, tolerance, max_steps)
+            if found is not None and np.all(np.isfinite(found)):
+                states[i], done[i] = found, True
+        return states, done
 
     def outputs(self, x: Array, u: Array, p: Array, xdot: Array | None = None) -> Array:
         """Outputs (rows, ny) at rows of states and inputs; ``xdot`` takes the derivatives."""
@@ -164,6 +203,7 @@ def _machine(plant: Plant, build: bool) -> MachinePlant | None:
             raise ExportError(f"{stored} cannot be loaded ({error})") from None
         return None
     if _alike(plant, machine):
+        machine.lanes = cache(partial(_lanes, plant, machine, build))
         return machine
     stored.unlink(missing_ok=True)
     warnings.warn(
@@ -220,6 +260,50 @@ def _alike(plant: Plant, machine: MachinePlant) -> bool:
         if np.any(wrong & np.isfinite(known)):
             return False
     return True
+
+
+# ---- many cases side by side --------------------------------------------------------------------
+MOST_STATES = 16
+"""Of plants that are stepped side by side: the code of larger ones takes long to compile."""
+
+
+def _lanes(plant: Plant, machine: MachinePlant, build: bool) -> LaneCases | None:
+    """The plant's library for many cases; None where it is not there, or not to be trusted."""
+    if not 0 < len(plant.states) <= MOST_STATES:
+        return None
+    count, target = lanes_here()
+    stored = _place("plant", f"{_digest(plant)}-{count}-{digest(_of_lanes(target))[:16]}", build)
+    if stored is None:
+        return None
+    try:
+        if kept(stored) is None:
+            sources = lane_sources(plant) if build else None
+            if sources is None:
+                return None
+            keep(stored, compile_library(sources, LANES, native(), f"{NAME}_lanes"))
+        lanes = LaneCases(stored, len(plant.states))
+    except (ExportError, OSError):
+        return None
+    return lanes if _agree(plant, machine, lanes) else None
+
+
+def _of_lanes(target: str) -> bytes:
+    return "\0".join([target, c_text(LANES)]).encode()
+
+
+def _agree(plant: Plant, machine: MachinePlant, lanes: LaneCases) -> bool:
+    """Whether a few cases end where the solver for one brings them."""
+    x, p = plant.vector("state"), plant.vector("parameter")
+    nominal, grid = plant.vector("state", attribute="nominal"), np.array([0.0, OVER])
+    u = PiecewisePolynomial(grid, plant.vector("input")[None, None])
+    three, wanted = (np.stack([x] * 3), np.stack([p] * 3)), np.ones(3, bool)
+    found, done = lanes.motions(
+        u, u.coefficients[None], grid, *three, nominal, AGREED / 100, 1000, wanted
+    )
+    known = machine.motion(u, grid, x, p, nominal, AGREED / 100, 1000)
+    if known is None or not done.all():
+        return known is None and not done.any()
+    return bool(np.all(np.abs(found - known) <= AGREED * (nominal + np.abs(known))))
 
 
 # ---- single functions ---------------------------------------------------------------------------

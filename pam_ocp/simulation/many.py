@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
@@ -16,15 +14,19 @@ import numpy as np
 from ..core.cases import Loop, Place, ending
 from ..core.errors import InputError, SimulationError, require_count
 from ..core.executors import placed
-from ..core.files import MOST_ROWS, require_local
+from ..core.files import MOST_ROWS
 from ..core.interrupts import interruptible
 from ..core.shown import shown
 from ..core.stop import require_known_keywords
+from ..core.stores import Store, folder_of
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
+from .batches import Keep, Numbers, keep_of
 from .integrate import Integration
+from .kept import KeptNumbers, keep_numbers
 from .running import CASE_KEYS, Case, Simulation
 from .simulator import simulate
+from .statistics import SobolCases
 from .stored import StoredSimulations, store
 
 __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
@@ -137,9 +139,24 @@ def simulate_many(
     workers: int | None = ...,
     chunk: int | None = ...,
     progress: Callable[[int, int | None], None] | None = ...,
-    into: str | os.PathLike[str],
+    into: Store,
     **common: Any,
 ) -> StoredSimulations: ...
+@overload
+def simulate_many(
+    plant: Plant,
+    cases: Iterable[Case],
+    *,
+    executor: Place = ...,
+    workers: int | None = ...,
+    chunk: int | None = ...,
+    progress: Callable[[int, int | None], None] | None = ...,
+    into: Store | None = ...,
+    keep: Keep,
+    rows: bool = ...,
+    until: Mapping[str, float] | None = ...,
+    **common: Any,
+) -> KeptNumbers: ...
 def simulate_many(
     plant: Plant,
     cases: Iterable[Case],
@@ -148,9 +165,12 @@ def simulate_many(
     workers: int | None = None,
     chunk: int | None = None,
     progress: Callable[[int, int | None], None] | None = None,
-    into: str | os.PathLike[str] | None = None,
+    into: Store | None = None,
+    keep: Keep | None = None,
+    rows: bool = True,
+    until: Mapping[str, float] | None = None,
     **common: Any,
-) -> ManySimulations | StoredSimulations:
+) -> ManySimulations | StoredSimulations | KeptNumbers:
     """Simulate a plant once for each case; one failing case does not stop the others.
 
     Parameters
@@ -164,13 +184,22 @@ def simulate_many(
         with it has failed; the others are not touched.
     workers : the same as a number given as ``executor``.
     chunk : cases per task; by default so that there are some fifty tasks for each worker, 100 cases
-        with ``into``.
+        with ``into``. With ``keep`` rows of a file (100 000).
     progress : called as progress(done, all) after each finished task; all is None for a generator.
     into : a folder for the results, in place of memory: one Parquet file per task, which the
-        workers make. Needs pyarrow. Run again with the same arguments, only what is not there is
-        computed. Functions count by their code and all that it leads to; what cannot be told from
-        something else (compiled functions, open files) is computed anew, with a warning. A folder
-        of other arguments, or of other versions of the packages that compute, is refused.
+        workers make. A path, a URL such as "s3://bucket/runs", or a file system of fsspec or
+        pyarrow (see docs/many.md). Needs pyarrow. Run again with the same arguments, only what is
+        not there is computed. Functions count by their code and all that it leads to; what cannot
+        be told from something else (compiled functions, open files) is computed anew, with a
+        warning. A folder of other arguments, or of other versions of the packages that compute, is
+        refused.
+    keep : {name: what to keep of each motion}, in place of the motions: words such as "x.final",
+        "max(muscle1.force)", "crossing(x, '10 mm')" (docs/many.md has all of them), or a function
+        of a Trajectory that gives a number. One row a case, with the parameters that it names.
+    rows : with ``keep``: False keeps no rows, only their statistics (and, of SobolCases, what their
+        indices need).
+    until : {name of a number: half width of the 95 % interval of its mean} at which to stop early;
+        looked at after every 250 cases, so it is the same place in every run.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,
         ``rtol``, ...); what a case names wins (parameters and start are merged by name).
         ``time_limit`` is that of each case, which fails when it is over. From 500 cases on the
@@ -198,15 +227,25 @@ def simulate_many(
     require_plant(plant)
     # no turns: threads of an executor want theirs
     with interruptible():
-        if (count or 0) >= COMPILED and not {"compiled", "method", "step"} & set(common):
+        many = (count is None and keep is not None) or (count or 0) >= COMPILED
+        if many and not {"compiled", "method", "step"} & set(common):
             with suppress(InputError):
-                Integration.built(plant)
+                machine = Integration.built(plant)
+                if machine is not None and keep is not None:
+                    machine.lanes()  # before workers begin with what is here
                 common["compiled"] = None
         work = Simulation(plant, common)
-        if into is not None:
-            require_local(into)
+        place = None if into is None else folder_of("into", into)
+        if keep is not None:
+            numbers = Loop(Numbers(work, keep_of(plant, keep)), placed(executor), count)
+            drawn = cases if isinstance(cases, SobolCases) else None
+            given = _checked(cases)
+            return keep_numbers(numbers, given, place, chunk, progress, rows, until or {}, drawn)
+        if not rows or until is not None:
+            raise InputError("rows and until go with keep={...}")
+        if place is not None:
             run = Loop(work, placed(executor), count, lost=SimulationError)
-            return store(run, _checked(cases), Path(into), chunk, progress)
+            return store(run, _checked(cases), place, chunk, progress)
         kept: list[Case] = []
         found = dict(
             ending(

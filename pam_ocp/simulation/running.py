@@ -25,9 +25,13 @@ class Simulation:
     common: Mapping[str, Any]
 
     def __call__(self, case: Case) -> Trajectory:
+        return simulate(self.plant, **self.arguments(case))
+
+    def arguments(self, case: Case) -> dict[str, Any]:
+        """Of simulate, for one case."""
         arguments = dict(self.common)
         for key in CASE_KEYS:
             if key in case:
                 both = isinstance(case[key], Mapping) and isinstance(arguments.get(key), Mapping)
                 arguments[key] = {**arguments[key], **case[key]} if both else case[key]
-        return simulate(self.plant, **arguments)
+        return arguments

@@ -25,7 +25,7 @@ from .dead_times import exactly_delayed
 from .events import integrate_with_events
 from .integrate import Integration, Method
 
-__all__ = ["evaluated", "simulate"]
+__all__ = ["evaluated", "simulate", "start_of", "times_of"]
 
 Array = NDArray[np.float64]
 
@@ -117,10 +117,10 @@ def simulate(
         plant = plant.with_values(parameters)
     if start is not None and not isinstance(start, Mapping):
         plant = plant.with_values(by_name("start", start, "input"))
-    times = _times(inputs, duration, t)
+    times = times_of(inputs, duration, t)
     rtol, step = _check_numerics(rtol, step, max_steps)
     events = tuple(require_names("events", events))
-    x0 = plant.vector("state", _start(plant, inputs, start))
+    x0 = plant.vector("state", start_of(plant, inputs, start))
     u = signals(plant, inputs, times, interpolation)
     if dead_times not in ("line", "exact"):
         raise InputError(f"dead_times = {dead_times!r}: choose 'line' or 'exact'")
@@ -189,7 +189,8 @@ def _check_numerics(rtol: float, step: float | None, max_steps: int) -> tuple[fl
     return rtol, None if step is None else require_positive("step", step, "s")
 
 
-def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
+def times_of(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
+    """The output times [s] that these arguments of simulate mean."""
     if t is not None:
         if duration is not None:
             raise InputError("give duration or t, not both")
@@ -208,7 +209,8 @@ def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array
     )
 
 
-def _start(plant: Plant, inputs: Inputs, start: Given | None) -> dict[str, Any]:
+def start_of(plant: Plant, inputs: Inputs, start: Given | None) -> dict[str, Any]:
+    """States at the start, as far as inputs and start say them."""
     first: dict[str, Any] = {}
     if isinstance(inputs, Trajectory) and all(v.name in inputs for v in plant.states):
         # a record may leave the range by rounding; start values are held to it elsewhere

@@ -7,61 +7,65 @@ case's number, the time and all variables; the inputs between the samples are no
 
 from __future__ import annotations
 
-import json
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core import exceptions
 from ..core.cases import Loop
-from ..core.digest import Digest, built_with, digest_of, own_digest
-from ..core.errors import InputError, PamError
-from ..core.files import atomic_path, read_json, spelled, write_json
+from ..core.digest import Digest, digest_of
+from ..core.errors import InputError
 from ..core.progress import working
 from ..core.shown import shown
+from ..core.stores import Folder, folder_of, write_bytes
 from ..core.tasks import Task, split
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
+from .folder import (
+    about_file,
+    arrow,
+    digest_held,
+    files_of,
+    metadata,
+    opened_folder,
+    part_of,
+    read_table,
+    revived,
+    said,
+    study_of,
+    write_study,
+)
 from .running import Case, Result, Simulation
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["StoredSimulations", "store"]
+__all__ = ["StoredSimulations", "store", "warn_of_doubts"]
 
 FORMAT = "pam_ocp simulations 1"
-STUDY = "study.json"
-FILES = "cases"
 CHUNK = 100
 """Cases per file."""
-BLOCK = 1000
-"""Files per folder."""
 MOST_DOUBTS = 5
 """That a warning names."""
-SOURCES = "files of pam_ocp"
-REMEDY = "give an empty folder, or one that simulate_many(into=...) wrote"
 
 
 def store(
     run: Loop,
     cases: Iterable[Case],
-    folder: Path,
+    folder: Folder,
     chunk: int | None,
     progress: Callable[[int, int | None], None] | None = None,
 ) -> StoredSimulations:
     """Run the cases that ``folder`` does not hold yet. See :func:`simulate_many`."""
-    _arrow()
+    arrow()
     work = run.work
     assert isinstance(work, Simulation)
     plant = work.plant
     told = digest_of([plant.__getstate__(), dict(work.common)])
-    chunk = _opened(folder, told.text, chunk)
     # what cannot be told from something else is as no other
     arguments = f"{told.text} {uuid.uuid4().hex}" if told.doubts else told.text
     columns = [v.name for v in (*plant.states, *plant.inputs, *plant.outputs)]
@@ -78,32 +82,39 @@ def store(
 
     def missing() -> Iterator[Task]:
         nonlocal parts
-        for task in split(iter(cases), chunk):
+        for task in split(iter(cases), size):
             parts = task.index + 1
-            held, found = _held(_part(folder, task.index)), _of_task(arguments, task)
+            held, found = digest_held(part_of(folder, task.index)), _of_task(arguments, task)
             doubts.update(dict.fromkeys(found.doubts))
             if held is not None and held == found.text and not found.doubts:
                 report(len(task.cases))
             else:
                 yield task
 
-    with working("simulations", run.count) as bar, closing(run(missing())) as ended:
+    with (
+        opened_folder(folder, FORMAT, told.text, chunk, CHUNK) as size,
+        working("simulations", run.count) as bar,
+        closing(run(missing())) as ended,
+    ):
         for task, content in ended:
             if isinstance(content, Exception):
                 raise content
-            path = _part(folder, task.index)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_path(path) as temporary:
-                temporary.write_bytes(content)
+            write_bytes(part_of(folder, task.index), content)
             report(len(task.cases))
-    _write_study(folder, told.text, chunk, parts)
-    if doubts:
-        warnings.warn(
-            f"into = {spelled(folder)}: what cannot be told from something else was computed anew, "
-            f"and will be again: {'; '.join([*doubts][:MOST_DOUBTS])}",
-            stacklevel=4,
-        )
+        write_study(folder, FORMAT, told.text, size, parts)
+    warn_of_doubts(folder, doubts)
     return StoredSimulations(folder)
+
+
+def warn_of_doubts(folder: Folder, doubts: Iterable[str]) -> None:
+    """Say what was computed anew since it cannot be told from something else."""
+    named = [*doubts][:MOST_DOUBTS]
+    if named:
+        warnings.warn(
+            f"into = {said(folder)}: what cannot be told from something else was computed anew, "
+            f"and will be again: {'; '.join(named)}",
+            stacklevel=5,
+        )
 
 
 @shown
@@ -119,49 +130,51 @@ class StoredSimulations:
     ``dask.dataframe.read_parquet`` take that folder as one table of case, time and all variables.
     """
 
-    folder: Path
+    folder: Folder
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "folder", Path(self.folder))
-        _study(self.folder)
+        object.__setattr__(self, "folder", folder_of("folder", self.folder))
+        study_of(self.folder, FORMAT)
 
     @property
-    def files(self) -> Path:
+    def files(self) -> Folder:
         """The folder that holds Parquet files alone."""
-        return _within(self.folder)
+        return files_of(self.folder)
 
     @property
-    def parts(self) -> tuple[Path, ...]:
+    def parts(self) -> tuple[Folder, ...]:
         """The files, in the order of their cases."""
-        count = _study(self.folder)["parts"]
+        count = study_of(self.folder, FORMAT)["parts"]
         if count is None:
-            return tuple(sorted(_within(self.folder).rglob("part-*.parquet")))
-        return tuple(_part(self.folder, i) for i in range(count))
+            return tuple(sorted(files_of(self.folder).rglob("part-*.parquet"), key=str))
+        return tuple(part_of(self.folder, i) for i in range(count))
 
     def __len__(self) -> int:
-        return sum(_about(p)["count"] for p in self.parts)
+        return sum(about_file(p)["count"] for p in self.parts)
 
     @property
     def failures(self) -> dict[int, Exception]:
         """The errors of cases without a simulation, by number; reads no simulation."""
-        return {int(n): _revived(e) for p in self.parts for n, e in _about(p)["failures"].items()}
+        return {
+            int(n): revived(e) for p in self.parts for n, e in about_file(p)["failures"].items()
+        }
 
     @property
     def parameters(self) -> Iterator[tuple[int, dict[str, float]]]:
         """(number, the parameters that the case named), case by case."""
         for part in self.parts:
-            about = _about(part)
+            about = about_file(part)
             for offset, values in enumerate(about["parameters"]):
                 yield about["first"] + offset, values
 
     def __iter__(self) -> Iterator[tuple[int, Result]]:
         for path in self.parts:
-            table, about = _arrow().read_table(path), _about(path)
+            table, about = read_table(path), about_file(path)
             columns = {n: table.column(n).to_numpy() for n in table.column_names}
             variables = [Variable(**v) for v in about["variables"]]
             for number in range(about["first"], about["first"] + about["count"]):
                 if str(number) in about["failures"]:
-                    yield number, _revived(about["failures"][str(number)])
+                    yield number, revived(about["failures"][str(number)])
                     continue
                 rows = slice(*np.searchsorted(columns["case"], [number, number + 1]))
                 data = {v.name: columns[v.name][rows] for v in variables}
@@ -180,7 +193,7 @@ class StoredSimulations:
         except ImportError:
             raise InputError("frame needs pandas: pip install pam_ocp[studies]") from None
         columns = None if names is None else ["case", "time", *names]
-        frames = [_arrow().read_table(p, columns=columns).to_pandas() for p in self.parts]
+        frames = [read_table(p, columns).to_pandas() for p in self.parts]
         filled = [f for f in frames if len(f)]
         return pd.concat(filled, ignore_index=True) if filled else pd.DataFrame()
 
@@ -190,69 +203,7 @@ class StoredSimulations:
         return "\n".join([*lines, *(f"case {i}: {error}" for i, error in failures.items())])
 
 
-# ---- the folder ---------------------------------------------------------------------------------
-def _within(folder: Path) -> Path:
-    """Where the Parquet files are: alone, as readers want them (once they lay beside the study)."""
-    apart = folder / FILES
-    return apart if apart.is_dir() else folder
-
-
-def _part(folder: Path, index: int) -> Path:
-    files = _within(folder)
-    name = f"part-{index:06d}.parquet"
-    return files / name if files == folder else files / f"block-{index // BLOCK:04d}" / name
-
-
-def _study(folder: Path) -> dict[str, Any]:
-    return read_json(folder / STUDY, "a folder of simulations", FORMAT, REMEDY)
-
-
-def _opened(folder: Path, arguments: str, chunk: int | None) -> int:
-    """Make the folder, or see that it holds this study; cases per file."""
-    if not (folder / STUDY).exists():
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            empty = not any(p for p in folder.iterdir() if not p.name.startswith("."))
-        except OSError as error:
-            raise InputError(f"into = {spelled(folder)}: {error.strerror}; {REMEDY}") from None
-        if not empty:
-            raise InputError(f"into = {spelled(folder)} holds other files; {REMEDY}")
-        (folder / FILES).mkdir()
-        _write_study(folder, arguments, chunk or CHUNK, None)
-        return chunk or CHUNK
-    study = _study(folder)
-    other = _changed(study.get("program") or {}, _program())
-    if other:
-        raise InputError(
-            f"into = {spelled(folder)} holds simulations of another program ({other}); give "
-            "another folder, or delete this one"
-        )
-    if study["arguments"] != arguments:
-        raise InputError(
-            f"into = {spelled(folder)} holds simulations of another plant or with other arguments; "
-            "give another folder, or delete this one"
-        )
-    chunk = chunk or int(study["chunk"])
-    _write_study(folder, arguments, chunk, None)
-    return chunk
-
-
-def _write_study(folder: Path, arguments: str, chunk: int, parts: int | None) -> None:
-    content = {"format": FORMAT, "arguments": arguments, "chunk": chunk, "parts": parts}
-    write_json(folder / STUDY, {**content, "program": _program()})
-
-
 # ---- one file -----------------------------------------------------------------------------------
-def _arrow() -> Any:
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise InputError(
-            "simulate_many(into=...) needs pyarrow: pip install pam_ocp[studies]"
-        ) from None
-    return pyarrow.parquet
-
-
 @dataclass(frozen=True)
 class _Encoded:
     """Makes a file of a task's results, in the worker: what travels is small, and only written.
@@ -289,10 +240,9 @@ class _Encoded:
             pa.Array.from_buffers(pa.from_numpy_dtype(c.dtype), len(c), [None, pa.py_buffer(c)])
             for c in data.values()
         ]
-        metadata = {b"pam_ocp": json.dumps(about).encode()}
-        table = pa.Table.from_arrays(columns, names=list(data), metadata=metadata)
+        table = pa.Table.from_arrays(columns, names=list(data), metadata=metadata(about))
         content = pa.BufferOutputStream()
-        _arrow().write_table(table, content)
+        arrow().write_table(table, content)
         return bytes(content.getvalue())
 
 
@@ -305,50 +255,5 @@ def _plain(parameters: Any) -> dict[str, float]:
     return {str(n): float(v) for n, v in numbers.items() if isinstance(v, (int, float, np.number))}
 
 
-def _about(path: Path) -> dict[str, Any]:
-    """What a file says about itself. Raises InputError when it is none of ours."""
-    try:
-        about = json.loads(_arrow().read_schema(path).metadata[b"pam_ocp"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{path} cannot be read ({error}); delete it and run the same simulate_many again"
-        ) from None
-    return dict(about)
-
-
-def _held(path: Path) -> str | None:
-    """The digest of a whole file; None where there is none or it is damaged."""
-    try:
-        if not path.is_file():
-            return None
-        _arrow().read_table(path)  # a damaged page shows only when it is read
-        return str(_about(path)["digest"])
-    except (InputError, OSError, ValueError):
-        return None
-
-
-def _revived(error: Sequence[str]) -> Exception:
-    kind, message = error
-    known = getattr(exceptions, kind, None)
-    if known in (InputError, exceptions.SimulationError):
-        return known(message)  # type: ignore[no-any-return]
-    return PamError(message if known is not None else f"{kind}: {message}")
-
-
-# ---- digests ------------------------------------------------------------------------------------
 def _of_task(arguments: str, task: Task) -> Digest:
     return digest_of([arguments, task.first, list(task.cases)])
-
-
-def _program() -> dict[str, str]:
-    """What computes: packages by version, pam_ocp by the content of its files, too."""
-    return {**built_with("casadi", "numpy", "scipy"), SOURCES: own_digest()}
-
-
-def _changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """In what a program differs from this one; empty where it does not."""
-    return ", ".join(
-        n if n == SOURCES else f"{n} {before.get(n, 'of an unknown version')}, not {now[n]}"
-        for n in now
-        if before.get(n) != now[n]
-    )

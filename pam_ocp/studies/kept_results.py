@@ -12,6 +12,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from ..core.atomic import make_folder
@@ -33,6 +34,7 @@ class Kept:
         from joblib import Memory
 
         place = make_folder(folder) if folder is not None else usable_folder("studies")
+        self.folder = str(Path(place).absolute())
         self._memory = Memory(place, verbose=0)
         self._results = self._memory.cache(_result, ignore=["made"])
 

@@ -22,6 +22,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
+from ..core.atomic import in_use
 from ..core.cases import results_of
 from ..core.digest import file_digest, own_digest
 from ..core.errors import InputError, PamError, require_count
@@ -32,6 +33,7 @@ from ..core.own_code import content_digest
 from ..core.progress import Bar, working
 from ..core.stop import check, limited
 from .kept_results import Kept, key_of, versions
+from .shards import ShardRecord, merged_cache, shard_of
 from .study_file import Entry, Study, read_study
 from .study_result import StudyResult, StudyStep
 from .working import digest_of_files, rehearse, work
@@ -56,6 +58,8 @@ def run_study(
     cache: str | os.PathLike[str] | None = None,
     progress: Callable[[StudyStep, int, int], None] | None = None,
     time_limit: float | None = None,
+    shard: str | None = None,
+    merge: bool = False,
 ) -> StudyResult:
     """Run a study file: what changed since the last run, and what stands on it.
 
@@ -74,6 +78,9 @@ def run_study(
         Python's pickles: name none that others can write to.
     progress : called with each step that ended, how many did, and how many there are.
     time_limit : [s]; OutOfTime when it is over. What was done until then is kept.
+    shard : "17/200": run the 17th of 200 shares of the steps, for a job array; the results stay
+        among the kept ones, in a ``cache`` that all jobs see. merge : put together what the shards
+        made; one that died, or has not come to its end, is named.
 
     Results are kept by the digest of what goes into a step: its keys, the contents of the files
     that it names, the results that it stands on, this package and those below it. A run that ends
@@ -97,15 +104,28 @@ def run_study(
     where = placed(executor)
     workers = max(1, where) if isinstance(where, int) else workers
     where = None if isinstance(where, int) else where
+    if shard is not None and merge:
+        raise InputError("give shard or merge, not both")
+    share = None if shard is None else shard_of(shard)
     study = read_study(Path(path))
     target = make_folder(Path(study.path.stem) if out is None else out)
+    if merge:
+        found = merged_cache(target, file_digest(study.path))
+        cache = found if cache is None else cache
+    kept = Kept(cache)
+    record = None
+    if share is not None:
+        record = ShardRecord(target, share, file_digest(study.path), kept.folder)
     with (
         interruptible(),
+        in_use(target) if record is None else record.working(),
         limited(time_limit),
         _pool(where, workers) as pool,
         working("study", len(study.entries)) as bar,
     ):
-        run = _Run(study, target, Kept(cache), allow_code, fresh, progress, bar)
+        run = _Run(study, target, kept, allow_code, fresh, progress, bar)
+        if share is not None:
+            run.share, run.record = share.share(study.entries), record
         run.prepare()
         run.go(pool)
         return run.finish()
@@ -144,6 +164,9 @@ class _Run:
         self.bar = bar
         self.study, self.out, self.kept, self.fresh = study, out, kept, fresh
         self.allow_code, self.progress = allow_code, progress
+        self.share: frozenset[str] = frozenset(study.entries)
+        """The steps that are run here: all, or those of a shard."""
+        self.record: ShardRecord | None = None
         self.steps: dict[str, StudyStep] = {}
         self.keys: dict[str, str] = {}
         self.found: dict[str, dict[str, Any]] = {}
@@ -164,12 +187,12 @@ class _Run:
                 f"steps that cannot be told from others are done anew ({said})", stacklevel=5
             )
         for name, entry in self.study.entries.items():
-            if all(n in self.found for n in entry.above):
+            if name in self.share and all(n in self.found for n in entry.above):
                 self.keys[name] = self._key(entry)
                 found = None if self.fresh else self.kept.get(self.keys[name])
                 if found is not None:
                     self.found[name] = found
-        if len(self.found) < len(self.study.entries):
+        if len(self.found) < len(self.share):
             with reading(self.study.path, "a study", "docs/studies.md tells every key"):
                 rehearse(self.study, self.allow_code)
 
@@ -208,7 +231,8 @@ class _Run:
     # ---- running ------------------------------------------------------------------------------
     def go(self, pool: Executor | None) -> None:
         """All steps, each when what it stands on has ended."""
-        graph = TopologicalSorter({n: e.above for n, e in self.study.entries.items()})
+        entries = self.study.entries
+        graph = TopologicalSorter({n: entries[n].above for n in entries if n in self.share})
         graph.prepare()
         pending: dict[Any, tuple[str, tuple[Any, ...]]] = {}
         try:
@@ -276,7 +300,7 @@ class _Run:
     def _done(self, entry: Entry, state: str, found: dict[str, Any]) -> None:
         self.found[entry.name] = found
         folder = self.out / entry.place
-        for name, content in found["files"].items():
+        for name, content in found["files"].items() if self.record is None else ():
             _write(folder / name, content)
         numbers = {n: (float(v), u) for n, (v, u) in found["numbers"].items()}
         said = found["verdict"], found["good"], numbers, found["seconds"], folder, found
@@ -286,15 +310,19 @@ class _Run:
         self.steps[step.name] = step
         LOG.info("%s: %s; %s", step.name, step.state, step.verdict)
         self.bar.step(note=step.name)
+        if self.record is not None:
+            self.record.ended(step.name, step.state)
         if self.progress is not None:
-            self.progress(step, len(self.steps), len(self.study.entries))
+            self.progress(step, len(self.steps), len(self.share))
 
     # ---- behind the last ----------------------------------------------------------------------
     def finish(self) -> StudyResult:
         """Summary, report, and the list of all that was written."""
         from .study_report import study_report, summary
 
-        steps = {n: self.steps[n] for n in self.study.entries}
+        steps = {n: self.steps[n] for n in self.study.entries if n in self.share}
+        if self.record is not None:  # what it made is kept; the merge writes the folder
+            return StudyResult(self.study.title, self.out, steps, self.out / REPORT)
         digests = {"study": file_digest(self.study.path)}
         digests |= {os.path.relpath(p, self.study.path.parent): d for p, d in self.inputs.items()}
         _write(self.out / SUMMARY, summary(steps).encode())

@@ -85,8 +85,8 @@ class StudyResult:
         return pd.DataFrame(rows, index=list(self.steps), columns=list(names))
 
     def __str__(self) -> str:
-        own = {n: s for n, s in self.steps.items() if "[" not in n}
-        width = max(len(n) for n in own) + 2
+        own = {n: s for n, s in self.steps.items() if "[" not in n} or dict(self.steps)
+        width = max((len(n) for n in own), default=0) + 2
         lines = [f"{self.title}: {'all well' if self.ok else 'NOT all well'}"]
         lines += [
             f"{'✓' if s.good else '✗'} {n:<{width}}{s.kind:<11}{s.state:<9} {s.verdict}"

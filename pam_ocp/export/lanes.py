@@ -1,0 +1,203 @@
+"""Many cases of one plant side by side: C code with a case in each lane of a vector register.
+
+Written from CasADi's instructions, compiled for the widest vectors that this processor has, kept
+like all machine code, and compared with the plant's own when it is loaded. fmu/src/lanes.c steps.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import platform as host
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.signals import PiecewisePolynomial
+from ..core.stop import check
+from ..plants.plant import Plant
+from .runtime import c_text
+from .source import number
+
+__all__ = ["LaneCases", "lane_sources", "lanes_here"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+MAIN = "lanes.c"
+OWN = (MAIN, "solver.c", "solver.h", "elementary.h")
+BUDGET = 2e5
+"""Steps of all lanes between two looks for signals, divided by the states' third power."""
+ALIGNED = 64
+INFIX = {
+    "OP_ADD": "{} + {}",
+    "OP_SUB": "{} - {}",
+    "OP_MUL": "{} * {}",
+    "OP_DIV": "{} / {}",
+    "OP_NEG": "-{}",
+    "OP_SQ": "{0} * {0}",
+    "OP_TWICE": "2.0 * {}",
+    "OP_INV": "1.0 / {}",
+    "OP_ASSIGN": "{}",
+    "OP_LT": "truth((M)({} < {}))",
+    "OP_LE": "truth((M)({} <= {}))",
+    "OP_EQ": "truth((M)({} == {}))",
+    "OP_NE": "truth((M)({} != {}))",
+    "OP_NOT": "truth((M)({} == 0.0))",
+    "OP_AND": "truth((M)({} != 0.0) & (M)({} != 0.0))",
+    "OP_OR": "truth((M)({} != 0.0) | (M)({} != 0.0))",
+    "OP_IF_ELSE_ZERO": "(V)((M)({} != 0.0) & (M){})",
+    "OP_CONSTPOW": "v_pow({}, {})",
+}
+CALLS = {
+    1: "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil fabs "
+    "sign erf log1p expm1",
+    2: "pow fmod fmin fmax atan2 hypot copysign",
+}
+"""Functions in fmu/src/lanes.c by the number of their arguments."""
+
+
+@cache
+def lanes_here() -> tuple[int, str]:
+    """(cases side by side, what the compiler is told of this processor)."""
+    if host.machine().lower() not in ("x86_64", "amd64"):
+        return 4, ""
+    try:
+        flags = set(Path("/proc/cpuinfo").read_text().partition("flags")[2].split("\n")[0].split())
+    except OSError:
+        flags = set()
+    if {"avx512f", "avx512dq", "avx512vl"} <= flags:
+        return 8, "avx512f,avx512dq,avx512vl"
+    return (4, "avx2") if "avx2" in flags else (4, "")
+
+
+def lane_sources(plant: Plant) -> dict[str, str] | None:
+    """C files; None where the equations hold what has no words here."""
+    x, u, p = plant.x, plant.u, plant.p
+    xdot = ca.densify(plant.function(x, u, p)[0])
+    rise = ca.SX.sym("rise", u.size1())
+    jacobian = ca.densify(ca.jacobian(xdot, x))
+    rows: dict[str, tuple[list[ca.SX], list[ca.SX], str]] = {
+        "plant_rhs": ([x, u, p], [xdot], "const V *x, const V *u, const V *p, V *xdot"),
+        "plant_linearize": (
+            [x, u, p],
+            [xdot, jacobian],
+            "const V *x, const V *u, const V *p, V *xdot, V *jacobian",
+        ),
+        "plant_slope": (
+            [x, u, p, rise],
+            [ca.densify(ca.jtimes(xdot, u, rise))],
+            "const V *x, const V *u, const V *p, const V *rise, V *slope",
+        ),
+    }
+    try:
+        code = [_function(name, *row) for name, row in rows.items()]
+    except KeyError:
+        return None
+    count, target = lanes_here()
+    defines = {"SOLVER_N": x.size1(), "NU": u.size1(), "NP": p.size1(), "LANES": count}
+    data = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+    data += f'#define LANES_TARGET "{target}"\n' if target else ""
+    own = {name: c_text(name) for name in OWN}
+    return {**own, "lanes_data.h": data, "plant_lanes.c": "\n".join(code)}
+
+
+@cache
+def _words() -> dict[int, str]:
+    """{CasADi's number of an operation: its C}"""
+    found = {getattr(ca, name): text for name, text in INFIX.items()}
+    for arguments, names in CALLS.items():
+        for name in names.split():
+            inner = ", ".join(["{}"] * arguments)
+            found[getattr(ca, f"OP_{name.upper()}")] = f"v_{name}({inner})"
+    return found
+
+
+def _function(name: str, given: list[ca.SX], made: list[ca.SX], signature: str) -> str:
+    function = ca.Function(name, given, made, {"cse": True})
+    arguments = [part.rpartition("*")[2] for part in signature.split(", ")]
+    words, now = _words(), dict[int, str]()
+    lines = []
+    for k in range(function.n_instructions()):
+        kind = function.instruction_id(k)
+        ins, outs = function.instruction_input(k), function.instruction_output(k)
+        if kind == ca.OP_OUTPUT:
+            lines.append(f"{arguments[len(given) + outs[0]]}[{outs[1]}] = {now[ins[0]]};")
+            continue
+        if kind == ca.OP_INPUT:
+            text = f"{arguments[ins[0]]}[{ins[1]}]"
+        elif kind == ca.OP_CONST:
+            text = f"all({number(function.instruction_constant(k))})"
+        else:
+            text = words[kind].format(*(now[i] for i in ins))
+        lines.append(f"const V a{k} = {text};")
+        now[outs[0]] = f"a{k}"
+    unused = "".join(f"(void){a}; " for a in arguments)
+    body = "\n    ".join([unused, *lines])
+    return f"static void {name}({signature}) {{\n    {body}\n}}\n"
+
+
+# ---- the library ---------------------------------------------------------------------------------
+class _Cases(ctypes.Structure):
+    """As fmu/src/lanes.c has it."""
+
+    _fields_ = (
+        *((n, ctypes.c_void_p) for n in ("parameters", "starts", "coefficients", "nominal")),
+        *((n, ctypes.c_void_p) for n in ("times", "breaks", "states", "status")),
+        ("tolerance", ctypes.c_double),
+        *((n, ctypes.c_longlong) for n in ("cases", "intervals", "pieces", "degree", "max_steps")),
+        ("apart", ctypes.c_longlong),
+        ("memory", ctypes.c_void_p),
+        ("next", ctypes.c_longlong),
+    )
+
+
+class LaneCases:
+    """The library of one structure of plants. Raises OSError where it cannot be loaded."""
+
+    def __init__(self, path: Path, states: int) -> None:
+        library: Any = ctypes.CDLL(str(path))
+        self._memory, self._simulate = library.lanes_memory, library.simulate_cases
+        self._memory.argtypes, self._memory.restype = (ctypes.c_longlong,), ctypes.c_longlong
+        long = ctypes.c_longlong
+        self._simulate.argtypes = (ctypes.POINTER(_Cases), long, long)
+        self._nx = states
+        self._budget = max(20, int(BUDGET / (states + 2) ** 3))
+
+    def motions(
+        self,
+        u: PiecewisePolynomial,
+        coefficients: Array,
+        grid: Array,
+        x0: Array,
+        p: Array,
+        nominal: Array,
+        tolerance: float,
+        max_steps: int,
+        wanted: NDArray[np.bool_],
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """See :meth:`pam_ocp.export.machine.MachinePlant.motions`."""
+        states = np.zeros((len(x0), len(grid), self._nx))
+        status = wanted.astype(np.int8)
+        given = [p, x0, coefficients, nominal, grid, u.breaks]
+        arrays = [np.ascontiguousarray(a, dtype=float) for a in given]
+        memory = np.zeros(int(self._memory(u.degree)) + ALIGNED, np.uint8)
+        run = _Cases(
+            *(a.ctypes.data for a in (*arrays, states, status)),
+            tolerance,
+            len(x0),
+            len(grid) - 1,
+            len(u.breaks) - 1,
+            u.degree,
+            max_steps,
+            0 if len(coefficients) == 1 else coefficients[0].size,
+            memory.ctypes.data + -memory.ctypes.data % ALIGNED,
+        )
+        begins, goes_on = 1, 1
+        while goes_on:
+            check()
+            goes_on = self._simulate(ctypes.byref(run), begins, self._budget)
+            begins = 0
+        return states, (status == 2) & np.isfinite(states).all(axis=(1, 2))
