@@ -18,7 +18,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import MOST_LINE, require_size
 from .cell_units import parted
-from .cells import is_empty, is_number, is_stamp
+from .cells import decimal_of, is_empty, is_number, is_stamp
 
 __all__ = ["Grid", "Unsaid", "grid_of_text"]
 
@@ -73,6 +73,13 @@ def grid_of_text(
             lines.append((i, line))
     if not lines:
         raise InputError(f"{label} is empty: it needs a header and at least one row")
+    pairs = _pairs(lines) if delimiter is None else None
+    if pairs is not None:
+        rows_, places = pairs
+        require_size(label, len(rows_), len(rows_[0]))
+        texts = [c for row in rows_[1:200] for c in row if c]
+        sign = decimal or decimal_of([(parted(c) or (c, ""))[0] for c in texts])
+        return Grid(label, rows_, places, sign, dialect=("lines of key = value",), text=True)
     longest, length = max(((i, len(line)) for i, line in lines), key=lambda found: found[1])
     if length > MOST_LINE:
         raise InputError(
@@ -101,6 +108,44 @@ def grid_of_text(
     said += [f"{len(comments)} comment lines"] if comments else []
     said += [f"{skip} lines skipped"] if skip else []
     return Grid(label, rows, [i for i, _ in lines], sign, words, tuple(said), text=True)
+
+
+_VALUE = (
+    r"(?:\d{4}-\d\d-\d\d[T ]?[\d:.]*|\d{1,2}:\d\d:\d\d[\d.]*"
+    r"|[+-]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])|[^\s,;|=:]+)"
+    r"(?:\s*(?:[^\W\d_][^\s,;|=:]*|%|°)(?=[\s,;|]|$)(?!\s*[=:]))?"
+)
+_PAIR = re.compile(rf"(?P<key>[^\W\d][\w.\[\]/%()°-]*)\s*[=:]\s*(?P<value>{_VALUE})")
+_STAMPED = re.compile(r"\[?(?P<time>(?:\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d:\d\d[\d.,]*Z?)\]?\s")
+MOSTLY = 0.7
+"""Share of lines that must be key = value for a text to be of such."""
+
+
+def _pairs(lines: Sequence[tuple[int, str]]) -> tuple[list[Sequence[Any]], list[int]] | None:
+    """Rows of a text of ``t=0.01 p=1.2 bar F=200`` below their keys; None where it is none.
+
+    Lines that are none become rows of one cell.
+    """
+    sample = [line for _, line in lines[:SAMPLE]]
+    if sum(len(_PAIR.findall(line)) >= 2 for line in sample) < MOSTLY * len(sample):
+        return None
+    keys: dict[str, None] = {}
+    found: list[tuple[int, str, dict[str, str]]] = []
+    for i, line in lines:
+        stamp = _STAMPED.match(line)
+        rest = line[stamp.end() :] if stamp else line
+        row = {m["key"]: m["value"].strip() for m in _PAIR.finditer(rest)}
+        if stamp and len(row) > 1:
+            row = {"time": stamp["time"], **row}
+        rubbish = _PAIR.sub("", rest).strip(" \t,;|{}()")
+        row = row if len(row) >= 2 and not any(c in rubbish for c in "=:") else {}
+        keys |= dict.fromkeys(row)
+        found.append((i, line, row))
+    head = list(keys)
+    rows: list[Sequence[Any]] = [head]
+    for _, line, row in found:
+        rows.append([row.get(k, "") for k in head] if row else [line.strip()])
+    return rows, [lines[0][0], *(i for i, _, _ in found)]
 
 
 def _cut(lines: Sequence[str], separator: str) -> list[Sequence[str]]:

@@ -13,6 +13,9 @@ from ...core.errors import InputError, UnknownNameError
 from ...core.files import MOST_CELLS, require_size
 from .cells import decimal_of, is_number
 from .dialect import Grid, Unsaid
+from .raw import RawTable
+from .series import rewritten
+from .topics import clocked, merged
 
 __all__ = ["Found", "chosen_table"]
 
@@ -22,25 +25,38 @@ MOST_LEVELS = 20
 MOST_TABLES = 2000
 
 
-def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[str, ...]]:
-    """(the table of a tree, what was left out).
+def chosen_table(
+    tree: Any, label: str, pick: str | Sequence[str] | None
+) -> tuple[Found | RawTable, tuple[str, ...]]:
+    """(the table of a tree, which it is).
 
-    pick : its name, as ``run.data`` or ``runs[2]``; needed where there are several. Raises an
-    InputError that names them.
+    pick : its name, as ``run.data`` or ``runs[2]``, or several to be put on one clock; needed where
+    there are several that do not have clocks of their own. Raises an InputError that names them.
     """
     _require_few(label, list(_arrays(tree, 0)))
-    tables = dict(_tables(tree, "", label, 0))
-    if pick is not None:
-        wanted = pick.strip()
-        if wanted not in tables:
-            raise UnknownNameError(f"table of {label}", wanted, tables)
-        return tables[wanted], _beside(tables, wanted)
+    tables = dict(_tables(rewritten(tree), "", label, 0))
+    wanted = [pick] if isinstance(pick, str) else list(pick or ())
+    for name in wanted:
+        if name.strip() not in tables:
+            raise UnknownNameError(f"table of {label}", name, tables)
+    if len(wanted) == 1:
+        return tables[wanted[0].strip()], _beside(tables, wanted[0].strip())
+    if wanted:
+        several = {n.strip(): tables[n.strip()] for n in wanted}
+        if not clocked(several):
+            raise InputError(
+                f"pick = {wanted!r}: to put tables on one clock each needs a time of its own, and "
+                "columns of other names; choose one"
+            )
+        return merged(several, label), ()  # type: ignore[arg-type]
     if not tables:
         raise InputError(
             f"{label} holds no table: it needs columns of one length, or a matrix of numbers"
         )
     whole = [n for n in tables if n == ""]
     top = whole or list(tables)
+    if clocked({n: tables[n] for n in top}):
+        return merged({n: tables[n] for n in top}, label), ()  # type: ignore[misc]
     if len(top) > 1:
         shown = ", ".join(f"{n!r} ({_size(tables[n])})" for n in top[:8])
         more = f" and {len(top) - 8} more" if len(top) > 8 else ""
@@ -142,18 +158,10 @@ def _columns(tree: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def _signals(value: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Columns one level below those beside them: of a mapping, or of Simulink's "structure with
-    time", which holds values and labels.
-    """
+    """Columns one level below those beside them."""
     several = value if isinstance(value, list | tuple) else [value]
-    for number, one in enumerate(several[:MOST_TABLES], start=1):
+    for one in several[:MOST_TABLES]:
         if not isinstance(one, Mapping):
-            continue
-        values = _vector(one.get("values"))
-        if values is not None:
-            label = one.get("label")
-            text = label.ravel()[0] if isinstance(label, np.ndarray) and label.size else label
-            yield str(text) if text is not None else f"signal {number}", values
             continue
         for name, column in one.items():
             values = _vector(column)
