@@ -136,7 +136,7 @@ def _of_numbers(columns: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
 
 
 def _header(topic: str, name: str, width: int) -> str:
-    """``pressure`` of the only number of /rig/pressure; ``state.position[0]`` of several."""
+    """``pressure`` of the only number of /rig/pressure; ``state.position.0`` of several."""
     tail = topic.strip("/").rpartition("/")[2] or "topic"
     return tail if width == 1 else f"{tail}.{name}"
 

@@ -24,6 +24,8 @@ __all__ = ["Grid", "Unsaid", "grid_of_text"]
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
+_OF_UNITS = re.compile(r"\s*%\s*[;,|\t]")
+"""A row of units that begins with per cent."""
 COMMENTS = ("#", "%", "//", "!")
 SAMPLE = 120
 """Lines that are looked at, from the lower part of the first thousand."""
@@ -67,7 +69,7 @@ def grid_of_text(
     for i, line in enumerate(text.splitlines(), start=1):
         if i <= skip or not line.strip(" \t\r\n,;|"):
             continue
-        if line.lstrip().startswith(COMMENTS):
+        if line.lstrip().startswith(COMMENTS) and not _OF_UNITS.match(line):
             comments.append(line.strip().lstrip("#%/! "))
         else:
             lines.append((i, line))

@@ -90,6 +90,8 @@ def parse_header(header: str) -> tuple[str, str | None]:
     match = _BRACKETED.match(text)
     if match:
         name, said = match["name"] or match["left"], match["unit"] or match["right"] or ""
+        if said.strip().isdigit() and said.strip() != "1" and match["name"]:
+            return _absolute(plain(header), None)  # an index, as in position[0]
         return _absolute(plain(name), spelled(said.strip()) or None)
     match = _COMMA.match(text)
     if match and match["unit"].strip().lower() in SPELLINGS:

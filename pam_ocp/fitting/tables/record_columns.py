@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -149,7 +150,12 @@ def record_variables(
 
 
 def _name(text: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in text)
+    """A variable's name: without accents, of other alphabets the English word."""
+    known = next((k for k, names in NAMES.items() if text in names and not text.isascii()), text)
+    plain = unicodedata.normalize("NFKD", known.replace("ß", "ss"))
+    plain = "".join(c for c in plain if not unicodedata.combining(c))
+    name = "".join(c if c.isascii() and c.isalnum() else "_" for c in plain)
+    return name if name[:1].isalpha() else f"column_{name.strip('_')}".rstrip("_")
 
 
 def _has_numbers(raw: RawTable, header: str) -> bool:

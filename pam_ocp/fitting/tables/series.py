@@ -44,7 +44,7 @@ def rewritten(tree: Any, level: int = 0, owner: str = "") -> Any:
 
 
 def flat(record: Mapping[Any, Any], prefix: str = "", level: int = 0) -> Iterator[tuple[str, Any]]:
-    """(path, plain value) of all in a record of records: ``sensors.p``, ``q[1]``."""
+    """(path, plain value) of all in a record of records: ``sensors.p``, ``q.1``."""
     for key, value in record.items():
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(value, Mapping) and level < MOST_LEVELS:
@@ -53,7 +53,7 @@ def flat(record: Mapping[Any, Any], prefix: str = "", level: int = 0) -> Iterato
             labels = record.get("name")
             named = isinstance(labels, list) and len(labels) == len(value) and key != "name"
             for i, one in enumerate(value):
-                inner = f"{name}[{labels[i] if named else i}]"
+                inner = f"{name}.{labels[i] if named else i}"
                 if isinstance(one, Mapping) and level < MOST_LEVELS:
                     yield from flat(one, inner, level + 1)
                 elif not isinstance(one, list | tuple):

@@ -48,7 +48,7 @@ from .lvm import is_lvm, segments_of
 from .markup import is_markup, tables_of
 from .raw import RawTable
 from .series import flat
-from .trees import chosen_table
+from .trees import chosen_table, left_out
 
 __all__ = ["ENDINGS", "Reading", "is_source", "load", "naming", "sources_of"]
 
@@ -270,6 +270,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
     found, said = chosen_table(tree, label, how.pick)
     if isinstance(found, RawTable):
         return found
+    notes = left_out(tree, label, found) if how.pick is None else ()
     if isinstance(found, Grid):
         grid = replace(found, rows=found.rows[how.skip :], lines=found.lines[how.skip :])
         raw = _table_of(grid, how)
@@ -284,7 +285,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
         found = {n: found[old] for n, old in zip(how.columns, names, strict=True) if n}
     require_distinct(list(found), label)
     columns = {n: list(c)[how.skip :] for n, c in found.items()}
-    return _bare(RawTable(label, columns, dialect=said))
+    return _bare(RawTable(label, columns, dialect=said, notes=notes))
 
 
 # ---- files ---------------------------------------------------------------------------------------

@@ -13,14 +13,16 @@ from ...core.errors import InputError, UnknownNameError
 from ...core.files import MOST_CELLS, require_size
 from .cells import decimal_of, is_number
 from .dialect import Grid, Unsaid
+from .headers import TIME_NAMES, plain
 from .raw import RawTable
 from .series import rewritten
 from .topics import clocked, merged
 
-__all__ = ["Found", "chosen_table"]
+__all__ = ["Found", "chosen_table", "left_out"]
 
 Found = Mapping[str, Sequence[Any]] | Grid
 """Columns by name, or cells that a layout must be found in."""
+TIME_OF = {*TIME_NAMES, *(f"{name} [s]" for name in TIME_NAMES)}
 MOST_LEVELS = 20
 MOST_TABLES = 2000
 
@@ -64,6 +66,26 @@ def chosen_table(
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
     return tables[top[0]], _beside(tables, top[0])
+
+
+def left_out(tree: Any, label: str, found: Found | RawTable) -> tuple[str, ...]:
+    """Which rows of numbers of a tree are not in its table, in words."""
+    if not isinstance(tree, Mapping) or isinstance(found, Grid):
+        return ()
+    columns = found.columns if isinstance(found, RawTable) else found
+    taken = set(columns)
+    lost = []
+    for key, value in rewritten(tree).items():
+        inside = value.items() if isinstance(value, Mapping) else [(key, value)]
+        for name, one in inside:
+            column = _vector(one)
+            known = {str(name), f"{key} {name}", str(key)} & taken
+            if column and len(column) > 2 and not _is_text(column) and not known:
+                lost.append(f"{name if name == key else f'{key}.{name}'} ({len(column)})")
+    if not lost:
+        return ()
+    more = f" and {len(lost) - 8} more" if len(lost) > 8 else ""
+    return (f"not in the table, for they have other lengths: {', '.join(lost[:8])}{more}",)
 
 
 def _require_few(label: str, arrays: Sequence[NDArray[Any]]) -> None:
@@ -158,10 +180,10 @@ def _columns(tree: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def _signals(value: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Columns one level below those beside them."""
+    """Columns one level below those beside them, where they have no clock of their own."""
     several = value if isinstance(value, list | tuple) else [value]
     for one in several[:MOST_TABLES]:
-        if not isinstance(one, Mapping):
+        if not isinstance(one, Mapping) or any(plain(str(n)) in TIME_OF for n in one):
             continue
         for name, column in one.items():
             values = _vector(column)
