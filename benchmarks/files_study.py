@@ -98,9 +98,11 @@ class Draw:
         return str(self.of(*UNITS[kind]))
 
     def header(self, name: str, unit: str) -> str:
-        return str(self.of(f"{name} [{unit}]", f"{name} ({unit})", f"{name}/{unit}")) if (
-            "/" not in unit
-        ) else f"{name} [{unit}]"
+        return (
+            str(self.of(f"{name} [{unit}]", f"{name} ({unit})", f"{name}/{unit}"))
+            if ("/" not in unit)
+            else f"{name} [{unit}]"
+        )
 
     # ---- a static test ---------------------------------------------------------------------------
     def table(self) -> dict[str, np.ndarray]:
@@ -175,7 +177,7 @@ def csv_in_any_encoding(draw: Draw, path: Path) -> Case:
 
 @shape
 def cyrillic(draw: Draw, path: Path) -> Case:
-    made, truth = cells(draw)
+    _made, truth = cells(draw)
     units = ("kPa", "N", "%")
     heads = [f"{n} [{u}]" for n, u in zip(("давление", "сила", "kappa"), units, strict=True)]
     values = (truth["pressure"] / 1e3, truth["force"], truth["contraction"] * 100)
@@ -224,14 +226,20 @@ def key_value(draw: Draw, path: Path) -> Case:
     signals = draw.signals()
     lines = [
         cut.join(
-            (f"t{equal}{u:.4f}", f"p{equal}{signals['pressure'](u) / 1e3:.5g}kPa")
-            + (f"x{equal}{1e3 * signals['x'](u):.5g} mm", f"F{equal}{signals['force'](u):.6g}")
+            (
+                f"t{equal}{u:.4f}",
+                f"p{equal}{signals['pressure'](u) / 1000.0:.5g}kPa",
+                f"x{equal}{1000.0 * signals['x'](u):.5g} mm",
+                f"F{equal}{signals['force'](u):.6g}",
+            )
         )
         for u in t
     ]
     file = path / "serial.log"
     file.write_text("\n".join(lines))
-    return Case(file, signals, {"pressure": "p", "x": "x", "force": "F"}, {"units": {"time": "s"}}, True)
+    return Case(
+        file, signals, {"pressure": "p", "x": "x", "force": "F"}, {"units": {"time": "s"}}, True
+    )
 
 
 @shape
@@ -242,7 +250,10 @@ def zones_across_a_change(draw: Draw, path: Path) -> Case:
     if zone.key.startswith("America"):
         day = day.replace(hour=6)
     stamps = [(day + dt.timedelta(seconds=float(u))).astimezone(zone) for u in t]
-    written = [draw.of(s.isoformat(timespec="milliseconds"), s.isoformat(" ", "milliseconds")) for s in stamps]
+    written = [
+        draw.of(s.isoformat(timespec="milliseconds"), s.isoformat(" ", "milliseconds"))
+        for s in stamps
+    ]
     made, names, truth = columns(draw, t)
     file = path / "stamped.csv"
     file.write_text("\n".join(text_of({"timestamp": written, **made}, ";", ".")))
@@ -311,9 +322,7 @@ def merged_head_in_excel(draw: Draw, path: Path) -> Case:
     signals = draw.signals()
     name = draw.of("Druck", "Pressure")
     rows: list[list[Any]] = [["time", name, None, "Position"], ["s", "bar", "bar", "mm"]]
-    rows += [
-        [u, signals["pressure"](u) / 1e5, 2 + 0.1 * u, signals["x"](u) * 1e3] for u in t
-    ]
+    rows += [[u, signals["pressure"](u) / 1e5, 2 + 0.1 * u, signals["x"](u) * 1e3] for u in t]
     file = book(path / "merged.xlsx", rows, ["B1:C1"])
     truth = {"pressure": signals["pressure"], "x": signals["x"]}
     return Case(file, truth, {"pressure": f"{name} 1", "x": "Position"}, {}, True)
@@ -345,13 +354,20 @@ def blocks_side_by_side(draw: Draw, path: Path) -> Case:
     for i in range(int(parts[0].sum())):
         row: list[Any] = []
         for part in parts:
-            row += [truth["pressure"][part][i] / TO_SI[unit], truth["force"][part][i], *[None] * gap]
+            row += [
+                truth["pressure"][part][i] / TO_SI[unit],
+                truth["force"][part][i],
+                *[None] * gap,
+            ]
         rows.append(row)
     if draw.of(True, False):
         file = book(path / "blocks.xlsx", rows)
     else:
         file = path / "blocks.csv"
-        lines = [";".join("" if c is None else c if isinstance(c, str) else shown(c, ",") for c in r) for r in rows]
+        lines = [
+            ";".join("" if c is None else c if isinstance(c, str) else shown(c, ",") for c in r)
+            for r in rows
+        ]
         file.write_text("\n".join(lines))
     return Case(file, truth)
 
@@ -415,7 +431,9 @@ def to_workspace(draw: Draw, path: Path) -> Case:
     signals = draw.signals()
     several = {"p [bar]": signals["pressure"](t) / 1e5, "x [mm]": signals["x"](t) * 1e3}
     file = path / "out.mat"
-    scipy.io.savemat(file, {draw.of("ScopeData", "simout"): structure(t, several, draw.of(True, False))})
+    scipy.io.savemat(
+        file, {draw.of("ScopeData", "simout"): structure(t, several, draw.of(True, False))}
+    )
     truth = {"pressure": signals["pressure"], "x": signals["x"]}
     return Case(file, truth, {"pressure": "p", "x": "x"}, {}, True)
 
@@ -461,17 +479,28 @@ def dspace(draw: Draw, path: Path) -> Case:
         "pressure": draw.of('Model Root/"p1"/Out1', "p1", "Model Root/Sensors/p1"),
         "x": draw.of("Model Root/x/Out1", "x"),
     }
-    y = np.empty((1, 2), dtype=[(n, "O") for n in ("Name", "Type", "Data", "Unit", "XIndex", "Path")])
+    y = np.empty(
+        (1, 2), dtype=[(n, "O") for n in ("Name", "Type", "Data", "Unit", "XIndex", "Path")]
+    )
     for i, (kind, unit) in enumerate((("pressure", "bar"), ("x", "mm"))):
         t = rasters[i if two else 0]
         values = signals[kind](t) / TO_SI[unit]
-        y[0, i] = (paths[kind], "Signal", values[None, :].astype(np.float32), unit, float(1 + i * two), "")
+        y[0, i] = (
+            paths[kind],
+            "Signal",
+            values[None, :].astype(np.float32),
+            unit,
+            float(1 + i * two),
+            "",
+        )
     x = np.empty((1, 1 + two), dtype=[("Name", "O"), ("Type", "O"), ("Data", "O"), ("Raster", "O")])
     for i in range(1 + two):
         x[0, i] = ("time", "Double", rasters[i][None, :], f"HostService{i}")
     file = path / "capture.mat"
     told = {"Application": "ControlDesk", "Version": 7.0}
-    scipy.io.savemat(file, {"rec_001": {"X": x, "Y": y, "Description": told, "RTProgram": "rig.sdf"}})
+    scipy.io.savemat(
+        file, {"rec_001": {"X": x, "Y": y, "Description": told, "RTProgram": "rig.sdf"}}
+    )
     truth = {"pressure": signals["pressure"], "x": signals["x"]}
     return Case(file, truth, {"pressure": "p1", "x": "x"}, {}, True, tolerance=5e-3)
 
@@ -521,7 +550,9 @@ def lvm(draw: Draw, path: Path) -> Case:
     file = path / "test.lvm"
     file.write_text("\r\n".join(lines), encoding="latin-1")
     truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, dict(zip(("pressure", "x"), names, strict=True)), {}, True, tolerance=5e-3)
+    return Case(
+        file, truth, dict(zip(("pressure", "x"), names, strict=True)), {}, True, tolerance=5e-3
+    )
 
 
 @shape
@@ -536,7 +567,9 @@ def tdms(draw: Draw, path: Path) -> Case:
     if kind == "time channel":
         t = np.arange(0, 4, 0.001)
         made.append(ChannelObject("Data", "Time", t, {"unit_string": "s"}))
-    for (name, unit, what), step in zip((("p", "bar", "pressure"), ("x", "mm", "x")), steps, strict=True):
+    for (name, unit, what), step in zip(
+        (("p", "bar", "pressure"), ("x", "mm", "x")), steps, strict=True
+    ):
         t = np.arange(0, 4, 0.001 if kind == "time channel" else step)
         told: dict[str, Any] = {"unit_string": unit}
         if kind == "waveform":
@@ -570,7 +603,9 @@ def of_topics(file: Path, several: Any, answers: dict[str, Any] | None = None) -
     main = a if a.size >= b.size else b
     first = float(main[main >= first - 1e-9][0])
     truth = {"pressure": p, "x": x}
-    return Case(file, truth, {"pressure": "pressure", "x": "x"}, answers or {}, True, first, tolerance=1e-2)
+    return Case(
+        file, truth, {"pressure": "pressure", "x": "x"}, answers or {}, True, first, tolerance=1e-2
+    )
 
 
 def write_ros(writer: Any, store: Any, several: Any, ros1: bool) -> None:
@@ -580,13 +615,21 @@ def write_ros(writer: Any, store: Any, several: Any, ros1: bool) -> None:
         connection = writer.add_connection(topic, kind.__msgtype__, typestore=store)
         for u in t:
             message = kind(data=float(f(u)))
-            raw = store.serialize_ros1(message, kind.__msgtype__) if ros1 else store.serialize_cdr(message, kind.__msgtype__)
+            raw = (
+                store.serialize_ros1(message, kind.__msgtype__)
+                if ros1
+                else store.serialize_cdr(message, kind.__msgtype__)
+            )
             writer.write(connection, START + round(u * 1e9), raw)
     text = kinds["std_msgs/msg/String"]
     connection = writer.add_connection("/remarks", text.__msgtype__, typestore=store)
     for u in (0.1, 3.0):
         message = text(data="valve opened")
-        raw = store.serialize_ros1(message, text.__msgtype__) if ros1 else store.serialize_cdr(message, text.__msgtype__)
+        raw = (
+            store.serialize_ros1(message, text.__msgtype__)
+            if ros1
+            else store.serialize_cdr(message, text.__msgtype__)
+        )
         writer.write(connection, START + round(u * 1e9), raw)
 
 
@@ -625,7 +668,12 @@ def joint_states(draw: Draw, path: Path) -> Case:
     kinds = store.types
     t, signals = np.arange(0, 5, 0.01), draw.signals()
     state, header, time = (
-        kinds[n] for n in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+        kinds[n]
+        for n in (
+            "sensor_msgs/msg/JointState",
+            "std_msgs/msg/Header",
+            "builtin_interfaces/msg/Time",
+        )
     )
     file = path / "joints"
     with Writer(file, version=9) as writer:
@@ -698,9 +746,7 @@ def nested_json(draw: Draw, path: Path) -> Case:
             for u, a, b in zip(t, p, x, strict=True)
         ]
     else:
-        made = [
-            {"t": u, "rig": {"p_kPa": a, "x_mm": b}} for u, a, b in zip(t, p, x, strict=True)
-        ]
+        made = [{"t": u, "rig": {"p_kPa": a, "x_mm": b}} for u, a, b in zip(t, p, x, strict=True)]
     if kind == "lines":
         file = path / draw.of("run.jsonl", "run.log")
         file.write_text("\n".join(map(json.dumps, made)))
@@ -718,7 +764,9 @@ def frame_with_an_index_of_times(draw: Draw, path: Path) -> Case:
 
     t = draw.times()
     made, names, truth = columns(draw, t)
-    begin = pd.Timestamp("2024-10-27 00:59:59", tz=draw.of(None, "UTC")) + pd.to_timedelta(t, unit="s")
+    begin = pd.Timestamp("2024-10-27 00:59:59", tz=draw.of(None, "UTC")) + pd.to_timedelta(
+        t, unit="s"
+    )
     if begin.tz is not None:
         begin = begin.tz_convert(draw.of("Europe/Berlin", "UTC"))
     index = draw.of(begin, pd.to_timedelta(t, unit="s"), pd.Index(t, name="time [s]"))
@@ -741,8 +789,10 @@ def is_right(case: Case, result: Any) -> bool:
     if isinstance(result, pam.fitting.ForceTable):
         if case.record or len(result) != len(case.truth["pressure"]):
             return False
-        order, wanted = (np.lexsort((np.round(a["pressure"]), np.round(a["contraction"], 6))) for a in (
-            {"pressure": result.pressure, "contraction": result.contraction}, case.truth))
+        order, wanted = (
+            np.lexsort((np.round(a["pressure"]), np.round(a["contraction"], 6)))
+            for a in ({"pressure": result.pressure, "contraction": result.contraction}, case.truth)
+        )
         return all(
             np.allclose(getattr(result, k)[order], v[wanted], rtol=1e-5, atol=1e-6)
             for k, v in case.truth.items()
@@ -807,7 +857,9 @@ def study(count: int, seed: int, folder: Path) -> list[tuple[str, str, str]]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("count", type=int, nargs="?", default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder in which the files stay")
@@ -818,7 +870,9 @@ def main() -> int:
     for name, outcome, words in found:
         if options.show or not outcome.startswith("right"):
             print(f"{name}: {outcome}: {words[:400]}")
-    counts = Counter("right with a keyword" if o.startswith("right with") else o for _, o, _ in found)
+    counts = Counter(
+        "right with a keyword" if o.startswith("right with") else o for _, o, _ in found
+    )
     print(f"{options.count} files, seed {options.seed}:", dict(counts))
     return int(counts["WRONG IN SILENCE"] > 0)
 

@@ -41,9 +41,9 @@ from .fitting.static.ranking import compare_laws as compare_laws
 from .fitting.static.shared import fit_forces as fit_forces
 from .fitting.static.static import fit_branches as fit_branches
 from .fitting.static.static import fit_force as fit_force
+from .fitting.tables.folder import read_folder as read_folder
 from .fitting.tables.force_table import ForceTable as ForceTable
 from .fitting.tables.force_table import read_table as read_table
-from .fitting.tables.folder import read_folder as read_folder
 from .fitting.tables.records import read_record as read_record
 from .fitting.tables.records import read_records as read_records
 from .judge.statement import TIME as TIME

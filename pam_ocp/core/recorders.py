@@ -53,7 +53,9 @@ def _group(group: Any, first: Any) -> dict[str, Any]:
         told, count = channel.properties, len(channel)
         if not count:
             continue
-        said = str(told.get("unit_string") or told.get("NI_UnitDescription") or told.get("unit", ""))
+        said = str(
+            told.get("unit_string") or told.get("NI_UnitDescription") or told.get("unit", "")
+        )
         header = f"{channel.name} [{said}]" if said and "[" not in channel.name else channel.name
         step = float(told.get("wf_increment") or 0.0)
         start = told.get("wf_start_time")

@@ -29,12 +29,16 @@ def periods(names: Sequence[str]) -> list[list[int]]:
     """Columns of each block; [] where names do not repeat in blocks."""
     count = len(names)
     for width in range(2, count // 2 + 1):
-        if count % width == 0 and all(names[i] == names[i % width] for i in range(count)):
-            if len(set(names[:width])) == width:
-                return [list(range(a, a + width)) for a in range(0, count, width)]
+        again = count % width == 0 and all(names[i] == names[i % width] for i in range(count))
+        if again and len(set(names[:width])) == width:
+            return [list(range(a, a + width)) for a in range(0, count, width)]
     clocks = [i for i, name in enumerate(names) if parse_header(name)[0] in TIME_NAMES]
     repeated = len({names[i] for i in clocks}) < len(clocks)
-    if repeated and clocks[0] == 0 and all(b - a > 1 for a, b in zip(clocks, [*clocks[1:], count])):
+    if (
+        repeated
+        and clocks[0] == 0
+        and all(b - a > 1 for a, b in zip(clocks, [*clocks[1:], count], strict=False))
+    ):
         return [list(range(a, b)) for a, b in zip(clocks, [*clocks[1:], count], strict=True)]
     return []
 
@@ -58,9 +62,11 @@ def side_by_side(
             return replace(table, dialect=(*table.dialect, f"block {i + 1}, {names[i]!r}"))
     by_name = {f"block {i}": t.columns for i, t in enumerate(tables, start=1)}
     if clocked(by_name):
-        said = {n: {f"{h} [{t.stated[h]}]" if h in t.stated else h: c for h, c in cs.items()}
-                for (n, cs), t in zip(by_name.items(), tables, strict=True)}
-        return merged(said, grid.label)
+        united = {
+            n: {f"{h} [{t.stated[h]}]" if h in t.stated else h: c for h, c in own.items()}
+            for (n, own), t in zip(by_name.items(), tables, strict=True)
+        }
+        return merged(united, grid.label)
     keys = [_key(title) for title in titles]
     timed = any(parse_header(h)[0] in TIME_NAMES for h in tables[0].columns)
     if timed or None in keys or len({k[0] for k in keys if k}) != 1:
@@ -92,7 +98,9 @@ def side_by_side(
 
 def _cut(grid: Grid, part: Sequence[int], head: int) -> Grid:
     """A block, from its names down to its last row."""
-    rows = [[row[i] if i < len(row) else None for i in part] for row in grid.rows[head:]]
+    rows: list[Sequence[Any]] = [
+        [row[i] if i < len(row) else None for i in part] for row in grid.rows[head:]
+    ]
     while rows and all(is_empty(c) for c in rows[-1]):
         rows.pop()
     return replace(grid, rows=rows, lines=grid.lines[head : head + len(rows)], text=False)

@@ -50,7 +50,9 @@ def checked_constants(given: Any) -> dict[str, Any]:
                 continue
         if measured is not None and said is None:
             where = f"constants[{name!r}]"
-            value = quantity(where, value.replace(",", ".") if isinstance(value, str) else value, measured)
+            value = quantity(
+                where, value.replace(",", ".") if isinstance(value, str) else value, measured
+            )
             made[f"{plain} [{measured}]"] = value
         elif isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(

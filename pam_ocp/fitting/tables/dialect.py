@@ -27,6 +27,8 @@ SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": 
 _OF_UNITS = re.compile(r"\s*%\s*[;,|\t]")
 """A row of units that begins with per cent."""
 COMMENTS = ("#", "%", "//", "!")
+CUT_AFTER = 12
+"""Rows of one number of digits from which on fewer in the last are those of a cut line."""
 SAMPLE = 120
 """Lines that are looked at, from the lower part of the first thousand."""
 
@@ -50,6 +52,7 @@ class Grid:
     comments: list[Sequence[str]] = field(default_factory=list)
     dialect: tuple[str, ...] = ()
     text: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def grid_of_text(
@@ -109,7 +112,23 @@ def grid_of_text(
     said += ["decimal comma"] if sign == "," else []
     said += [f"{len(comments)} comment lines"] if comments else []
     said += [f"{skip} lines skipped"] if skip else []
-    return Grid(label, rows, [i for i, _ in lines], sign, words, tuple(said), text=True)
+    places = [i for i, _ in lines]
+    notes: tuple[str, ...] = ()
+    if not text.endswith(("\n", "\r")) and _is_cut(rows, sign):
+        notes = (f"line {places[-1]}, the last, is cut off and left out",)
+        rows, places = rows[:-1], places[:-1]
+    return Grid(label, rows, places, sign, words, tuple(said), True, notes)
+
+
+def _is_cut(rows: Sequence[Sequence[str]], sign: str) -> bool:
+    """Whether the last cell of a text without a last line end has fewer digits than all above."""
+    last = [row[-1] for row in rows[-CUT_AFTER:] if len(row) == len(rows[-1])]
+    digits = [len(c.partition(sign)[2]) for c in last if is_number(c, sign)]
+    return (
+        len(digits) == len(last) == CUT_AFTER
+        and len(set(digits[:-1])) == 1
+        and digits[-1] < digits[0]
+    )
 
 
 _VALUE = (
@@ -131,6 +150,8 @@ def _pairs(lines: Sequence[tuple[int, str]]) -> tuple[list[Sequence[Any]], list[
     sample = [line for _, line in lines[:SAMPLE]]
     if sum(len(_PAIR.findall(line)) >= 2 for line in sample) < MOSTLY * len(sample):
         return None
+    first = next(i for i, (_, line) in enumerate(lines) if len(_PAIR.findall(line)) >= 2)
+    before, lines = lines[:first], lines[first:]
     keys: dict[str, None] = {}
     found: list[tuple[int, str, dict[str, str]]] = []
     for i, line in lines:
@@ -144,10 +165,10 @@ def _pairs(lines: Sequence[tuple[int, str]]) -> tuple[list[Sequence[Any]], list[
         keys |= dict.fromkeys(row)
         found.append((i, line, row))
     head = list(keys)
-    rows: list[Sequence[Any]] = [head]
+    rows: list[Sequence[Any]] = [*([line.strip()] for _, line in before), head]
     for _, line, row in found:
         rows.append([row.get(k, "") for k in head] if row else [line.strip()])
-    return rows, [lines[0][0], *(i for i, _, _ in found)]
+    return rows, [*(i for i, _ in before), lines[0][0], *(i for i, _, _ in found)]
 
 
 def _cut(lines: Sequence[str], separator: str) -> list[Sequence[str]]:
@@ -169,7 +190,11 @@ def _head(line: str, cells: Sequence[str], width: int) -> Sequence[str]:
 def _sniffed(sample: Sequence[str], delimiter: str | None, decimal: str | None) -> tuple[str, str]:
     """(separator, decimal sign) in which the sample reads best."""
     best: tuple[tuple[float, int, int, int], str, str] | None = None
+    tabs = Counter(line.count("\t") for line in sample).most_common(1)[0]
+    tabbed = tabs[0] > 0 and tabs[1] > 0.6 * len(sample)
     for rank, separator in enumerate([delimiter] if delimiter else SEPARATORS):
+        if separator == " " and tabbed and not delimiter:
+            continue  # blanks stand within cells: 12.03.2024 14:05
         try:
             rows = _cut(sample, separator)
         except csv.Error:

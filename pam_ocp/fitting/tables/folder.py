@@ -187,7 +187,9 @@ def read_folder(
     require_pattern(pattern)
     base = Path(folder)
     if not base.is_dir():
-        raise InputError(f"folder = {str(folder)!r} is no folder; give the one that holds the files")
+        raise InputError(
+            f"folder = {str(folder)!r} is no folder; give the one that holds the files"
+        )
     named = "{" in pattern
     if "{" in str(Path(pattern).parent):
         raise InputError(f"pattern = {pattern!r}: braces stand in the file's name, not in folders")
@@ -195,9 +197,7 @@ def read_folder(
         raise InputError(f"pattern = {pattern!r}: give it relative to folder={str(folder)!r}")
     paths = sorted(p for p in base.glob(glob_of(pattern)) if _wanted(p, pattern))
     if not paths:
-        raise InputError(
-            f"no file of {str(base)!r} that can be read fits pattern = {pattern!r}"
-        )
+        raise InputError(f"no file of {str(base)!r} that can be read fits pattern = {pattern!r}")
     files = [_file(path, plant, pattern if named else None, options) for path in paths]
     found = FolderRead(files)
     if found.problems:

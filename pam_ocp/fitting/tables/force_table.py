@@ -305,9 +305,10 @@ def read_table(
     ----------
     source : path of a text (CSV, TSV, LVM, columns between blanks, ``key=value`` lines; also packed
         as .gz), of an XLSX, XLS, ODS, NPY, NPZ, MAT, HDF5, JSON, Parquet, TDMS, MCAP or BAG file, a
-        pandas DataFrame, or a mapping from column names to arrays. The name of a bundled table, such as ``"DMSP-20-300_static.csv"``, works where no
-        such file exists. A list of these, a folder or a pattern (``"rig/*.csv"``) makes one table;
-        ``file`` then says where each cell comes from.
+        pandas DataFrame, or a mapping from column names to arrays. The name of a bundled table,
+        such as ``"DMSP-20-300_static.csv"``, works where no such file exists. A list of these, a
+        folder or a pattern (``"rig/*.csv"``) makes one table; ``file`` then says where each cell
+        comes from.
     rest_length : l0 [m]; needed when the table holds lengths instead of contractions.
     columns : which column holds a quantity, ``{"pressure": "P1"}``, where its name does not say
         it. Quantities: pressure, force, and length or contraction; labels: branch (inflation or

@@ -25,6 +25,8 @@ __all__ = ["has_table", "require_distinct", "tabulated"]
 
 LOOKED_AT = 400
 """Rows at the end of a grid whose cells say what its columns hold."""
+MOST_TURNED = 50
+"""Rows of a grid whose names may run down."""
 MOST_BAD = 0.5
 """Share of lines that ``bad_lines="drop"`` leaves out at most."""
 CUT_OFF = 10
@@ -46,7 +48,7 @@ def tabulated(
 
     Raises InputError.
     """
-    grid = _trimmed(grid)
+    grid = _upright(_trimmed(grid))
     grid, in_cells = _bare(grid, names)
     numeric = _numeric(grid)
     start = _start(grid, numeric)
@@ -56,6 +58,8 @@ def tabulated(
     stated: Sequence[Any] = ()
     if head >= 1 and (_is_units(grid, head) or _is_mostly_units(grid, head, numeric)):
         stated, head = grid.rows[head], head - 1
+    elif head >= 1 and _is_units(grid, head - 1) and _is_head(grid, head, numeric):
+        stated = grid.rows[head - 1]  # above the names
     width = len(numeric)
     found = _names(grid, head, numeric, names, stated)
     require_size(grid.label, len(grid.rows), width)
@@ -88,7 +92,7 @@ def tabulated(
         decimal=grid.decimal,
         stated=units,
         dialect=tuple(said),
-        notes=notes,
+        notes=(*grid.notes, *notes),
     )
 
 
@@ -119,7 +123,25 @@ def _trimmed(grid: Grid) -> Grid:
     if len(kept) < width:
         rows = [[row[i] for i in kept if i < len(row)] for row in rows]
     lines = [line for line, keep in zip(grid.lines, filled, strict=True) if keep]
-    return replace(grid, rows=rows, lines=lines)
+    words = [[w[i] for i in kept] if len(kept) < width == len(w) else w for w in grid.comments]
+    return replace(grid, rows=rows, lines=lines, comments=words)
+
+
+def _upright(grid: Grid) -> Grid:
+    """A grid whose names run down its left side, turned."""
+    rows, width = grid.rows, max(map(len, grid.rows))
+    if not 2 <= len(rows) <= MOST_TURNED or width < 3 * len(rows) or width < 20:
+        return grid
+    for row in rows:
+        rest = [c for c in row[2:] if not is_empty(c)]
+        numbers = sum(is_number(c, grid.decimal) or is_stamp(c) for c in rest)
+        if is_empty(row[0]) or is_number(row[0], grid.decimal) or numbers < len(rest) or not rest:
+            return grid
+    turned: list[Sequence[Any]] = [
+        [row[i] if i < len(row) else None for row in rows] for i in range(width)
+    ]
+    said = (*grid.dialect, "names run down")
+    return replace(grid, rows=turned, lines=list(range(1, width + 1)), dialect=said, text=False)
 
 
 def _bare(grid: Grid, names: Sequence[str | None] | None) -> tuple[Grid, dict[int, str]]:
@@ -170,8 +192,24 @@ def _start(grid: Grid, numeric: Sequence[bool]) -> int:
         fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
         whole = fitting == len(cells) and fitting >= min(2, len(columns))
         if whole or fitting > len(columns) / 2:
-            return start
+            return start + _properties(grid, start, columns)
     raise InputError(f"{grid.label} is empty: it needs a header and at least one row of numbers")
+
+
+def _properties(grid: Grid, start: int, columns: Sequence[int]) -> int:
+    """Rows of properties (``t0``, ``delta t``) above the names, though they hold numbers."""
+    if columns[0] != 0:
+        return 0
+    for i, row in enumerate(grid.rows[start : start + 12]):
+        cells = [c for c in row if not is_empty(c)]
+        worded = bool(cells) and not is_number(cells[0], grid.decimal) and not is_stamp(cells[0])
+        if not worded:
+            return 0
+        if len(cells) >= len(columns) and not any(
+            is_number(c, grid.decimal) or is_stamp(c) for c in cells
+        ):
+            return i + 1 if start + i + 1 < len(grid.rows) else 0
+    return 0
 
 
 def _is_units(grid: Grid, row: int) -> bool:
@@ -219,6 +257,8 @@ def _names(
         return [str(name) if name else "" for name in given]
     if head >= 0 and _is_head(grid, head, numeric):
         cells = [*grid.rows[head], *[None] * width][: max(width, len(grid.rows[head]))]
+        if head >= 1:
+            cells = [_above(grid, head, i) if is_empty(c) else c for i, c in enumerate(cells)]
         names = _unmerged(["" if c is None else str(c).strip() for c in cells], stated)
         return [n or (f"column {i + 1}" if i < width else "") for i, n in enumerate(names)]
     for words in reversed(grid.comments):
@@ -230,6 +270,14 @@ def _names(
         f"{first!r}); say what they are, from the left, with their units, as "
         f"columns={_example(width)} (of a record 'time [s]', ...)"
     )
+
+
+def _above(grid: Grid, head: int, column: int) -> Any:
+    """What stands above an empty cell of the names, where it was merged down; no title."""
+    for row in reversed(grid.rows[max(0, head - 2) : head]):
+        if column < len(row) and not is_empty(row[column]):
+            return row[column] if sum(not is_empty(c) for c in row) > 1 else None
+    return None
 
 
 def _unmerged(names: list[str], stated: Sequence[Any]) -> list[str]:
@@ -291,8 +339,11 @@ def _body(
     width = len(names)
     again = [i for i, row in enumerate(rows) if any(list(row) == list(h) for h in heads)]
     if again:
-        notes.append(f"names that come again left out ({len(again)} lines, first {lines[again[0]]})")
-        rows, lines = ([x for i, x in enumerate(xs) if i not in set(again)] for xs in (rows, lines))
+        notes.append(
+            f"names that come again left out ({len(again)} lines, first {lines[again[0]]})"
+        )
+        kept = [i for i in range(len(rows)) if i not in set(again)]
+        rows, lines = [rows[i] for i in kept], [lines[i] for i in kept]
     end = len(rows)
     while end > 1 and not any(is_number(c, grid.decimal) or is_stamp(c) for c in rows[end - 1]):
         end -= 1

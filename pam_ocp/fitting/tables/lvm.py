@@ -39,7 +39,9 @@ def segments_of(text: str, label: str) -> dict[str, Any]:
         until = next((e for e in ends if e > end), len(lines))
         head = _told(lines[before:end], cut) if len(ends) > 1 else told
         body = lines[end + 1 : until]
-        stop = next((i for i, one in enumerate(body) if i and one.startswith("Channels")), len(body))
+        stop = next(
+            (i for i, one in enumerate(body) if i and one.startswith("Channels")), len(body)
+        )
         rows = [(end + 2 + i, one.split(cut)) for i, one in enumerate(body[:stop]) if one.strip()]
         if len(rows) > 1:
             x = (told.get("X_Columns") or ["One"])[0]
@@ -105,9 +107,7 @@ def _waveform(head: dict[str, list[str]], channel: int, count: int) -> list[floa
     return [start + step[at] * i for i in range(count)]
 
 
-def _numbers(
-    cells: Sequence[tuple[int, str]], name: str, sign: str, label: str
-) -> list[float]:
+def _numbers(cells: Sequence[tuple[int, str]], name: str, sign: str, label: str) -> list[float]:
     made = []
     for line, cell in cells:
         try:

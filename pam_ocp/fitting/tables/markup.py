@@ -11,7 +11,9 @@ from ...core.files import MOST_COLUMNS, MOST_SHEET_CELLS
 
 __all__ = ["is_markup", "tables_of"]
 
-_STARTS = re.compile(r"\s*(?:<\?xml|<!doctype html|<html|<table|<head|<meta|<body|<div|<style)", re.I)
+_STARTS = re.compile(
+    r"\s*(?:<\?xml|<!doctype html|<html|<table|<head|<meta|<body|<div|<style)", re.I
+)
 _ROWS, _CELLS = ("tr", "row", "ss:row"), ("td", "th", "cell", "ss:cell")
 _TABLES = ("table", "ss:table")
 

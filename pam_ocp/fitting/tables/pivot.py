@@ -165,7 +165,7 @@ def _named(text: str) -> list[str]:
 
 
 def with_unit(text: str) -> tuple[str, float] | None:
-    """(header, value) of words such as ``l = 285 mm``; None where they say no quantity of a table."""
+    """(header, value) of words such as ``l = 285 mm``; None where they say no quantity."""
     match = _WITH_UNIT.match(text.strip())
     if match is None or not is_unit(match["unit"]):
         return None

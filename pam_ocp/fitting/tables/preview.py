@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ColumnView", "Preview", "Previews", "look"]
 
+LONG = 200
+"""Rows from which on what holds less than a force table, and no clock, is probably a record."""
 _TABLE_ONLY = ("rest_length", "ramp", "floor", "pivot")
 _RECORD_ONLY = (
     "time",
@@ -218,7 +220,7 @@ def _unsaid(source: Any, kind: str | None, problem: str, options: Mapping[str, A
 def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
     """A record has a clock, and not all that a force table needs."""
     clocked = "time" in options or "sample_time" in options or find_clock(raw)[1] is not None
-    if not clocked or any(k in options for k in _TABLE_ONLY):
+    if (not clocked and len(raw) < LONG) or any(k in options for k in _TABLE_ONLY):
         return "table"
     columns = options.get("columns")
     chosen = columns if isinstance(columns, Mapping) else {}

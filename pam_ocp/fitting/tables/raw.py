@@ -58,8 +58,8 @@ class RawTable:
     lines : line (or row of the sheet) of each row in its file; rows : its number. decimal : sign in
     cells of text. stated : {header: unit} of a row of units. dialect : how the file was understood,
     notes : what was left out, mended or doubted, both in words. signs : decimal signs of single
-    columns. decimal_given : the user said the decimal sign. own : written by this package. constant :
-    headers of columns that are not in the file.
+    columns. decimal_given : the user said the decimal sign. own : written by this package.
+    constant : headers of columns that are not in the file.
     """
 
     label: str

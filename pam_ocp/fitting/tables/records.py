@@ -35,7 +35,16 @@ if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
-__all__ = ["RecordWords", "clock_of", "columns_of", "in_known_units", "loaded", "read_record", "read_records", "record_parts"]
+__all__ = [
+    "RecordWords",
+    "clock_of",
+    "columns_of",
+    "in_known_units",
+    "loaded",
+    "read_record",
+    "read_records",
+    "record_parts",
+]
 
 
 @dataclass(frozen=True)
@@ -124,7 +133,8 @@ def read_record(
     source : path of a text (CSV, TSV, LVM, columns between blanks, ``key=value`` lines; also packed
         as .gz), of an NPY, NPZ, MAT, HDF5, JSON, Parquet, XLSX, TDMS, MCAP or BAG file, a folder
         that is a bag of ROS 2, a DataFrame, or a mapping from column names to arrays. Topics,
-        groups and structures with clocks of their own are put on one. Headers name a quantity and its unit: ``x [mm]``, ``p1_bar``.
+        groups and structures with clocks of their own are put on one. Headers name a quantity and
+        its unit: ``x [mm]``, ``p1_bar``.
     plant : its variables give names, units and kinds to the columns (``_`` for ``.`` in headers;
         "Druck 1" or "p1" for ``muscle1.pressure``); columns that it does not know are left out.
         Without a plant every column of numbers is an output.
@@ -346,7 +356,7 @@ def in_known_units(raw: RawTable, words: RecordWords, clock: str) -> RawTable:
     for header in raw.columns:
         name, said = parse_header(header)
         told = header in words.columns.values() or name in words.units or header == clock
-        if said is None and (said := raw.unit(header)) is None or told:
+        if (said is None and (said := raw.unit(header)) is None) or told:
             continue
         try:
             scale_of(header, said, None, None)

@@ -31,14 +31,17 @@ def rewritten(tree: Any, level: int = 0, owner: str = "") -> Any:
         return tree
     if isinstance(tree, Mapping):
         return _of_dspace(tree) or _of_simulink(tree, owner) or _of_mapping(tree, level)
-    if isinstance(tree, np.ndarray) and tree.dtype == object and tree.ndim <= 2:
-        if tree.size and all(isinstance(v, Mapping) for v in tree.flat):
-            tree = list(tree.flat)
+    cells = isinstance(tree, np.ndarray) and tree.dtype == object and tree.ndim <= 2
+    if cells and tree.size and all(isinstance(v, Mapping) for v in tree.flat):
+        tree = list(tree.flat)
     if isinstance(tree, list | tuple) and tree and all(isinstance(v, Mapping) for v in tree):
         found = _channels(tree)
         if found:
             return found
-        if any(isinstance(v, Mapping | list) for one in tree[:20] for v in one.values()):
+        inner = [v for one in tree[:20] for v in one.values() if isinstance(v, Mapping | list)]
+        if any(isinstance(v, list) and len(v) >= max(len(tree), 2) for v in inner):
+            return [rewritten(one, level + 1) for one in tree]  # runs, each with its columns
+        if inner:
             return [_of_record(one) for one in tree]
     return tree
 
@@ -52,8 +55,9 @@ def flat(record: Mapping[Any, Any], prefix: str = "", level: int = 0) -> Iterato
         elif isinstance(value, list | tuple) and 0 < len(value) <= MOST_WIDTH:
             labels = record.get("name")
             named = isinstance(labels, list) and len(labels) == len(value) and key != "name"
+            tails = labels if named and labels else list(range(len(value)))
             for i, one in enumerate(value):
-                inner = f"{name}.{labels[i] if named else i}"
+                inner = f"{name}.{tails[i]}"
                 if isinstance(one, Mapping) and level < MOST_LEVELS:
                     yield from flat(one, inner, level + 1)
                 elif not isinstance(one, list | tuple):
@@ -67,6 +71,10 @@ def _of_record(record: Mapping[Any, Any]) -> dict[str, Any]:
     made: dict[Any, Any] = {}
     for key, value in record.items():
         inside = _lower(value) if isinstance(value, Mapping) else {}
+        if {"sec", "nanosec"} == set(inside) or {"secs", "nsecs"} == set(inside):
+            seconds, rest = inside.values()
+            made[f"{key} [s]"] = seconds + 1e-9 * rest
+            continue
         at = next((n for n in _VALUES if n in inside), None)
         if at is not None and not isinstance(inside[at], Mapping | list):
             made[_headed(str(key), inside)] = inside[at]
@@ -77,6 +85,7 @@ def _of_record(record: Mapping[Any, Any]) -> dict[str, Any]:
 
 def _of_mapping(tree: Mapping[Any, Any], level: int) -> dict[str, Any]:
     made: dict[str, Any] = {}
+    tree = _with_units(tree)
     for key, value in tree.items():
         named = _signals(value, str(key)) if isinstance(value, Mapping) else {}
         if not named and isinstance(value, list | tuple):
@@ -89,6 +98,20 @@ def _of_mapping(tree: Mapping[Any, Any], level: int) -> dict[str, Any]:
         else:
             made[str(key)] = rewritten(value, level + 1, str(key))
     return made
+
+
+def _with_units(tree: Mapping[Any, Any]) -> Mapping[Any, Any]:
+    """Names with the units that a mapping beside them states: ``{"units": {"p": "bar"}, ...}``."""
+    at = next((k for k in tree if str(k).lower() in ("units", "unit", "einheiten")), None)
+    if at is None or not isinstance(tree[at], Mapping):
+        return tree
+    units = {k: t for k, v in tree[at].items() if (t := _text(v))}
+
+    def named(one: Mapping[Any, Any]) -> dict[Any, Any]:
+        return {f"{k} [{units[k]}]" if k in units else k: v for k, v in one.items()}
+
+    made = named({k: v for k, v in tree.items() if k != at})
+    return {k: named(v) if isinstance(v, Mapping) else v for k, v in made.items()}
 
 
 def _channels(several: Sequence[Any]) -> dict[str, list[Any]]:
@@ -143,7 +166,9 @@ def _columns(values: Any, length: int | None) -> list[list[Any]]:
     if array.ndim == 3:  # k x 1 x n was squeezed; k x m x n is a matrix at each time
         array = array.reshape(-1, array.shape[2])
     if array.ndim == 2:
-        across = array.shape[0] != length if length in array.shape else array.shape[0] < array.shape[1]
+        across = (
+            array.shape[0] != length if length in array.shape else array.shape[0] < array.shape[1]
+        )
         array = array.T if across else array
         return [c.tolist() for c in array.T] if array.shape[1] <= MOST_WIDTH else []
     return [array.tolist()] if array.ndim == 1 else []
@@ -203,7 +228,9 @@ def _of_path(signal: Mapping[Any, Any]) -> str:
     if len(parts) > 1 and is_unit(parts[-1]) and len(parts) == 2:
         return whole  # p/bar
     more = [p for p in _text(signal.get("Path")).replace('"', "").split("/") if p.strip()]
-    kept = [p for p in (*more, *parts) if plain(p).rstrip("0123456789 ") not in ("out", "in", "value")]
+    kept = [
+        p for p in (*more, *parts) if plain(p).rstrip("0123456789 ") not in ("out", "in", "value")
+    ]
     return (kept or parts or ["signal"])[-1].strip()
 
 

@@ -40,8 +40,8 @@ from ...core.foreign import (
 from ...core.recorders import is_bag, read_bag, read_calamine, read_mcap, read_tdms
 from .cell_units import parted, without_units
 from .cells import decimal_of, is_empty
-from .dialect import Grid, Unsaid, grid_of_text
 from .constants import checked_constants, labels_of, require_pattern, with_constants
+from .dialect import Grid, Unsaid, grid_of_text
 from .headers import NAMES, TIME_NAMES, is_unit, parse_header
 from .layout import has_table, require_distinct, tabulated
 from .lvm import is_lvm, segments_of
@@ -341,7 +341,9 @@ def _decoded(content: bytes, name: str, encoding: str | None = None) -> str:
         try:
             return content.decode(encoding).removeprefix("\ufeff")
         except UnicodeDecodeError as error:
-            raise InputError(f"{name} is not written in {encoding} ({error}); name another") from None
+            raise InputError(
+                f"{name} is not written in {encoding} ({error}); name another"
+            ) from None
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16")
     elif content[1:400:2].count(0) > 0.7 * len(content[1:400:2]) > 2:

@@ -61,7 +61,7 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
             if header == heads[name]:
                 continue
             if name == main:
-                columns[header] = [raw.columns[header][i] for i in inside]
+                columns[header] = [raw.columns[header][int(i)] for i in inside]
                 continue
             try:
                 values = raw.numbers(header)
@@ -73,7 +73,8 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
             columns[header] = _at(clock, times[name], values, command).tolist()
     notes = [
         f"{len(raws)} tables with clocks of their own ({', '.join(list(raws)[:8])}) on that of "
-        f"{main!r}, {clock.size} rows" + (f"; held between samples: {', '.join(held)}" if held else "")
+        f"{main!r}, {clock.size} rows"
+        + (f"; held between samples: {', '.join(held)}" if held else "")
     ]
     notes += [f"no numbers, left out: {', '.join(left)}"] if left else []
     return RawTable(label, columns, dialect=("merged onto one clock",), notes=(*notes, *doubts))
@@ -82,7 +83,10 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
 def _on_one_scale(
     raws: Mapping[str, RawTable], heads: Mapping[str, str], label: str
 ) -> tuple[dict[str, NDArray[np.float64]], tuple[Doubt, ...]]:
-    """(times [s] from one zero, what is doubted of them). Raises InputError where clocks are of several kinds, or go back."""
+    """(times [s] from one zero, what is doubted of them).
+
+    Raises InputError where clocks are of several kinds, or go back.
+    """
     units = {raw.unit(heads[n]) for n, raw in raws.items()}
     cells = [c for n, raw in raws.items() for c in raw.columns[heads[n]]]
     first = heads[next(iter(heads))]
@@ -99,8 +103,8 @@ def _on_one_scale(
         at += len(raw)
         if own.size < 2 or np.any(np.isnan(own)) or np.any(np.diff(own) < 0):
             raise InputError(
-                f"{label}: the clock of {name!r} is empty or runs backwards, so it cannot be put on "
-                f"one with others; choose one table with pick={name!r}"
+                f"{label}: the clock of {name!r} is empty or runs backwards, so it cannot be "
+                f"put on one with others; choose one table with pick={name!r}"
             )
         found[name] = own
     return found, doubts

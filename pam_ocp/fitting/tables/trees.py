@@ -23,6 +23,8 @@ __all__ = ["Found", "chosen_table", "left_out"]
 Found = Mapping[str, Sequence[Any]] | Grid
 """Columns by name, or cells that a layout must be found in."""
 TIME_OF = {*TIME_NAMES, *(f"{name} [s]" for name in TIME_NAMES)}
+GENERIC = frozenset({"v", "value", "values", "data", "samples", "y", "messages", "signal"})
+"""Names that say nothing of what was measured."""
 MOST_LEVELS = 20
 MOST_TABLES = 2000
 
@@ -36,7 +38,7 @@ def chosen_table(
     there are several that do not have clocks of their own. Raises an InputError that names them.
     """
     _require_few(label, list(_arrays(tree, 0)))
-    tables = dict(_tables(rewritten(tree), "", label, 0))
+    tables = _renamed(dict(_tables(rewritten(tree), "", label, 0)))
     wanted = [pick] if isinstance(pick, str) else list(pick or ())
     for name in wanted:
         if name.strip() not in tables:
@@ -66,6 +68,22 @@ def chosen_table(
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
     return tables[top[0]], _beside(tables, top[0])
+
+
+def _renamed(tables: dict[str, Found]) -> dict[str, Found]:
+    """Tables of a time and one value each, which is called by its place: ``sensors.p.samples``."""
+    if len(tables) < 2 or not all(
+        isinstance(t, Mapping) and len(t) == 2 and sum(n in TIME_OF for n in map(plain, t)) == 1
+        for t in tables.values()
+    ):
+        return tables
+    made: dict[str, Found] = {}
+    for name, table in tables.items():
+        assert isinstance(table, Mapping)
+        parts = [p for p in name.split(".") if p.lower() not in GENERIC]
+        columns = {parts[-1] if plain(n) in GENERIC and parts else n: c for n, c in table.items()}
+        made[name] = columns if len(columns) == 2 else table
+    return made
 
 
 def left_out(tree: Any, label: str, found: Found | RawTable) -> tuple[str, ...]:
