@@ -16,7 +16,7 @@ from typing import Any
 from ...core.calibration import COUNTS, spelled
 from ...core.errors import InputError, UnknownNameError
 from ...core.quantities import quantity
-from .headers import is_unit, parse_header
+from .headers import NAMES, is_unit, parse_header
 from .labels import LABELS
 from .raw import RawTable
 
@@ -138,7 +138,9 @@ def with_constants(raw: RawTable, constants: Mapping[str, Any]) -> RawTable:
     """The table with columns of one value. Raises InputError where it has such a column already."""
     names = {parse_header(h)[0]: h for h in raw.columns}
     for header in constants:
-        there = names.get(parse_header(header)[0])
+        plain = parse_header(header)[0]
+        alike = NAMES.get(plain, frozenset({plain}))
+        there = next((h for name, h in names.items() if name in alike), None)
         if there is not None:
             raise InputError(
                 f"{raw.label} has a column {there!r} already, beside the constant {header!r}; "

@@ -27,6 +27,11 @@ SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": 
 _OF_UNITS = re.compile(r"\s*%\s*[;,|\t]")
 """A row of units that begins with per cent."""
 COMMENTS = ("#", "%", "//", "!")
+_STAMP_FIRST = re.compile(
+    r"\"?\d{1,4}[-/.]\d\d?[-/.]\d{1,4}[T ]\d\d?:\d\d(?::\d\d(?:[.,]\d{1,9})?)?"
+    r"(?: ?[AP]M)?(?: ?[+-]\d\d(?::?\d\d)?| ?[A-Z]{3,4}|Z)?\"?\s*(?P<cut>[,;\t|])"
+)
+"""A date and time of day at the beginning of a line, and what stands behind it."""
 CUT_AFTER = 12
 """Rows of one number of digits from which on fewer in the last are those of a cut line."""
 SAMPLE = 120
@@ -190,6 +195,9 @@ def _head(line: str, cells: Sequence[str], width: int) -> Sequence[str]:
 def _sniffed(sample: Sequence[str], delimiter: str | None, decimal: str | None) -> tuple[str, str]:
     """(separator, decimal sign) in which the sample reads best."""
     best: tuple[tuple[float, int, int, int], str, str] | None = None
+    stamped = [m["cut"] for line in sample if (m := _STAMP_FIRST.match(line))]
+    if delimiter is None and len(stamped) > 0.8 * len(sample) and len(set(stamped)) == 1:
+        delimiter = stamped[0]
     tabs = Counter(line.count("\t") for line in sample).most_common(1)[0]
     tabbed = tabs[0] > 0 and tabs[1] > 0.6 * len(sample)
     for rank, separator in enumerate([delimiter] if delimiter else SEPARATORS):

@@ -50,7 +50,7 @@ def tabulated(
     """
     grid = _upright(_trimmed(grid))
     grid, in_cells = _bare(grid, names)
-    numeric = _numeric(grid)
+    numeric = _numeric(grid, drop)
     start = _start(grid, numeric)
     head = start - 1
     if pivot is not None or (names is None and _is_pivot(grid, start)):
@@ -168,12 +168,12 @@ def _bare(grid: Grid, names: Sequence[str | None] | None) -> tuple[Grid, dict[in
     return replace(grid, rows=made, decimal=decimal or grid.decimal), units
 
 
-def _numeric(grid: Grid) -> list[bool]:
-    """Which columns hold numbers, by the rows below."""
+def _numeric(grid: Grid, drop: bool = False) -> list[bool]:
+    """Which columns hold numbers, by the rows below. drop : wider rows than usual are none."""
     lower = grid.rows[len(grid.rows) // 2 :][-LOOKED_AT:]
     width = Counter(map(len, lower)).most_common(1)[0][0]
     found = []
-    for i in range(max(width, max(map(len, lower)))):
+    for i in range(width if drop else max(width, max(map(len, lower)))):
         cells = [row[i] for row in lower if i < len(row) and not is_empty(row[i])]
         fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
         found.append(bool(cells) and fitting >= 0.6 * len(cells))
@@ -311,7 +311,7 @@ def _grouped(grid: Grid, head: int, names: list[str]) -> list[str]:
 
 def _is_head(grid: Grid, head: int, numeric: Sequence[bool]) -> bool:
     """Whether a row names most columns of numbers."""
-    row = grid.rows[head]
+    row = [_above(grid, head, i) if is_empty(c) else c for i, c in enumerate(grid.rows[head])]
     named = sum(n and i < len(row) and not is_empty(row[i]) for i, n in enumerate(numeric))
     numbers = sum(is_number(c, grid.decimal) for c in row)
     return named > 0.5 * sum(numeric) and numbers < len(row) / 2

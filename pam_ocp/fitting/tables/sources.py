@@ -424,7 +424,7 @@ def _json(content: bytes) -> Any:
 def _read_sheet(path: Path, how: Reading) -> RawTable:
     """Of a workbook; of one that only calls itself so, whatever it is."""
     start = path.read_bytes()[:4]
-    if start == b"PK\x03\x04":
+    if start in (b"PK\x03\x04", b""):
         return _of_sheets(read_sheets(path, how.sheet), path.name, how)
     if start[:2] == b"\xd0\xcf":
         return _read_calamine(path, how)

@@ -69,7 +69,8 @@ def seconds_of_stamps(cells: Sequence[Any], place: Any) -> tuple[Array, str]:
     there = [p for p in parsed if p is not None]
     month_first = _month_first(there)
     try:
-        t = np.array([np.nan if p is None else _seconds(p, month_first) for p in parsed])
+        since = int(_seconds(there[0], month_first) // DAY) if there and there[0][0] else 0
+        t = np.array([np.nan if p is None else _seconds(p, month_first, since) for p in parsed])
     except (ValueError, OverflowError) as error:
         raise InputError(f"{place(0)}: the dates cannot be read ({error})") from None
     if all(p[0] is None for p in there):
@@ -149,12 +150,13 @@ def _month_first(stamps: Sequence[_Stamp]) -> bool | None:
     return len({d[1] for d in dates}) < len({d[2] for d in dates})
 
 
-def _seconds(stamp: _Stamp, month_first: bool | None) -> float:
+def _seconds(stamp: _Stamp, month_first: bool | None, since: int = 0) -> float:
+    """Seconds since the beginning of a day, by its number: of days long ago they lose digits."""
     if stamp[0] is None:
         return stamp[1]
     year, a, b, sign = stamp[0]
     month, day = (a, b) if sign == "y" or month_first else (b, a)
-    return date(year, month, day).toordinal() * DAY + stamp[1]
+    return (date(year, month, day).toordinal() - since) * DAY + stamp[1]
 
 
 def seconds_of_numbers(
