@@ -17,7 +17,7 @@ from .pivot import with_unit
 from .raw import RawTable
 from .topics import clocked, merged
 
-__all__ = ["periods", "side_by_side"]
+__all__ = ["periods", "side_by_side", "stacked"]
 
 _NUMBERED = re.compile(
     r"(?P<label>run|rep|repeat|cycle|trial|lauf|zyklus|versuch|essai|ciclo)[\s_#.:=-]*(?P<number>\d+)$",
@@ -94,6 +94,34 @@ def side_by_side(
         dialect=(*first.dialect, said),
         notes=tuple(note for t in tables for note in t.notes),
     )
+
+
+def stacked(grid: Grid, head: int, start: int) -> Grid:
+    """The grid with a further column where blocks stand below each other, each with a title that
+    holds a value (``contraction 5 %``, ``Run 2``) and the same names; else as it is.
+    """
+    names, units = grid.rows[head], list(grid.rows[head + 1 : start])
+    first = _key(_title(grid, range(len(names)), head))
+    places = [i for i in range(start, len(grid.rows)) if grid.rows[i] == names]
+    keys = {}
+    for i in places:
+        filled = [str(c) for c in grid.rows[i - 1] if not is_empty(c)]
+        keys[i] = _key(filled[0]) if len(filled) == 1 else None
+    if first is None or not keys or any(k is None or k[0] != first[0] for k in keys.values()):
+        return grid
+    rows: list[Sequence[Any]] = [*grid.rows[:head], [*names, first[0]]]
+    lines, value = list(grid.lines[: head + 1]), first[1]
+    for i in range(head + 1, len(grid.rows)):
+        row = grid.rows[i]
+        key = keys.get(i)
+        if key is not None:
+            value = key[1]
+        if i in keys or i + 1 in keys or (i >= start and list(row) in units):
+            continue
+        rows.append([*row, value if i >= start else None])
+        lines.append(grid.lines[i])
+    said = f"{1 + len(keys)} blocks below each other, {first[0]!r} from the titles above them"
+    return replace(grid, rows=rows, lines=lines, dialect=(*grid.dialect, said))
 
 
 def _cut(grid: Grid, part: Sequence[int], head: int) -> Grid:

@@ -13,7 +13,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
-from .blocks import periods, side_by_side
+from .blocks import periods, side_by_side, stacked
 from .cell_units import parted, without_units
 from .cells import is_empty, is_number, is_stamp
 from .dialect import Grid, Unsaid
@@ -60,6 +60,9 @@ def tabulated(
         stated, head = grid.rows[head], head - 1
     elif head >= 1 and _is_units(grid, head - 1) and _is_head(grid, head, numeric):
         stated = grid.rows[head - 1]  # above the names
+    if names is None and 0 <= head < start:
+        grid = stacked(grid, head, start)
+        numeric = _numeric(grid, drop)
     width = len(numeric)
     found = _names(grid, head, numeric, names, stated)
     require_size(grid.label, len(grid.rows), width)
@@ -367,7 +370,7 @@ def _body(
         elif len(row) < width and i == last >= CUT_OFF:
             notes.append(f"line {lines[i]}, the last, is cut off and left out")
         else:
-            raise InputError(
+            raise Unsaid(
                 f"{grid.label}: line {lines[i]} has {len(row)} cells where the header has "
                 f"{width}; mend the line, leave such lines out with bad_lines='drop', or say what "
                 "stands between cells (delimiter=';')"

@@ -44,8 +44,14 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
     heads: dict[str, str] = {n: str(find_clock(raw)[1]) for n, raw in raws.items()}
     times, doubts = _on_one_scale(raws, heads, label)
     main = max(times, key=lambda n: times[n].size)
-    start, end = max(t.min() for t in times.values()), min(t.max() for t in times.values())
-    longest = max(float(np.ptp(t)) for t in times.values())
+    orders = {
+        n
+        for n, raw in raws.items()
+        if n != main and all(map(_is_command, {*raw.columns} - {heads[n]}))
+    }
+    measured = [t for n, t in times.items() if n not in orders]  # the last order holds on
+    start, end = max(t.min() for t in times.values()), min(t.max() for t in measured)
+    longest = max(float(np.ptp(t)) for t in measured)
     if end - start < OVERLAP * longest:
         spans = ", ".join(f"{n!r} {t.min():g} .. {t.max():g} s" for n, t in list(times.items())[:6])
         raise Unsaid(
