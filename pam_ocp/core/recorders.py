@@ -111,6 +111,7 @@ class _Topics:
         stamped = all(h for t, s in self.stamps.items() if sole[t] for _, h in s)
         if stamped:  # of their sensors, if all topics have them: two clocks may differ
             zero = min((h or 0 for t, s in self.stamps.items() if sole[t] for _, h in s), default=0)
+        tails = [_header(topic, "", 1) for topic, columns in sole.items() if columns]
         for topic, columns in sole.items():
             if not columns or len(self.stamps[topic]) < 2:
                 continue
@@ -120,7 +121,7 @@ class _Topics:
             part: dict[str, Any] = {"time [s]": [times[i] * 1e-9 for i in order]}
             for name, column in columns.items():
                 column += [None] * (count - len(column))
-                header = _header(topic, name, len(columns))
+                header = _header(topic, name, len(columns), tails.count(_header(topic, "", 1)) > 1)
                 part[header] = [column[i] for i in order]
             found[topic] = part
         if not found:
@@ -137,9 +138,13 @@ def _of_numbers(columns: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
     }
 
 
-def _header(topic: str, name: str, width: int) -> str:
-    """``pressure`` of the only number of /rig/pressure; ``state.position.0`` of several."""
+def _header(topic: str, name: str, width: int, whole: bool = False) -> str:
+    """``pressure`` of the only number of /rig/pressure; ``state.position.0`` of several.
+
+    whole : with the whole path, ``left.pressure``, where topics end alike.
+    """
     tail = topic.strip("/").rpartition("/")[2] or "topic"
+    tail = topic.strip("/").replace("/", ".") if whole else tail
     return tail if width == 1 else f"{tail}.{name}"
 
 

@@ -81,7 +81,7 @@ def test_stray_and_cut_lines_are_dropped_on_request_counted_and_said(tmp_path: P
 def test_more_bad_lines_than_rows_are_no_table(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t [s],p [bar]\n" + "0.1,2\n0.2,3\nfoo\nbar\nbaz\n" * 20 + "0.3,1\n0.4,1\n" * 5)
-    with pytest.raises(InputError, match="at most 50 %|needs a header and at least one row"):
+    with pytest.raises(InputError, match=r"at most 50 %|needs a header and at least one row"):
         pam.read_record(path, bad_lines="drop")
 
 
@@ -206,6 +206,37 @@ def test_topics_come_on_the_finest_clock_and_commands_are_held() -> None:
     assert record.t == pytest.approx(inside)
     assert record["x"] == pytest.approx(0.01 * inside)
     assert record["command"] == pytest.approx(1e5 * np.floor(inside + 1e-9), abs=1e-6)
+
+
+def test_clocks_without_a_unit_are_doubted_after_merging_too(tmp_path: Path) -> None:
+    tree = {
+        "a": {"time": (1e3 * T).tolist(), "p [bar]": BAR.tolist()},
+        "b": {"time": (1e3 * T).tolist(), "x [mm]": BAR.tolist()},
+    }
+    (tmp_path / "t.json").write_text(json.dumps(tree))
+    with pytest.warns(pam.UnitWarning, match=r"units=\{'time': 'ms'\}"):
+        pam.read_record(tmp_path / "t.json")
+    record, _ = quietly(pam.read_record, tmp_path / "t.json", units={"time": "ms"})
+    assert record.t == pytest.approx(T)
+
+
+def test_topics_that_end_alike_keep_their_paths(tmp_path: Path) -> None:
+    writer_of = pytest.importorskip("mcap.writer").Writer
+    path = tmp_path / "two.mcap"
+    with path.open("wb") as stream:
+        writer = writer_of(stream)
+        writer.start()
+        schema = writer.register_schema("P", "jsonschema", b"{}")
+        for side, gain in (("left", 1.0), ("right", 2.0)):
+            channel = writer.register_channel(f"/{side}/pressure", "json", schema)
+            for t, p in zip(T, BAR, strict=True):
+                data = json.dumps({"data": gain * 1e5 * p}).encode()
+                now = round(1e9 * t) + 10**18
+                writer.add_message(channel, log_time=now, publish_time=now, data=data)
+        writer.finish()
+    record, _ = quietly(pam.read_record, path)
+    assert record["right_pressure"] == pytest.approx(2 * record["left_pressure"])
+    assert record["left_pressure"] == pytest.approx(BAR * 1e5)
 
 
 def test_nothing_is_interpolated_across_a_gap(tmp_path: Path) -> None:

@@ -162,13 +162,16 @@ def _pairs(lines: Sequence[tuple[int, str]]) -> tuple[list[Sequence[Any]], list[
     for i, line in lines:
         stamp = _STAMPED.match(line)
         rest = line[stamp.end() :] if stamp else line
-        row = {m["key"]: m["value"].strip() for m in _PAIR.finditer(rest)}
+        said = [(m["key"], m["value"].strip()) for m in _PAIR.finditer(rest)]
+        row = dict(said) if len({k for k, _ in said}) == len(said) else {}
         if stamp and len(row) > 1:
             row = {"time": stamp["time"], **row}
         rubbish = _PAIR.sub("", rest).strip(" \t,;|{}()")
         row = row if len(row) >= 2 and not any(c in rubbish for c in "=:") else {}
         keys |= dict.fromkeys(row)
         found.append((i, line, row))
+    if not keys:
+        return None
     head = list(keys)
     rows: list[Sequence[Any]] = [*([line.strip()] for _, line in before), head]
     for _, line, row in found:

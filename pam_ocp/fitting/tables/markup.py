@@ -48,6 +48,7 @@ class _Tables(HTMLParser):
         self.spanned: dict[int, int] = {}
         self.span, self.sheet, self.left = (1, 1), "", MOST_SHEET_CELLS
         self.blind = 0
+        self.outer: list[Any] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         told = dict(attrs)
@@ -56,7 +57,8 @@ class _Tables(HTMLParser):
         elif tag in ("worksheet", "ss:worksheet"):
             self.sheet = told.get("ss:name") or ""
         elif tag in _TABLES:
-            self.rows, self.spanned = [], {}
+            self.outer.append((self.rows, self.row, self.cell, self.spanned))
+            self.rows, self.row, self.cell, self.spanned = [], None, None, {}
             self.found[self.sheet or f"table {len(self.found) + 1}"] = self.rows
         elif tag in _ROWS and self.rows is not None:
             self._end_row()
@@ -87,7 +89,8 @@ class _Tables(HTMLParser):
             self._end_row()
         elif tag in _TABLES:
             self._end_row()
-            self.rows = None
+            if self.outer:  # a table within a cell of another
+                self.rows, self.row, self.cell, self.spanned = self.outer.pop()
 
     def handle_data(self, data: str) -> None:
         if self.cell is not None and not self.blind:

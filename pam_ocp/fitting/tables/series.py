@@ -206,11 +206,12 @@ def _of_dspace(tree: Mapping[Any, Any]) -> dict[str, Any]:
     if not clocks or not signals or not all("Data" in one for one in (*clocks, *signals)):
         return {}
     tables: dict[int, dict[str, Any]] = {}
-    for signal in signals:
-        columns = _columns(signal["Data"], None)
-        index = signal.get("XIndex")
-        at = int(np.ravel(index)[0]) - 1 if index is not None and np.size(index) else 0
-        at = at if 0 <= at < len(clocks) else 0
+    places = [int(np.ravel(s["XIndex"])[0]) if np.size(s.get("XIndex", ())) else 1 for s in signals]
+    first = min(1, *places)  # some count from 0
+    if max(places) - first >= len(clocks):
+        return {}
+    for signal, place in zip(signals, places, strict=True):
+        columns, at = _columns(signal["Data"], None), place - first
         if not columns:
             continue
         table = tables.setdefault(at, {"time [s]": (_columns(clocks[at]["Data"], None) or [[]])[0]})

@@ -496,5 +496,7 @@ _READERS: dict[str, Callable[[Path, Reading], RawTable]] = {
     ".mcap": lambda path, how: _from_tree(read_mcap(path, flat), path.name, how),
 }
 """How files that are no tables of text are read, by their ending."""
-ENDINGS = frozenset({*_READERS, ".csv", ".tsv", ".txt", ".dat", ".asc", ".log", ".lvm", ".xls"})
+ENDINGS = frozenset(
+    {*_READERS, ".csv", ".tsv", ".txt", ".dat", ".asc", ".log", ".lvm", ".xls", ".htm", ".html"}
+)
 """Files of a folder that are taken for tables."""

@@ -42,7 +42,7 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
     """
     raws = {n: RawTable(f"{label}: {n}", t) for n, t in tables.items()}
     heads: dict[str, str] = {n: str(find_clock(raw)[1]) for n, raw in raws.items()}
-    times, doubts = _on_one_scale(raws, heads, label)
+    times, doubts, named = _on_one_scale(raws, heads, label)
     main = max(times, key=lambda n: times[n].size)
     orders = {
         n
@@ -60,7 +60,8 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
         )
     inside = np.nonzero((times[main] >= start) & (times[main] <= end))[0]
     clock = times[main][inside]
-    columns: dict[str, Sequence[Any]] = {"time [s]": (clock - clock[0]).tolist()}
+    header = "time [s]" if named else "time"  # that no unit is named stays to be doubted
+    columns: dict[str, Sequence[Any]] = {header: (clock - clock[0]).tolist()}
     held, left = [], []
     for name, raw in raws.items():
         for header in raw.columns:
@@ -88,8 +89,8 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
 
 def _on_one_scale(
     raws: Mapping[str, RawTable], heads: Mapping[str, str], label: str
-) -> tuple[dict[str, NDArray[np.float64]], tuple[Doubt, ...]]:
-    """(times [s] from one zero, what is doubted of them).
+) -> tuple[dict[str, NDArray[np.float64]], tuple[Doubt, ...], bool]:
+    """(times [s] from one zero, what is doubted of them, whether they say that they are seconds).
 
     Raises InputError where clocks are of several kinds, or go back.
     """
@@ -102,7 +103,7 @@ def _on_one_scale(
             f"; choose one table with pick={next(iter(raws))!r}"
         )
     whole = RawTable(label, {first: cells})
-    t, _, doubts = read_clock(whole, first, None)
+    t, kind, doubts = read_clock(whole, first, None)
     found, at = {}, 0
     for name, raw in raws.items():
         own = t[at : at + len(raw)]
@@ -113,7 +114,7 @@ def _on_one_scale(
                 f"put on one with others; choose one table with pick={name!r}"
             )
         found[name] = own
-    return found, doubts
+    return found, doubts, bool(kind) or units != {None}
 
 
 def _is_command(header: str) -> bool:
