@@ -83,19 +83,15 @@ def grid_of_text(
             lines.append((i, line))
     if not lines:
         raise InputError(f"{label} is empty: it needs a header and at least one row")
-    pairs = _pairs(lines) if delimiter is None else None
-    if pairs is not None:
-        rows_, places = pairs
-        require_size(label, len(rows_), len(rows_[0]))
-        texts = [c for row in rows_[1:200] for c in row if c]
-        sign = decimal or decimal_of([(parted(c) or (c, ""))[0] for c in texts])
-        return Grid(label, rows_, places, sign, dialect=("lines of key = value",), text=True)
     longest, length = max(((i, len(line)) for i, line in lines), key=lambda found: found[1])
     if length > MOST_LINE:
         raise InputError(
             f"{label}: line {longest} has {length} characters, at most {MOST_LINE} are read; "
             "save the table as CSV, a line for each row"
         )
+    pairs = _pairs(lines) if delimiter is None else None
+    if pairs is not None:
+        return _of_pairs(*pairs, label, decimal)
     sample = [line for _, line in lines[:1000]][-SAMPLE:]
     if delimiter is None and suffix == ".tsv" and any("\t" in line for line in sample):
         delimiter = "\t"
@@ -123,6 +119,15 @@ def grid_of_text(
         notes = (f"line {places[-1]}, the last, is cut off and left out",)
         rows, places = rows[:-1], places[:-1]
     return Grid(label, rows, places, sign, words, tuple(said), True, notes)
+
+
+def _of_pairs(
+    rows: list[Sequence[Any]], places: list[int], label: str, decimal: str | None
+) -> Grid:
+    require_size(label, len(rows), max(map(len, rows)))
+    texts = [c for row in rows[1:200] for c in row if c]
+    sign = decimal or decimal_of([(parted(c) or (c, ""))[0] for c in texts])
+    return Grid(label, rows, places, sign, dialect=("lines of key = value",), text=True)
 
 
 def _is_cut(rows: Sequence[Sequence[str]], sign: str) -> bool:

@@ -76,12 +76,7 @@ def tabulated(
     kept = [i for i, name in enumerate(found) if name]
     labels = [found[i] for i in kept]
     require_distinct(labels, grid.label)
-    units = {
-        found[i]: str(stated[i]).strip(" []()")
-        for i in kept
-        if i < len(stated) and not is_empty(stated[i]) and is_unit(str(stated[i]))
-    }
-    units |= {found[i]: text for i, text in in_cells.items() if found[i]}
+    units = {**_stated(found, stated), **{found[i]: u for i, u in in_cells.items() if found[i]}}
     named = (head if names is None and head >= 0 else start) if start else 0
     said = [*grid.dialect]
     said += [f"names in line {grid.lines[head]}"] if names is None and 0 <= head < start else []
@@ -97,6 +92,12 @@ def tabulated(
         dialect=tuple(said),
         notes=(*grid.notes, *notes),
     )
+
+
+def _stated(names: Sequence[str], stated: Sequence[Any]) -> dict[str, str]:
+    """{name: unit} of a row of units."""
+    pairs = ((n, str(c)) for n, c in zip(names, stated, strict=False) if n and not is_empty(c))
+    return {name: text.strip(" []()") for name, text in pairs if is_unit(text)}
 
 
 def has_table(grid: Grid) -> bool:
@@ -338,15 +339,8 @@ def _body(
     numeric : columns of numbers, where rows that do not fit are left out. Raises InputError where
     one does not.
     """
-    rows, lines, notes = list(grid.rows[start:]), list(grid.lines[start:]), []
+    rows, lines, notes = _without_heads(grid.rows[start:], grid.lines[start:], heads)
     width = len(names)
-    again = [i for i, row in enumerate(rows) if any(list(row) == list(h) for h in heads)]
-    if again:
-        notes.append(
-            f"names that come again left out ({len(again)} lines, first {lines[again[0]]})"
-        )
-        kept = [i for i in range(len(rows)) if i not in set(again)]
-        rows, lines = [rows[i] for i in kept], [lines[i] for i in kept]
     end = len(rows)
     while end > 1 and not any(is_number(c, grid.decimal) or is_stamp(c) for c in rows[end - 1]):
         end -= 1
@@ -384,6 +378,19 @@ def _body(
         shown = ", ".join(map(str, bad[:5])) + (", ..." if len(bad) > 5 else "")
         notes.append(f"{len(bad)} of {len(rows)} lines are no rows and left out (line {shown})")
     return made, where, tuple(notes)
+
+
+def _without_heads(
+    rows: list[Sequence[Any]], lines: list[int], heads: Sequence[Sequence[Any]]
+) -> tuple[list[Sequence[Any]], list[int], list[str]]:
+    """(rows, lines, notes) without names and units that come again."""
+    again = [i for i, row in enumerate(rows) if any(list(row) == list(h) for h in heads)]
+    if not again:
+        return rows, lines, []
+    note = f"names that come again left out ({len(again)} lines, first {lines[again[0]]})"
+    gone = set(again)
+    kept = [i for i in range(len(rows)) if i not in gone]
+    return [rows[i] for i in kept], [lines[i] for i in kept], [note]
 
 
 def _fits(grid: Grid, row: Sequence[Any], numeric: Sequence[bool]) -> bool:
