@@ -22,6 +22,7 @@ _MOVED: dict[str, str] = {
     "BoucWen": "losses",
     "BraidVolume": "gas",
     "CellDesign": "experiments",
+    "Comparison": "simulation",
     "ConsistentVolume": "gas",
     "ConstantDamping": "losses",
     "CorrectedLaw": "laws",

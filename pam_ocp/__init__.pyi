@@ -25,7 +25,6 @@ from .core.exceptions import PlanWarning as PlanWarning
 from .core.exceptions import SimulationError as SimulationError
 from .core.exceptions import UnknownNameError as UnknownNameError
 from .core.plausible import UnitWarning as UnitWarning
-from .core.trajectory import Comparison as Comparison
 from .core.trajectory import Trajectory as Trajectory
 from .core.variables import Variable as Variable
 from .export.c_code.package import export_c as export_c
@@ -41,6 +40,7 @@ from .fitting.static.ranking import compare_laws as compare_laws
 from .fitting.static.shared import fit_forces as fit_forces
 from .fitting.static.static import fit_branches as fit_branches
 from .fitting.static.static import fit_force as fit_force
+from .fitting.tables.folder import read_folder as read_folder
 from .fitting.tables.force_table import ForceTable as ForceTable
 from .fitting.tables.force_table import read_table as read_table
 from .fitting.tables.records import read_record as read_record

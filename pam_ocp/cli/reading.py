@@ -44,7 +44,27 @@ def add_reading(command: argparse.ArgumentParser) -> None:
         help="taken off absolute pressures (default: 1.01325 bar)",
     )
     command.add_argument("--sheet", metavar="NAME", help="of a workbook: its name or number")
-    command.add_argument("--pick", metavar="NAME", help="table within nested data, as run.data")
+    command.add_argument(
+        "--pick",
+        nargs="+",
+        metavar="NAME",
+        help="table within nested data, as run.data; several with clocks of their own come on one",
+    )
+    command.add_argument(
+        "--constants",
+        nargs="+",
+        metavar="NAME=VALUE",
+        help="what the file does not hold and is the same for all rows, as 'contraction=5 %%'",
+    )
+    command.add_argument(
+        "--pattern",
+        metavar="NAME",
+        help="form of the file's name, with headers in braces: '{muscle}_{contraction [%%]}.csv'",
+    )
+    command.add_argument(
+        "--bad-lines", choices=("refuse", "drop"), help="stray and cut lines (default: refuse)"
+    )
+    command.add_argument("--encoding", metavar="NAME", help="of a text, as cp1252")
     command.add_argument(
         "--skip", type=whole, metavar="N", help="lines at the beginning to leave out"
     )
@@ -92,9 +112,15 @@ def reading_options(options: argparse.Namespace) -> dict[str, Any]:
             found["columns"] = [None if text == "-" else text for text in options.columns]
     if options.units:
         found["units"] = pairs("--units", options.units)
-    for name in ("ambient_pressure", "pick", "skip", "delimiter", "decimal"):
+    plain = ("ambient_pressure", "skip", "delimiter", "decimal", "pattern", "bad_lines", "encoding")
+    for name in plain:
         if getattr(options, name) is not None:
             found[name] = getattr(options, name)
+    if options.pick:
+        found["pick"] = options.pick[0] if len(options.pick) == 1 else options.pick
+    if options.constants:
+        given = pairs("--constants", options.constants)
+        found["constants"] = {name: _number(value) for name, value in given.items()}
     if options.missing is not None:
         found["missing"] = [_number(text) for text in options.missing] or None
     if options.sheet is not None:

@@ -37,8 +37,15 @@ SPELLINGS = {
     "psi": "psi",
     "psig": "psi",
     "psia": "psi abs",
+    "torr": "torr",
+    "mmhg": "mmHg",
+    "inhg": "inHg",
+    "ata": "at abs",
+    "atü": "at",
     "n": "N",
     "kn": "kN",
+    "dan": "daN",
+    "kp": "kp",
     "newton": "N",
     "lbf": "lbf",
     "kgf": "kgf",
@@ -51,8 +58,21 @@ SPELLINGS = {
     "sec": "s",
     "seconds": "s",
     "sekunden": "s",
+    "second": "s",
     "ms": "ms",
+    "msec": "ms",
+    "milliseconds": "ms",
+    "us": "us",
+    "usec": "us",
+    "microseconds": "us",
+    "nsec": "ns",
+    "nanoseconds": "ns",
     "min": "min",
+    "minutes": "min",
+    "hours": "h",
+    "day": "d",
+    "days": "d",
+    "tage": "d",
     "rad": "rad",
     "deg": "deg",
     "°": "deg",
@@ -72,6 +92,9 @@ COUNTS = frozenset(
     {"1", "count", "counts", "cnt", "digit", "digits", "lsb", "inc", "bit", "bits", "raw", "adc"}
 )
 """Units of readings that measure nothing yet."""
+_RAISED = str.maketrans({"²": "2", "³": "3"})
+"""Powers as typesetters write them; ``^2`` is that of a calibration."""
+_AREA = re.compile(r"[^\W\d]+/[^\W\d]+\^\d(?: abs)?$")
 _ABSOLUTE = re.compile(
     r"(?P<rest>.*?)[\s_(,]*(?<![^\W_])(?:abs|absolute|absolut|absolu|a)\b\.?\)?\s*$", re.I
 )
@@ -112,7 +135,9 @@ class Scale:
 
 def spelled(text: str) -> str:
     """A unit as pam_ocp.core.units knows it, " abs" behind that of an absolute pressure."""
-    text = text.strip()
+    text = text.strip().translate(_RAISED)
+    if _AREA.match(text):  # kgf/cm^2
+        text = text.replace("^", "")
     known = SPELLINGS.get(text.lower())
     if known is not None:
         return known

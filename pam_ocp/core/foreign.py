@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "frame",
+    "library",
     "read_array",
     "read_arrays",
     "read_frame",
@@ -42,7 +43,7 @@ __all__ = [
 
 
 @contextmanager
-def _library(path: str | os.PathLike[str], kind: str, extra: str = "studies") -> Iterator[None]:
+def library(path: str | os.PathLike[str], kind: str, extra: str = "studies") -> Iterator[None]:
     """A block in which a library reads: its errors become one sentence, its warnings none."""
     with (
         reading(path, kind, "save it anew, or as CSV", foreign=True),
@@ -62,7 +63,7 @@ def _library(path: str | os.PathLike[str], kind: str, extra: str = "studies") ->
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The arrays of an .npz file by name. Raises InputError."""
     require_file(path)
-    with _library(path, "an .npz file"):
+    with library(path, "an .npz file"):
         require_unpacked(path, most_unpacked(os.path.getsize(path)))
         with np.load(path, allow_pickle=False) as archive:
             return dict(archive)
@@ -83,7 +84,7 @@ def frame(
 def read_frame(path: str | os.PathLike[str]) -> pd.DataFrame:
     """A Parquet file as a DataFrame. Raises InputError, also without pandas and pyarrow."""
     require_file(path)
-    with _library(path, "a Parquet file"):
+    with library(path, "a Parquet file"):
         import pandas as pd
         from pyarrow import parquet
 
@@ -104,7 +105,7 @@ def read_sheets(
     of its own size is not believed. Raises InputError, also without openpyxl, and UnknownNameError.
     """
     require_file(path)
-    with _library(path, "an .xlsx file", "excel"):
+    with library(path, "an .xlsx file", "excel"):
         from openpyxl import load_workbook
 
         require_unpacked(path, MOST_SHEET_BYTES)
@@ -149,7 +150,7 @@ def _rows(path: str | os.PathLike[str], sheet: Any, budget: int) -> list[Sequenc
 def read_array(path: str | os.PathLike[str]) -> Any:
     """The array of an .npy file. Raises InputError."""
     require_file(path)
-    with _library(path, "an .npy file"):
+    with library(path, "an .npy file"):
         return np.load(path, allow_pickle=False, mmap_mode=None)
 
 
@@ -160,10 +161,28 @@ def read_mat(path: str | os.PathLike[str], content: bytes | None = None) -> dict
     Raises InputError, also without h5py.
     """
     content = content_of(path) if content is None else content
+    if content[:6] != b"MATLAB" and content[:4] != b"\x89HDF":
+        return _read_level_4(path, content)
     if content[:10] == b"MATLAB 7.3" or content[:4] == b"\x89HDF":
         return read_hdf5(path, content)
     with reading(path, "a .mat file", "save it anew, or as CSV"):
         return matrices_of(content, most_unpacked(len(content)))
+
+
+def _read_level_4(path: str | os.PathLike[str], content: bytes) -> dict[str, Any]:
+    """A MAT file of level 4 (MATLAB's -v4), by SciPy: plain arrays, whose sizes it checks."""
+    with library(path, "a .mat file"):
+        from scipy.io import loadmat
+        from scipy.io.matlab import matfile_version
+
+        if matfile_version(io.BytesIO(content), appendmat=False)[0] != 0:
+            raise InputError("it is no MAT file; save it with -v7, or as CSV")
+        found = loadmat(io.BytesIO(content), appendmat=False, chars_as_strings=True)
+    arrays = {n: v for n, v in found.items() if isinstance(v, np.ndarray)}
+    wild = [n for n, v in arrays.items() if v.dtype.kind == "c"]
+    if wild:
+        raise InputError(f"variable {wild[0]!r} is complex; save its parts as real numbers")
+    return arrays
 
 
 def read_hdf5(path: str | os.PathLike[str], content: bytes | None = None) -> dict[str, Any]:
@@ -171,7 +190,7 @@ def read_hdf5(path: str | os.PathLike[str], content: bytes | None = None) -> dic
     h5py.
     """
     require_file(path)
-    with _library(path, "an HDF5 file (MATLAB -v7.3)", "hdf5"):
+    with library(path, "an HDF5 file (MATLAB -v7.3)", "hdf5"):
         import h5py
 
         from .hdf5 import tree_of

@@ -163,6 +163,8 @@ def _matrix(content: memoryview, order: str, budget: _Budget, level: int = 0) ->
     matrix = numbers.reshape(shape, order="F")
     if kind != _CHARACTERS:
         return name, matrix
+    if not matrix.size:
+        return name, np.array([""])
     return name, np.array(["".join(map(chr, row)).rstrip() for row in matrix.reshape(shape[0], -1)])
 
 

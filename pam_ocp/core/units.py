@@ -64,10 +64,12 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "deg": (_exponents(rad=1), 0.017453292519943295),
     "N": (_exponents(kg=1, m=1, s=-2), 1.0),
     "kN": (_exponents(kg=1, m=1, s=-2), 1e3),
+    "daN": (_exponents(kg=1, m=1, s=-2), 10.0),
     "lbf": (_exponents(kg=1, m=1, s=-2), 4.4482216152605),
     "mN": (_exponents(kg=1, m=1, s=-2), 1e-3),
     "gf": (_exponents(kg=1, m=1, s=-2), 9.80665e-3),
     "kgf": (_exponents(kg=1, m=1, s=-2), 9.80665),
+    "kp": (_exponents(kg=1, m=1, s=-2), 9.80665),
     "J": (_exponents(kg=1, m=2, s=-2), 1.0),
     "W": (_exponents(kg=1, m=2, s=-3), 1.0),
     "V": (_exponents(kg=1, m=2, s=-3, A=-1), 1.0),
@@ -82,6 +84,10 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "MPa": (_exponents(kg=1, m=-1, s=-2), 1e6),
     "psi": (_exponents(kg=1, m=-1, s=-2), 6894.757293168),
     "atm": (_exponents(kg=1, m=-1, s=-2), 101325.0),
+    "at": (_exponents(kg=1, m=-1, s=-2), 98066.5),
+    "torr": (_exponents(kg=1, m=-1, s=-2), 101325.0 / 760.0),
+    "mmHg": (_exponents(kg=1, m=-1, s=-2), 133.322387415),
+    "inHg": (_exponents(kg=1, m=-1, s=-2), 25.4 * 133.322387415),
 }
 
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}

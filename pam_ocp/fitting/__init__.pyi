@@ -42,6 +42,8 @@ from .statistics import Coefficient as Coefficient
 from .statistics import Prediction as Prediction
 from .statistics import SolverStatistics as SolverStatistics
 from .tables.floor import Floor as Floor
+from .tables.folder import FolderRead as FolderRead
+from .tables.folder import read_folder as read_folder
 from .tables.force_table import ForceTable as ForceTable
 from .tables.force_table import read_table as read_table
 from .tables.preview import Preview as Preview

@@ -1,4 +1,5 @@
 # Names of pam_ocp.simulation, loaded at their first use.
+from ..core.trajectory import Comparison as Comparison
 from .compare import RecordComparison as RecordComparison
 from .compare import compare_with_record as compare_with_record
 from .instruments import Instrument as Instrument

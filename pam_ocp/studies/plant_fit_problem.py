@@ -18,6 +18,7 @@ __all__ = ["FITTING", "READING", "bounds_of", "fit_arguments", "listed", "record
 READING = (
     *("columns", "units", "time", "interpolation", "max_gap", "split", "clock", "sample_time"),
     *("ambient_pressure", "sheet", "skip", "pick", "delimiter", "decimal", "empty"),
+    *("encoding", "bad_lines", "constants", "pattern"),
 )
 FITTING = (
     "outputs",

@@ -116,9 +116,12 @@ def require_columns(raw: RawTable, found: Mapping[str, Any]) -> None:
     shown = repr(near[0]) if near else "..."
     moved = bool(near) and parse_header(near[0])[0] in _DISPLACEMENTS
     less = ", units={'length': '300 mm - x'} (the rest length less what it moved)" if moved else ""
+    same = " or constants={'contraction': '5 %'} where it is the same in all rows (from "
+    same += "the file's name: pattern='..._{contraction [%]}pct.csv')"
+    constant = same if quantity == "length" and not near else ""
     raise InputError(
         f"{raw.label} has no column for the {words} among {', '.join(map(repr, raw.columns))}: "
-        f"{hint}Name it {example!r} or give columns={{{quantity!r}: {shown}}}{less}"
+        f"{hint}Name it {example!r} or give columns={{{quantity!r}: {shown}}}{less}{constant}"
     )
 
 

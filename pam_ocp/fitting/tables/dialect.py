@@ -18,13 +18,22 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import MOST_LINE, require_size
 from .cell_units import parted
-from .cells import is_empty, is_number, is_stamp
+from .cells import decimal_of, is_empty, is_number, is_stamp
 
 __all__ = ["Grid", "Unsaid", "grid_of_text"]
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
+_OF_UNITS = re.compile(r"\s*%\s*[;,|\t]")
+"""A row of units that begins with per cent."""
 COMMENTS = ("#", "%", "//", "!")
+_STAMP_FIRST = re.compile(
+    r"\"?\d{1,4}[-/.]\d\d?[-/.]\d{1,4}[T ]\d\d?:\d\d(?::\d\d(?:[.,]\d{1,9})?)?"
+    r"(?: ?[AP]M)?(?: ?[+-]\d\d(?::?\d\d)?| ?[A-Z]{3,4}|Z)?\"?\s*(?P<cut>[,;\t|])"
+)
+"""A date and time of day at the beginning of a line, and what stands behind it."""
+CUT_AFTER = 12
+"""Rows of one number of digits from which on fewer in the last are those of a cut line."""
 SAMPLE = 120
 """Lines that are looked at, from the lower part of the first thousand."""
 
@@ -48,6 +57,7 @@ class Grid:
     comments: list[Sequence[str]] = field(default_factory=list)
     dialect: tuple[str, ...] = ()
     text: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def grid_of_text(
@@ -67,7 +77,7 @@ def grid_of_text(
     for i, line in enumerate(text.splitlines(), start=1):
         if i <= skip or not line.strip(" \t\r\n,;|"):
             continue
-        if line.lstrip().startswith(COMMENTS):
+        if line.lstrip().startswith(COMMENTS) and not _OF_UNITS.match(line):
             comments.append(line.strip().lstrip("#%/! "))
         else:
             lines.append((i, line))
@@ -79,6 +89,9 @@ def grid_of_text(
             f"{label}: line {longest} has {length} characters, at most {MOST_LINE} are read; "
             "save the table as CSV, a line for each row"
         )
+    pairs = _pairs(lines) if delimiter is None else None
+    if pairs is not None:
+        return _of_pairs(*pairs, label, decimal)
     sample = [line for _, line in lines[:1000]][-SAMPLE:]
     if delimiter is None and suffix == ".tsv" and any("\t" in line for line in sample):
         delimiter = "\t"
@@ -100,7 +113,75 @@ def grid_of_text(
     said += ["decimal comma"] if sign == "," else []
     said += [f"{len(comments)} comment lines"] if comments else []
     said += [f"{skip} lines skipped"] if skip else []
-    return Grid(label, rows, [i for i, _ in lines], sign, words, tuple(said), text=True)
+    places = [i for i, _ in lines]
+    notes: tuple[str, ...] = ()
+    if not text.endswith(("\n", "\r")) and _is_cut(rows, sign):
+        notes = (f"line {places[-1]}, the last, is cut off and left out",)
+        rows, places = rows[:-1], places[:-1]
+    return Grid(label, rows, places, sign, words, tuple(said), True, notes)
+
+
+def _of_pairs(
+    rows: list[Sequence[Any]], places: list[int], label: str, decimal: str | None
+) -> Grid:
+    require_size(label, len(rows), max(map(len, rows)))
+    texts = [c for row in rows[1:200] for c in row if c]
+    sign = decimal or decimal_of([(parted(c) or (c, ""))[0] for c in texts])
+    return Grid(label, rows, places, sign, dialect=("lines of key = value",), text=True)
+
+
+def _is_cut(rows: Sequence[Sequence[str]], sign: str) -> bool:
+    """Whether the last cell of a text without a last line end has fewer digits than all above."""
+    last = [row[-1] for row in rows[-CUT_AFTER:] if len(row) == len(rows[-1])]
+    digits = [len(c.partition(sign)[2]) for c in last if is_number(c, sign)]
+    return (
+        len(digits) == len(last) == CUT_AFTER
+        and len(set(digits[:-1])) == 1
+        and digits[-1] < digits[0]
+    )
+
+
+_VALUE = (
+    r"(?:\d{4}-\d\d-\d\d[T ]?[\d:.]*|\d{1,2}:\d\d:\d\d[\d.]*"
+    r"|[+-]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])|[^\s,;|=:]+)"
+    r"(?:\s*(?:[^\W\d_][^\s,;|=:]*|%|°)(?=[\s,;|]|$)(?!\s*[=:]))?"
+)
+_PAIR = re.compile(rf"(?P<key>[^\W\d][\w.\[\]/%()°-]*)\s*[=:]\s*(?P<value>{_VALUE})")
+_STAMPED = re.compile(r"\[?(?P<time>(?:\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d:\d\d[\d.,]*Z?)\]?\s")
+MOSTLY = 0.7
+"""Share of lines that must be key = value for a text to be of such."""
+
+
+def _pairs(lines: Sequence[tuple[int, str]]) -> tuple[list[Sequence[Any]], list[int]] | None:
+    """Rows of a text of ``t=0.01 p=1.2 bar F=200`` below their keys; None where it is none.
+
+    Lines that are none become rows of one cell.
+    """
+    sample = [line for _, line in lines[:SAMPLE]]
+    if sum(len(_PAIR.findall(line)) >= 2 for line in sample) < MOSTLY * len(sample):
+        return None
+    first = next(i for i, (_, line) in enumerate(lines) if len(_PAIR.findall(line)) >= 2)
+    before, lines = lines[:first], lines[first:]
+    keys: dict[str, None] = {}
+    found: list[tuple[int, str, dict[str, str]]] = []
+    for i, line in lines:
+        stamp = _STAMPED.match(line)
+        rest = line[stamp.end() :] if stamp else line
+        said = [(m["key"], m["value"].strip()) for m in _PAIR.finditer(rest)]
+        row = dict(said) if len({k for k, _ in said}) == len(said) else {}
+        if stamp and len(row) > 1:
+            row = {"time": stamp["time"], **row}
+        rubbish = _PAIR.sub("", rest).strip(" \t,;|{}()")
+        row = row if len(row) >= 2 and not any(c in rubbish for c in "=:") else {}
+        keys |= dict.fromkeys(row)
+        found.append((i, line, row))
+    if not keys:
+        return None
+    head = list(keys)
+    rows: list[Sequence[Any]] = [*([line.strip()] for _, line in before), head]
+    for _, line, row in found:
+        rows.append([row.get(k, "") for k in head] if row else [line.strip()])
+    return rows, [*(i for i, _ in before), lines[0][0], *(i for i, _, _ in found)]
 
 
 def _cut(lines: Sequence[str], separator: str) -> list[Sequence[str]]:
@@ -122,7 +203,14 @@ def _head(line: str, cells: Sequence[str], width: int) -> Sequence[str]:
 def _sniffed(sample: Sequence[str], delimiter: str | None, decimal: str | None) -> tuple[str, str]:
     """(separator, decimal sign) in which the sample reads best."""
     best: tuple[tuple[float, int, int, int], str, str] | None = None
+    stamped = [m["cut"] for line in sample if (m := _STAMP_FIRST.match(line))]
+    if delimiter is None and len(stamped) > 0.8 * len(sample) and len(set(stamped)) == 1:
+        delimiter = stamped[0]
+    tabs = Counter(line.count("\t") for line in sample).most_common(1)[0]
+    tabbed = tabs[0] > 0 and tabs[1] > 0.6 * len(sample)
     for rank, separator in enumerate([delimiter] if delimiter else SEPARATORS):
+        if separator == " " and tabbed and not delimiter:
+            continue  # blanks stand within cells: 12.03.2024 14:05
         try:
             rows = _cut(sample, separator)
         except csv.Error:

@@ -52,6 +52,7 @@ __all__ = [
     "ForceTable",
     "TableWords",
     "joined_floor",
+    "joined_tables",
     "read_table",
     "require_table",
     "table_columns",
@@ -285,10 +286,14 @@ def read_table(
     ambient_pressure: float = AMBIENT,
     sheet: str | int | None = None,
     skip: int = 0,
-    pick: str | None = None,
+    pick: str | Sequence[str] | None = None,
     pivot: Sequence[str] | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
+    encoding: str | None = None,
+    bad_lines: Literal["refuse", "drop"] = "refuse",
+    constants: Mapping[str, Any] | None = None,
+    pattern: str | None = None,
     empty: Literal["drop", "refuse"] = "drop",
     missing: Any = "found",
     ramp: bool | None = None,
@@ -298,11 +303,12 @@ def read_table(
 
     Parameters
     ----------
-    source : path of a text (CSV, TSV, columns between blanks; also packed as .gz), of an XLSX, NPY,
-        NPZ, MAT, HDF5, JSON or Parquet file, a pandas DataFrame, or a mapping from column names to
-        arrays. The name of a bundled table, such as ``"DMSP-20-300_static.csv"``, works where no
-        such file exists. A list of these, a folder or a pattern (``"rig/*.csv"``) makes one table;
-        ``file`` then says where each cell comes from.
+    source : path of a text (CSV, TSV, LVM, columns between blanks, ``key=value`` lines; also packed
+        as .gz), of an XLSX, XLS, ODS, NPY, NPZ, MAT, HDF5, JSON, Parquet, TDMS, MCAP or BAG file, a
+        pandas DataFrame, or a mapping from column names to arrays. The name of a bundled table,
+        such as ``"DMSP-20-300_static.csv"``, works where no such file exists. A list of these, a
+        folder or a pattern (``"rig/*.csv"``) makes one table; ``file`` then says where each cell
+        comes from.
     rest_length : l0 [m]; needed when the table holds lengths instead of contractions.
     columns : which column holds a quantity, ``{"pressure": "P1"}``, where its name does not say
         it. Quantities: pressure, force, and length or contraction; labels: branch (inflation or
@@ -313,8 +319,14 @@ def read_table(
         N, m, contraction as a fraction.
     ambient_pressure : [Pa], taken off absolute pressures.
     sheet : of a workbook, its name, or its number from 1. skip : lines at the beginning to leave
-        out. pick : which table of nested data. delimiter, decimal : of a text, where they are taken
-        wrongly.
+        out. pick : which table of nested data, or which block of several side by side; a list puts
+        tables with clocks of their own on one. delimiter, decimal, encoding : of a text, where they
+        are taken wrongly.
+    bad_lines : "drop": stray and cut lines are left out, counted and said in a ReadingWarning.
+    constants : what the file does not hold and is the same for all its rows:
+        ``{"contraction": "5 %", "branch": "inflation", "run": 2}``.
+    pattern : the same from the file's name, with headers in braces:
+        ``"M1_{contraction [%]}pct_run{run}.csv"``.
     pivot : headers of what runs down, across, and stands in the cells, where a pivot does not say
         it: ``("contraction [%]", "pressure [bar]", "force [N]")``.
     empty : rows with empty cells are dropped, counted and said in a ReadingWarning, or refused.
@@ -358,6 +370,10 @@ def read_table(
         pivot=pivot,
         delimiter=delimiter,
         decimal=decimal,
+        encoding=encoding,
+        bad_lines=bad_lines,
+        constants=constants,
+        pattern=pattern,
     )
     if is_source(source):
         with naming(source):
@@ -369,7 +385,7 @@ def read_table(
         with naming(one):
             tables.append(table_of(load(one, how), words))
         say(tables[-1].source, tables[-1].notes)
-    whole = _joined(tables)
+    whole = joined_tables(tables)
     if whole.floor_found and not any(t.floor_found for t in tables):
         say(whole.source, _floor_notes(whole))
     return whole
@@ -536,8 +552,10 @@ def _binned(
     )
 
 
-def _joined(tables: Sequence[ForceTable]) -> ForceTable:
-    """Several tables behind each other."""
+def joined_tables(tables: Sequence[ForceTable]) -> ForceTable:
+    """Several tables behind each other; one stays as it is."""
+    if len(tables) == 1:
+        return tables[0]
 
     def labels(name: str) -> tuple[str, ...]:
         there = [getattr(t, name) or ("",) * len(t) for t in tables]

@@ -65,7 +65,7 @@ PLACES: dict[str, frozenset[str]] = {
 TIME_NAMES = words_of(
     """time, t, zeit, timestamp, time stamp, date, datetime, date time, elapsed, elapsed time,
     datum, uhrzeit, zeitstempel, datum uhrzeit, messzeit, temps, tiempo, tempo, tijd, tid, czas,
-    время, 时间, 時間, x value, seconds, sec"""
+    время, 时间, 時間, x value, seconds, sec, tout, stamp, clock, header stamp"""
 )
 MEASURED = words_of(
     """measured, meas, actual, act, ist, istwert, sensor, mess, gemessen, mesuré, mesurée, mesure,
@@ -80,16 +80,21 @@ _BRACKETED = re.compile(
 _ABSOLUTE = re.compile(r"(?P<rest>.*[\])]|.*_[^\W_]+)[\s_]*\(?(?:abs|absolute|absolut)\)?$", re.I)
 """Behind the unit: ``p [bar] (abs)``, ``p_bar_abs``."""
 _SAYING_ABSOLUTE = words_of("abs, abs., absolute, absolut, absolue, absoluta, assoluta")
+_TOPIC = re.compile(r"/(?:data|value)$")
 _COMMA = re.compile(r"(?P<name>.+?)\s*,\s*(?P<unit>[^,]+)$")
 _SUFFIXED = re.compile(r"(?P<name>.+?)(?:[_\s]+in)?[_\s]+(?P<unit>[^_\s]+)$")
 
 
 def parse_header(header: str) -> tuple[str, str | None]:
     """(name, unit or None) of a header; the unit as core.calibration spells it where known."""
+    if header.startswith("/"):  # a topic: /rig/pressure/data
+        return plain(_TOPIC.sub("", header.strip("/ ")).replace("/", ".")), None
     text = _ABSOLUTE.sub(r"abs \g<rest>", header.strip())
     match = _BRACKETED.match(text)
     if match:
         name, said = match["name"] or match["left"], match["unit"] or match["right"] or ""
+        if said.strip().isdigit() and said.strip() != "1" and match["name"]:
+            return _absolute(plain(header), None)  # an index, as in position[0]
         return _absolute(plain(name), spelled(said.strip()) or None)
     match = _COMMA.match(text)
     if match and match["unit"].strip().lower() in SPELLINGS:

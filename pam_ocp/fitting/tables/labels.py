@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from .headers import words_of
 from .raw import RawTable
 
-__all__ = ["LABELS", "read_labels"]
+__all__ = ["LABELS", "branch_of", "read_labels"]
 
 LABELS: dict[str, frozenset[str]] = {
     "branch": words_of(
@@ -95,6 +95,12 @@ def read_labels(raw: RawTable, columns: Mapping[str, str]) -> dict[str, tuple[st
             texts = [_text(cell) for cell in raw.columns[header]]
             found[label] = tuple(_branches(texts) if label == "branch" else texts)
     return found
+
+
+def branch_of(text: str) -> str | None:
+    """ "inflation" or "deflation" where a word says so; signs alone do not."""
+    word = text.strip().lower()
+    return _BRANCHES.get(word) if word.isalpha() else None
 
 
 def _text(cell: object) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
+from .blocks import periods, side_by_side, stacked
 from .cell_units import parted, without_units
 from .cells import is_empty, is_number, is_stamp
 from .dialect import Grid, Unsaid
@@ -24,43 +25,58 @@ __all__ = ["has_table", "require_distinct", "tabulated"]
 
 LOOKED_AT = 400
 """Rows at the end of a grid whose cells say what its columns hold."""
+MOST_TURNED = 50
+"""Rows of a grid whose names may run down."""
+MOST_BAD = 0.5
+"""Share of lines that ``bad_lines="drop"`` leaves out at most."""
 CUT_OFF = 10
 """Rows from which on a last line that is too short was cut off, as by a logger without power."""
 
 
 def tabulated(
-    grid: Grid, names: Sequence[str | None] | None = None, pivot: Sequence[str] | None = None
+    grid: Grid,
+    names: Sequence[str | None] | None = None,
+    pivot: Sequence[str] | None = None,
+    pick: Any = None,
+    drop: bool = False,
 ) -> RawTable:
     """Columns of a grid.
 
     names : of the columns, from the left; None or "" leaves one out. Without them the grid must
-    hold them. pivot : what runs down, across, and stands in the cells of a pivot.
+    hold them. pivot : what runs down, across, and stands in the cells of a pivot. pick : which of
+    several blocks side by side. drop : lines that are no rows are left out, and counted.
 
     Raises InputError.
     """
-    grid = _trimmed(grid)
+    grid = _upright(_trimmed(grid))
     grid, in_cells = _bare(grid, names)
-    numeric = _numeric(grid)
+    numeric = _numeric(grid, drop)
     start = _start(grid, numeric)
     head = start - 1
     if pivot is not None or (names is None and _is_pivot(grid, start)):
         return pivoted(grid, start, pivot)
     stated: Sequence[Any] = ()
-    if head >= 1 and _is_units(grid, head):
+    if head >= 1 and (_is_units(grid, head) or _is_mostly_units(grid, head, numeric)):
         stated, head = grid.rows[head], head - 1
+    elif head >= 1 and _is_units(grid, head - 1) and _is_head(grid, head, numeric):
+        stated = grid.rows[head - 1]  # above the names
+    if names is None and 0 <= head < start:
+        grid = stacked(grid, head, start)
+        numeric = _numeric(grid, drop)
     width = len(numeric)
-    found = _names(grid, head, numeric, names)
+    found = _names(grid, head, numeric, names, stated)
     require_size(grid.label, len(grid.rows), width)
-    body, lines, notes = _body(grid, start, found)
+    parts = periods(found) if names is None and 0 <= head < start else []
+    if parts:
+        return side_by_side(grid, parts, head, pick, lambda g: tabulated(g, drop=drop))
+    if names is None and 0 <= head < start:
+        found = _grouped(grid, head, found)
+    heads = [grid.rows[i] for i in range(max(head, 0), start)]
+    body, lines, notes = _body(grid, start, found, heads, numeric if drop else None)
     kept = [i for i, name in enumerate(found) if name]
     labels = [found[i] for i in kept]
     require_distinct(labels, grid.label)
-    units = {
-        found[i]: str(stated[i]).strip(" []()")
-        for i in kept
-        if i < len(stated) and not is_empty(stated[i])
-    }
-    units |= {found[i]: text for i, text in in_cells.items() if found[i]}
+    units = {**_stated(found, stated), **{found[i]: u for i, u in in_cells.items() if found[i]}}
     named = (head if names is None and head >= 0 else start) if start else 0
     said = [*grid.dialect]
     said += [f"names in line {grid.lines[head]}"] if names is None and 0 <= head < start else []
@@ -74,8 +90,14 @@ def tabulated(
         decimal=grid.decimal,
         stated=units,
         dialect=tuple(said),
-        notes=notes,
+        notes=(*grid.notes, *notes),
     )
+
+
+def _stated(names: Sequence[str], stated: Sequence[Any]) -> dict[str, str]:
+    """{name: unit} of a row of units."""
+    pairs = ((n, str(c)) for n, c in zip(names, stated, strict=False) if n and not is_empty(c))
+    return {name: text.strip(" []()") for name, text in pairs if is_unit(text)}
 
 
 def has_table(grid: Grid) -> bool:
@@ -105,7 +127,25 @@ def _trimmed(grid: Grid) -> Grid:
     if len(kept) < width:
         rows = [[row[i] for i in kept if i < len(row)] for row in rows]
     lines = [line for line, keep in zip(grid.lines, filled, strict=True) if keep]
-    return replace(grid, rows=rows, lines=lines)
+    words = [[w[i] for i in kept] if len(kept) < width == len(w) else w for w in grid.comments]
+    return replace(grid, rows=rows, lines=lines, comments=words)
+
+
+def _upright(grid: Grid) -> Grid:
+    """A grid whose names run down its left side, turned."""
+    rows, width = grid.rows, max(map(len, grid.rows))
+    if not 2 <= len(rows) <= MOST_TURNED or width < 3 * len(rows) or width < 20:
+        return grid
+    for row in rows:
+        rest = [c for c in row[2:] if not is_empty(c)]
+        numbers = sum(is_number(c, grid.decimal) or is_stamp(c) for c in rest)
+        if is_empty(row[0]) or is_number(row[0], grid.decimal) or numbers < len(rest) or not rest:
+            return grid
+    turned: list[Sequence[Any]] = [
+        [row[i] if i < len(row) else None for row in rows] for i in range(width)
+    ]
+    said = (*grid.dialect, "names run down")
+    return replace(grid, rows=turned, lines=list(range(1, width + 1)), dialect=said, text=False)
 
 
 def _bare(grid: Grid, names: Sequence[str | None] | None) -> tuple[Grid, dict[int, str]]:
@@ -132,12 +172,12 @@ def _bare(grid: Grid, names: Sequence[str | None] | None) -> tuple[Grid, dict[in
     return replace(grid, rows=made, decimal=decimal or grid.decimal), units
 
 
-def _numeric(grid: Grid) -> list[bool]:
-    """Which columns hold numbers, by the rows below."""
+def _numeric(grid: Grid, drop: bool = False) -> list[bool]:
+    """Which columns hold numbers, by the rows below. drop : wider rows than usual are none."""
     lower = grid.rows[len(grid.rows) // 2 :][-LOOKED_AT:]
     width = Counter(map(len, lower)).most_common(1)[0][0]
     found = []
-    for i in range(max(width, max(map(len, lower)))):
+    for i in range(width if drop else max(width, max(map(len, lower)))):
         cells = [row[i] for row in lower if i < len(row) and not is_empty(row[i])]
         fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
         found.append(bool(cells) and fitting >= 0.6 * len(cells))
@@ -156,13 +196,42 @@ def _start(grid: Grid, numeric: Sequence[bool]) -> int:
         fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
         whole = fitting == len(cells) and fitting >= min(2, len(columns))
         if whole or fitting > len(columns) / 2:
-            return start
+            return start + _properties(grid, start, columns)
     raise InputError(f"{grid.label} is empty: it needs a header and at least one row of numbers")
+
+
+def _properties(grid: Grid, start: int, columns: Sequence[int]) -> int:
+    """Rows of properties (``t0``, ``delta t``) above the names, though they hold numbers."""
+    if columns[0] != 0:
+        return 0
+    for i, row in enumerate(grid.rows[start : start + 12]):
+        cells = [c for c in row if not is_empty(c)]
+        worded = bool(cells) and not is_number(cells[0], grid.decimal) and not is_stamp(cells[0])
+        if not worded:
+            return 0
+        if len(cells) >= len(columns) and not any(
+            is_number(c, grid.decimal) or is_stamp(c) for c in cells
+        ):
+            return i + 1 if start + i + 1 < len(grid.rows) else 0
+    return 0
 
 
 def _is_units(grid: Grid, row: int) -> bool:
     cells = [str(c) for c in grid.rows[row] if not is_empty(c) or c == "-"]
     return bool(cells) and all(map(is_unit, cells)) and any(c not in ("-", "1") for c in cells)
+
+
+def _is_mostly_units(grid: Grid, row: int, numeric: Sequence[bool]) -> bool:
+    """Whether a row below one of names holds units beside words: ``s, bar, N, text``."""
+    cells = [str(c) for c, n in zip(grid.rows[row], numeric, strict=False) if n and not is_empty(c)]
+    units = sum(map(is_unit, cells))
+    above = [str(c).strip() for c in grid.rows[row - 1] if not is_empty(c)]
+    return (
+        units >= 2
+        and units >= 0.6 * len(cells)
+        and _is_head(grid, row - 1, numeric)
+        and not all(map(is_unit, above))
+    )
 
 
 def _is_pivot(grid: Grid, start: int) -> bool:
@@ -173,9 +242,15 @@ def _is_pivot(grid: Grid, start: int) -> bool:
 
 # ---- names ---------------------------------------------------------------------------------------
 def _names(
-    grid: Grid, head: int, numeric: Sequence[bool], given: Sequence[str | None] | None
+    grid: Grid,
+    head: int,
+    numeric: Sequence[bool],
+    given: Sequence[str | None] | None,
+    stated: Sequence[Any] = (),
 ) -> list[str]:
-    """A name for each column; "" for those that are left out."""
+    """A name for each column; "" for those that are left out. A name over several columns with
+    units (cells that were merged) is that of each, numbered.
+    """
     width = len(numeric)
     if given is not None:
         if len(given) != width:
@@ -186,7 +261,9 @@ def _names(
         return [str(name) if name else "" for name in given]
     if head >= 0 and _is_head(grid, head, numeric):
         cells = [*grid.rows[head], *[None] * width][: max(width, len(grid.rows[head]))]
-        names = ["" if c is None else str(c).strip() for c in cells]
+        if head >= 1:
+            cells = [_above(grid, head, i) if is_empty(c) else c for i, c in enumerate(cells)]
+        names = _unmerged(["" if c is None else str(c).strip() for c in cells], stated)
         return [n or (f"column {i + 1}" if i < width else "") for i, n in enumerate(names)]
     for words in reversed(grid.comments):
         if len(words) == width and not any(is_number(w, grid.decimal) for w in words):
@@ -199,9 +276,46 @@ def _names(
     )
 
 
+def _above(grid: Grid, head: int, column: int) -> Any:
+    """What stands above an empty cell of the names, where it was merged down; no title."""
+    for row in reversed(grid.rows[max(0, head - 2) : head]):
+        if column < len(row) and not is_empty(row[column]):
+            return row[column] if sum(not is_empty(c) for c in row) > 1 else None
+    return None
+
+
+def _unmerged(names: list[str], stated: Sequence[Any]) -> list[str]:
+    spans: list[list[int]] = []
+    for i, name in enumerate(names):
+        if name:
+            spans.append([i])
+        elif spans and i == spans[-1][-1] + 1 and i < len(stated) and not is_empty(stated[i]):
+            spans[-1].append(i)
+    for span in (s for s in spans if len(s) > 1):
+        for k, i in enumerate(span, start=1):
+            names[i] = f"{names[span[0]] if k == 1 else names[span[0]].removesuffix(' 1')} {k}"
+    return names
+
+
+def _grouped(grid: Grid, head: int, names: list[str]) -> list[str]:
+    """Names that stand twice, with that of the group above them, whose cells were merged:
+    ``muscle 1`` over ``p, F`` and ``muscle 2`` over ``p, F``.
+    """
+    twice = {n for n, count in Counter(names).items() if n and count > 1}
+    above = grid.rows[head - 1] if head >= 1 else []
+    groups = [str(c).strip() if not is_empty(c) else "" for c in above]
+    if not twice or sum(map(bool, groups)) < 2:
+        return names
+    group, made = "", []
+    for i, name in enumerate(names):
+        group = groups[i] if i < len(groups) and groups[i] else group
+        made.append(f"{group} {name}".strip() if name in twice else name)
+    return made
+
+
 def _is_head(grid: Grid, head: int, numeric: Sequence[bool]) -> bool:
     """Whether a row names most columns of numbers."""
-    row = grid.rows[head]
+    row = [_above(grid, head, i) if is_empty(c) else c for i, c in enumerate(grid.rows[head])]
     named = sum(n and i < len(row) and not is_empty(row[i]) for i, n in enumerate(numeric))
     numbers = sum(is_number(c, grid.decimal) for c in row)
     return named > 0.5 * sum(numeric) and numbers < len(row) / 2
@@ -214,10 +328,18 @@ def _example(width: int) -> str:
 
 # ---- rows ----------------------------------------------------------------------------------------
 def _body(
-    grid: Grid, start: int, names: Sequence[str]
+    grid: Grid,
+    start: int,
+    names: Sequence[str],
+    heads: Sequence[Sequence[Any]] = (),
+    numeric: Sequence[bool] | None = None,
 ) -> tuple[list[Sequence[Any]], list[int], tuple[str, ...]]:
-    """The rows of numbers, all of one width. Raises InputError where one is not."""
-    rows, lines, notes = grid.rows[start:], grid.lines[start:], []
+    """The rows of numbers, all of one width; names and units that come again are left out.
+
+    numeric : columns of numbers, where rows that do not fit are left out. Raises InputError where
+    one does not.
+    """
+    rows, lines, notes = _without_heads(grid.rows[start:], grid.lines[start:], heads)
     width = len(names)
     end = len(rows)
     while end > 1 and not any(is_number(c, grid.decimal) or is_stamp(c) for c in rows[end - 1]):
@@ -227,21 +349,55 @@ def _body(
         rows = rows[:end]
     last = len(rows) - 1
     made: list[Sequence[Any]] = []
+    where: list[int] = []
+    bad: list[int] = []
     for i, row in enumerate(rows):
-        if len(row) == width:
-            made.append(row)
-        elif len(row) > width and all(is_empty(c) for c in row[width:]):
-            made.append(row[:width])
+        if len(row) > width and all(is_empty(c) for c in row[width:]):
+            row = row[:width]
         elif len(row) < width and not grid.text:
-            made.append([*row, *[None] * (width - len(row))])
+            row = [*row, *[None] * (width - len(row))]
+        if len(row) == width and (numeric is None or _fits(grid, row, numeric)):
+            made.append(row)
+            where.append(lines[i])
+        elif numeric is not None:
+            bad.append(lines[i])
         elif len(row) < width and i == last >= CUT_OFF:
             notes.append(f"line {lines[i]}, the last, is cut off and left out")
         else:
-            raise InputError(
+            raise Unsaid(
                 f"{grid.label}: line {lines[i]} has {len(row)} cells where the header has "
-                f"{width}; mend the line, or say what stands between cells (delimiter=';')"
+                f"{width}; mend the line, leave such lines out with bad_lines='drop', or say what "
+                "stands between cells (delimiter=';')"
             )
-    return made, lines[: len(made)], tuple(notes)
+    if len(bad) > MOST_BAD * len(rows):
+        raise InputError(
+            f"{grid.label}: {len(bad)} of {len(rows)} lines are no rows of {width} cells (first "
+            f"line {bad[0]}); bad_lines='drop' leaves out at most {100 * MOST_BAD:g} % of them"
+        )
+    if bad:
+        shown = ", ".join(map(str, bad[:5])) + (", ..." if len(bad) > 5 else "")
+        notes.append(f"{len(bad)} of {len(rows)} lines are no rows and left out (line {shown})")
+    return made, where, tuple(notes)
+
+
+def _without_heads(
+    rows: list[Sequence[Any]], lines: list[int], heads: Sequence[Sequence[Any]]
+) -> tuple[list[Sequence[Any]], list[int], list[str]]:
+    """(rows, lines, notes) without names and units that come again."""
+    again = [i for i, row in enumerate(rows) if any(list(row) == list(h) for h in heads)]
+    if not again:
+        return rows, lines, []
+    note = f"names that come again left out ({len(again)} lines, first {lines[again[0]]})"
+    gone = set(again)
+    kept = [i for i in range(len(rows)) if i not in gone]
+    return [rows[i] for i in kept], [lines[i] for i in kept], [note]
+
+
+def _fits(grid: Grid, row: Sequence[Any], numeric: Sequence[bool]) -> bool:
+    """Whether columns of numbers hold numbers or nothing in this row, and not nothing in all."""
+    cells = [c for c, n in zip(row, numeric, strict=False) if n]
+    filled = [c for c in cells if not is_empty(c)]
+    return bool(filled) and all(is_number(c, grid.decimal) or is_stamp(c) for c in filled)
 
 
 def require_distinct(names: Sequence[str], label: str) -> None:

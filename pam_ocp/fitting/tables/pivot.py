@@ -14,7 +14,7 @@ from .dialect import Grid, Unsaid
 from .headers import NAMES, is_unit, parse_header
 from .raw import RawTable
 
-__all__ = ["looks_pivoted", "pivoted"]
+__all__ = ["looks_pivoted", "pivoted", "with_unit"]
 
 _KINDS = ("pressure", "length", "contraction", "force")
 _WITH_UNIT = re.compile(
@@ -162,6 +162,19 @@ def _named(text: str) -> list[str]:
     ]
     # a single letter among words is a name only beside its unit
     return [h for h in found if _kind(h) and (len(h) > 2 or "[" in h)]
+
+
+def with_unit(text: str) -> tuple[str, float] | None:
+    """(header, value) of words such as ``l = 285 mm``; None where they say no quantity."""
+    match = _WITH_UNIT.match(text.strip())
+    if match is None or not is_unit(match["unit"]):
+        return None
+    value = float(match["number"].replace(",", "."))
+    words = match["words"].strip()
+    header = _from_unit((value, match["unit"], words))
+    if words and header and _kind(words) is None:
+        return None  # a title of something else
+    return None if header is None else (header, value)
 
 
 def _from_unit(head: tuple[float, str | None, str]) -> str | None:

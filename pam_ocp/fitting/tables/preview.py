@@ -22,7 +22,7 @@ from .force_table import ForceTable, TableWords, table_columns, table_of
 from .labels import LABELS
 from .raw import Doubt, RawTable
 from .record_columns import record_variables
-from .records import RecordWords, columns_of, loaded, record_parts
+from .records import RecordWords, clock_of, columns_of, in_known_units, loaded, record_parts
 from .sources import is_source, naming, sources_of
 from .table_checks import QUANTITIES
 
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ColumnView", "Preview", "Previews", "look"]
 
+LONG = 200
+"""Rows from which on what holds less than a force table, and no clock, is probably a record."""
 _TABLE_ONLY = ("rest_length", "ramp", "floor", "pivot")
 _RECORD_ONLY = (
     "time",
@@ -217,8 +219,8 @@ def _unsaid(source: Any, kind: str | None, problem: str, options: Mapping[str, A
 
 def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
     """A record has a clock, and not all that a force table needs."""
-    clocked = "time" in options or find_clock(raw)[1] is not None
-    if not clocked or any(k in options for k in _TABLE_ONLY):
+    clocked = "time" in options or "sample_time" in options or find_clock(raw)[1] is not None
+    if (not clocked and len(raw) < LONG) or any(k in options for k in _TABLE_ONLY):
         return "table"
     columns = options.get("columns")
     chosen = columns if isinstance(columns, Mapping) else {}
@@ -315,16 +317,16 @@ def _record(
     notes: list[str] = []
     meanings: dict[str, tuple[str, Scale | None]] = {}
     try:
-        raw, header = find_clock(raw, words.time)
-        if header is not None:
-            meanings[header] = ("time", None)
-            t, kind, _ = read_clock(raw, header, words.units.get("time"))
-            clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
-            for variable, name in record_variables(raw, plant, dict(words.columns), header):
-                meanings[name] = (variable.name, None)
-            own = columns_of(raw, plant, words, header)
-            meanings |= {c.header: (c.argument, c.scale) for c in own}
-            raw = checked_cells(raw, own, words.missing)
+        raw, header = clock_of(raw, words)
+        meanings[header] = ("time", None)
+        t, kind, _ = read_clock(raw, header, words.units.get("time"))
+        clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
+        for variable, name in record_variables(raw, plant, dict(words.columns), header):
+            meanings[name] = (variable.name, None)
+        used = raw if plant is not None else in_known_units(raw, words, header)
+        own = columns_of(used, plant, words, header)
+        meanings |= {c.header: (c.argument, c.scale) for c in own}
+        raw = checked_cells(raw, own, words.missing)
         records, notes, found = record_parts(raw, plant, words)
         clock = str(found)
     except InputError as error:

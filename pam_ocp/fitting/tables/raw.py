@@ -59,6 +59,7 @@ class RawTable:
     cells of text. stated : {header: unit} of a row of units. dialect : how the file was understood,
     notes : what was left out, mended or doubted, both in words. signs : decimal signs of single
     columns. decimal_given : the user said the decimal sign. own : written by this package.
+    constant : headers of columns that are not in the file.
     """
 
     label: str
@@ -72,6 +73,7 @@ class RawTable:
     signs: Mapping[str, str] = field(default_factory=dict)
     decimal_given: bool = False
     own: bool = False
+    constant: frozenset[str] = frozenset()
 
     def __len__(self) -> int:
         return max(map(len, self.columns.values()), default=0)
@@ -126,7 +128,10 @@ class RawTable:
         shown = repr(cells[bad])[:MOST_NAME]
         if np.isinf(found[bad]):
             raise InputError(f"{place} holds {found[bad]}; fill it or take the row out")
-        raise InputError(f"{place} holds {shown}, which is no number")
+        raise InputError(
+            f"{place} holds {shown}, which is no number; correct it, say missing=[...] if it marks "
+            "a missing value, or leave such rows out with bad_lines='drop'"
+        )
 
     def taken(self, kept: NDArray[np.intp], *notes: str) -> RawTable:
         """The rows of these indices, with what is to be said of the others."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
-__all__ = ["check_size", "display_of", "record_scale", "record_variables"]
+__all__ = ["COMMANDS", "check_size", "display_of", "record_scale", "record_variables"]
 
 BEYOND = 20.0
 """A value this many times beyond a variable's bounds was read in a wrong unit."""
@@ -30,7 +31,7 @@ _SI = (
     *("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s"),
     *("V", "A"),
 )
-_COMMANDS = words_of(
+COMMANDS = words_of(
     """command, cmd, set, setpoint, set point, pressure command, pressure set, p set, p cmd, p soll,
     p ref, p des, reference, ref, target, soll, sollwert, druck soll, solldruck, consigne, consigna,
     setpunkt"""
@@ -116,7 +117,8 @@ def record_variables(
     raw: RawTable, plant: Plant | None, columns: dict[str, str], clock: str
 ) -> list[tuple[Variable, str]]:
     """(variable, header) of every column of use. Raises InputError where there is none."""
-    taken = {*columns.values(), clock}
+    labels = {h for h in raw.constant if h in ("muscle", "branch", "run")}
+    taken = {*columns.values(), clock, *labels}
     rest = {h: parse_header(h)[0] for h in raw.columns if h not in taken}
     if plant is None:
         made = dict(columns)
@@ -148,7 +150,12 @@ def record_variables(
 
 
 def _name(text: str) -> str:
-    return "".join(c if c.isalnum() else "_" for c in text)
+    """A variable's name: without accents, of other alphabets the English word."""
+    known = next((k for k, names in NAMES.items() if text in names and not text.isascii()), text)
+    plain = unicodedata.normalize("NFKD", known.replace("ß", "ss"))
+    plain = "".join(c for c in plain if not unicodedata.combining(c))
+    name = "".join(c if c.isascii() and c.isalnum() else "_" for c in plain)
+    return name if name[:1].isalpha() else f"column_{name.strip('_')}".rstrip("_")
 
 
 def _has_numbers(raw: RawTable, header: str) -> bool:
@@ -170,7 +177,7 @@ def _meant(plant: Plant, name: str) -> str | None:
         if kind in names and not match["number"]:
             found = [v.name for v in plant.states if v.name in names]
             return found[0] if len(found) == 1 else None
-    last = "command" if kind in _COMMANDS else next((k for k in NAMES if kind in NAMES[k]), None)
+    last = "command" if kind in COMMANDS else next((k for k in NAMES if kind in NAMES[k]), None)
     if last is None:
         return None
     fitting = [

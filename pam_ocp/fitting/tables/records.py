@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ...core.calibration import AMBIENT
+from ...core.calibration import AMBIENT, scale_of
 from ...core.errors import InputError, UnknownNameError, require_positive
 from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
@@ -35,7 +35,16 @@ if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
-__all__ = ["RecordWords", "columns_of", "loaded", "read_record", "read_records", "record_parts"]
+__all__ = [
+    "RecordWords",
+    "clock_of",
+    "columns_of",
+    "in_known_units",
+    "loaded",
+    "read_record",
+    "read_records",
+    "record_parts",
+]
 
 
 @dataclass(frozen=True)
@@ -106,9 +115,13 @@ def read_record(
     ambient_pressure: float = AMBIENT,
     sheet: str | int | None = None,
     skip: int = 0,
-    pick: str | None = None,
+    pick: str | Sequence[str] | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
+    encoding: str | None = None,
+    bad_lines: Literal["refuse", "drop"] = "refuse",
+    constants: Mapping[str, Any] | None = None,
+    pattern: str | None = None,
     empty: Literal["drop", "refuse"] = "drop",
     missing: Any = "found",
 ) -> Trajectory:
@@ -117,9 +130,11 @@ def read_record(
 
     Parameters
     ----------
-    source : path of a text (CSV, TSV, columns between blanks; also packed as .gz), of an NPY, NPZ,
-        MAT, HDF5, JSON, Parquet or XLSX file, a DataFrame, or a mapping from column names to
-        arrays. Headers name a quantity and its unit: ``x [mm]``, ``p1_bar``.
+    source : path of a text (CSV, TSV, LVM, columns between blanks, ``key=value`` lines; also packed
+        as .gz), of an NPY, NPZ, MAT, HDF5, JSON, Parquet, XLSX, TDMS, MCAP or BAG file, a folder
+        that is a bag of ROS 2, a DataFrame, or a mapping from column names to arrays. Topics,
+        groups and structures with clocks of their own are put on one. Headers name a quantity and
+        its unit: ``x [mm]``, ``p1_bar``.
     plant : its variables give names, units and kinds to the columns (``_`` for ``.`` in headers;
         "Druck 1" or "p1" for ``muscle1.pressure``); columns that it does not know are left out.
         Without a plant every column of numbers is an output.
@@ -139,9 +154,11 @@ def read_record(
         evenly, a counter that began anew is counted on (each said in a ReadingWarning), gaps and
         backward steps are refused. "cut": there the record is cut, and the longest part taken
         (:func:`read_records` gives all). "refuse": nothing is mended.
-    sample_time : resample to even steps [s], or "even": to the usual step of the record.
+    sample_time : resample to even steps [s], or "even": to the usual step of the record. Of a file
+        without a time: the time between its rows.
     ambient_pressure : [Pa], taken off absolute pressures.
-    sheet, skip, pick, delimiter, decimal, empty, missing : as for :func:`read_table`.
+    sheet, skip, pick, delimiter, decimal, encoding, bad_lines, constants, pattern, empty,
+    missing : as for :func:`read_table`.
 
     Raises
     ------
@@ -172,6 +189,10 @@ def read_record(
         pick=pick,
         delimiter=delimiter,
         decimal=decimal,
+        encoding=encoding,
+        bad_lines=bad_lines,
+        constants=constants,
+        pattern=pattern,
     )
     if not is_source(source):
         folder = isinstance(source, str | Path) and Path(source).is_dir()
@@ -242,7 +263,8 @@ def _between(inputs: Any, interpolation: Any) -> Interpolation | None:
 
 def loaded(source: Any, how: Reading) -> RawTable:
     """The columns of a source; a Trajectory in a binary file keeps what it says of its inputs."""
-    if isinstance(source, (str, Path)) and Path(source).suffix.lower() in (".npz", ".parquet"):
+    own = isinstance(source, (str, Path)) and Path(source).suffix.lower() in (".npz", ".parquet")
+    if own and not (how.constants or how.pattern):
         try:
             saved = Trajectory.load(source)
         except InputError:
@@ -266,12 +288,8 @@ def record_parts(
     for named in words.columns.values():
         if named not in raw.columns:
             raise UnknownNameError("column", named, raw.columns)
-    raw, header = find_clock(raw, words.time)
-    if header is None:
-        raise InputError(
-            f"{raw.label} has no column for the time among {', '.join(map(repr, raw.columns))}: "
-            "name it 'time [s]' or give time=..."
-        )
+    raw, header = clock_of(raw, words)
+    raw = raw if plant is not None else in_known_units(raw, words, header)
     columns = columns_of(raw, plant, words, header)
     known = [column.argument for column in columns]
     unknown = set(words.units) - {*known, "time"}
@@ -301,6 +319,66 @@ def record_parts(
     if words.sample_time is not None:
         records = [_even(record, words.sample_time) for record in records]
     return records, notes, clock
+
+
+COUNTED = "time [s]"
+"""Header of times that were made of ``sample_time``."""
+
+
+def clock_of(raw: RawTable, words: RecordWords) -> tuple[RawTable, str]:
+    """(table, header of its time), which is counted where the user says how long a row takes.
+
+    Raises InputError where there is none.
+    """
+    raw, header = find_clock(raw, words.time)
+    if header is not None:
+        return raw, header
+    timed = [h for h in raw.columns if _is_time(raw.unit(h))]
+    step = words.sample_time
+    if not isinstance(step, float) or timed:
+        shown = f"time={timed[0]!r}" if timed else "time=..."
+        raise InputError(
+            f"{raw.label} has no column for the time among {', '.join(map(repr, raw.columns))}: "
+            f"name it 'time [s]', give {shown}, or, where its rows are evenly apart and no column "
+            "is their time, sample_time=0.001 [s]"
+        )
+    times = (step * np.arange(len(raw))).tolist()
+    note = f"no column is the time: rows are counted, {step:g} s apart"
+    columns = {COUNTED: times, **raw.columns}
+    return replace(raw, columns=columns, notes=(*raw.notes, note)), COUNTED
+
+
+def in_known_units(raw: RawTable, words: RecordWords, clock: str) -> RawTable:
+    """The table without columns in units that are not known here, such as a temperature in °C; they
+    are named, unless the user says what they are.
+    """
+    lost = []
+    for header in raw.columns:
+        name, said = parse_header(header)
+        told = header in words.columns.values() or name in words.units or header == clock
+        if (said is None and (said := raw.unit(header)) is None) or told:
+            continue
+        try:
+            scale_of(header, said, None, None)
+        except UnknownNameError:
+            lost.append(header)
+        except InputError:
+            continue
+    if not lost or len(lost) >= len(raw.columns) - 1:
+        return raw
+    note = (
+        f"{', '.join(map(repr, lost))} left out, for the unit is not known here; to keep it say "
+        f"units={{{parse_header(lost[0])[0]!r}: ...}}"
+    )
+    kept = {h: c for h, c in raw.columns.items() if h not in lost}
+    return replace(raw, columns=kept, notes=(*raw.notes, note))
+
+
+def _is_time(said: str | None) -> bool:
+    try:
+        return said is not None and unit(said).compatible(unit("s"))
+    except (UnknownNameError, ValueError, OverflowError):
+        return False
 
 
 def columns_of(raw: RawTable, plant: Plant | None, words: RecordWords, clock: str) -> list[Column]:

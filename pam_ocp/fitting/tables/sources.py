@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import gzip
 import io
 import os
+import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -35,13 +37,18 @@ from ...core.foreign import (
     read_mat,
     read_sheets,
 )
+from ...core.recorders import is_bag, read_bag, read_calamine, read_mcap, read_tdms
 from .cell_units import parted, without_units
 from .cells import decimal_of, is_empty
+from .constants import checked_constants, labels_of, require_pattern, with_constants
 from .dialect import Grid, Unsaid, grid_of_text
-from .headers import NAMES, parse_header
+from .headers import NAMES, TIME_NAMES, is_unit, parse_header
 from .layout import has_table, require_distinct, tabulated
+from .lvm import is_lvm, segments_of
+from .markup import is_markup, tables_of
 from .raw import RawTable
-from .trees import chosen_table
+from .series import flat
+from .trees import chosen_table, left_out
 
 __all__ = ["ENDINGS", "Reading", "is_source", "load", "naming", "sources_of"]
 
@@ -51,25 +58,39 @@ class Reading:
     """How a file is to be read, where it does not say it itself.
 
     columns : names of the columns from the left. skip : lines or rows at the beginning that are
-    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data.
-    delimiter, decimal : of a text. pivot : what runs down, across, and stands in the cells.
+    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data,
+    or several to be put on one clock. delimiter, decimal, encoding : of a text. bad_lines : "drop"
+    or "refuse". pivot : what runs down, across, and stands in the cells. constants : columns of one
+    value that the file does not hold. pattern : of the file's name, which holds such values.
     """
 
     columns: tuple[str | None, ...] | None = None
     skip: int = 0
     sheet: str | int | None = None
-    pick: str | None = None
+    pick: str | tuple[str, ...] | None = None
     delimiter: str | None = None
     decimal: str | None = None
+    encoding: str | None = None
+    bad_lines: str = "refuse"
     pivot: tuple[str, ...] | None = None
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    pattern: str | None = None
 
     @classmethod
     def of(cls, columns: Any, **said: Any) -> Reading:
         """Checked. Raises InputError."""
         require_count("skip", said.get("skip", 0), 0)
-        for name, allowed in (("decimal", (".", ",")),):
-            if said.get(name) not in (None, *allowed):
-                raise InputError(f"{name} = {said[name]!r}: choose '.' or ','")
+        if said.get("decimal") not in (None, ".", ","):
+            raise InputError(f"decimal = {said['decimal']!r}: choose '.' or ','")
+        if said.get("bad_lines", "refuse") not in ("refuse", "drop"):
+            raise InputError(f"bad_lines = {said['bad_lines']!r}: choose 'refuse' or 'drop'")
+        if said.get("encoding") is not None:
+            _require_encoding(said["encoding"])
+        said["constants"] = checked_constants(said.get("constants"))
+        if said.get("pattern") is not None:
+            require_pattern(said["pattern"])
+        if isinstance(said.get("pick"), list):
+            said["pick"] = tuple(said["pick"])
         delimiter = said.get("delimiter")
         if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1):
             raise InputError(f"delimiter = {delimiter!r}: give one character, ' ' for blanks")
@@ -85,6 +106,15 @@ class Reading:
         return cls(names, **said, pivot=None if pivot is None else _pivot(pivot))
 
 
+def _require_encoding(encoding: Any) -> None:
+    try:
+        codecs.lookup(encoding)
+    except (LookupError, TypeError):
+        raise InputError(
+            f"encoding = {encoding!r} is not known; give one as 'utf-8', 'cp1252' or 'shift_jis'"
+        ) from None
+
+
 def _pivot(said: Any) -> tuple[str, ...]:
     if isinstance(said, str) or not isinstance(said, Sequence):
         raise InputError(
@@ -95,8 +125,15 @@ def _pivot(said: Any) -> tuple[str, ...]:
 
 
 def load(source: Any, how: Reading | None = None) -> RawTable:
-    """Columns of a file, DataFrame or mapping; bundled tables too."""
+    """Columns of a file, DataFrame or mapping; bundled tables too. Constants are columns, too."""
     how = how or Reading()
+    name = Path(source).name if isinstance(source, str | Path) else None
+    constants = {**labels_of(name, how.pattern), **how.constants}
+    raw = _loaded(source, how)
+    return with_constants(raw, constants) if constants else raw
+
+
+def _loaded(source: Any, how: Reading) -> RawTable:
     if isinstance(source, str | Path):
         raw = _load_file(source, how)
     elif isinstance(source, Mapping):
@@ -122,7 +159,8 @@ def load(source: Any, how: Reading | None = None) -> RawTable:
 def is_source(source: Any) -> bool:
     """Whether this is one source, not several."""
     if isinstance(source, str | Path):
-        return not (any(c in str(source) for c in "*?") or os.path.isdir(source))
+        several = any(c in str(source) for c in "*?") and not os.path.exists(source)
+        return not (several or (os.path.isdir(source) and not is_bag(source)))
     return not isinstance(source, list | tuple)
 
 
@@ -139,16 +177,22 @@ def sources_of(source: Any) -> list[Any]:
     require_local(source)
     path = Path(source)
     if path.is_dir():
-        found = [f for f in sorted(path.iterdir()) if f.is_file() and _ending(f) in ENDINGS]
+        found = [f for f in sorted(path.iterdir()) if is_readable(f)]
         words = f"{path} is a folder without files that can be read"
     else:
         import glob
 
-        found = [Path(f) for f in sorted(glob.glob(str(path), recursive=True)) if os.path.isfile(f)]
+        there = sorted(glob.glob(str(path), recursive=True))
+        found = [Path(f) for f in there if os.path.isfile(f) or is_bag(f)]
         words = f"no file fits {str(path)!r}"
     if not found:
         raise InputError(f"{words}; known endings are {', '.join(sorted(ENDINGS))}")
     return found
+
+
+def is_readable(path: Path) -> bool:
+    """Whether a file of a folder is taken for a table, by its ending; bags are folders."""
+    return (path.is_file() and _ending(path) in ENDINGS) or is_bag(path)
 
 
 def naming(source: Any) -> AbstractContextManager[None]:
@@ -164,9 +208,45 @@ def _from_mapping(columns: Mapping[Any, Any], label: str) -> RawTable:
 
 
 def _from_frame(frame: Any, label: str) -> RawTable:
-    names = [str(c) for c in frame.columns]
+    names = [_column_name(c) for c in frame.columns]
     require_distinct(names, label)
-    return _bare(RawTable(label, {n: frame.iloc[:, i].tolist() for i, n in enumerate(names)}))
+    columns = {n: _cells(frame.iloc[:, i]) for i, n in enumerate(names)}
+    return _bare(RawTable(label, {**_index(getattr(frame, "index", None), names), **columns}))
+
+
+def _column_name(name: Any) -> str:
+    """Of a header of several rows, what each says: ``p [bar]`` of ("p", "bar")."""
+    if not isinstance(name, tuple):
+        return str(name)
+    parts = [str(p).strip() for p in name if str(p).strip() and not str(p).startswith("Unnamed:")]
+    if len(parts) > 1 and is_unit(parts[-1]):
+        return f"{' '.join(parts[:-1])} [{parts[-1].strip('[]()')}]"
+    return " ".join(parts)
+
+
+def _cells(column: Any) -> list[Any]:
+    """Cells of a column; durations in seconds."""
+    if getattr(column.dtype, "kind", "") == "m":
+        return list(column.dt.total_seconds())
+    return list(column.tolist())
+
+
+def _index(index: Any, names: Sequence[str]) -> dict[str, list[Any]]:
+    """The index of a DataFrame as columns, where it is more than the numbers of the rows."""
+    if index is None or not hasattr(index, "names"):
+        return {}
+    found = {}
+    for level, name in enumerate(index.names):
+        values = index.get_level_values(level)
+        kind = getattr(values.dtype, "kind", "M" if hasattr(values, "tz") else "")
+        clock = kind in "mM" or hasattr(values, "tz")
+        header = str(name) if name is not None else "time" if clock else "index"
+        if (name is None and kind not in "mMf" and not clock) or header in names:
+            continue
+        if kind == "m":
+            header = header if "[" in header else f"{header} [s]"
+        found[header] = list(values.total_seconds()) if kind == "m" else values.tolist()
+    return found
 
 
 def _bare(raw: RawTable) -> RawTable:
@@ -188,9 +268,12 @@ def _bare(raw: RawTable) -> RawTable:
 def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
     """The table of nested data."""
     found, said = chosen_table(tree, label, how.pick)
+    if isinstance(found, RawTable):
+        return found
+    notes = left_out(tree, label, found) if how.pick is None else ()
     if isinstance(found, Grid):
         grid = replace(found, rows=found.rows[how.skip :], lines=found.lines[how.skip :])
-        raw = tabulated(grid, how.columns, how.pivot)
+        raw = _table_of(grid, how)
         return replace(raw, dialect=(*said, *raw.dialect))
     names = list(found)
     if how.columns is not None:
@@ -202,7 +285,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
         found = {n: found[old] for n, old in zip(how.columns, names, strict=True) if n}
     require_distinct(list(found), label)
     columns = {n: list(c)[how.skip :] for n, c in found.items()}
-    return _bare(RawTable(label, columns, dialect=said))
+    return _bare(RawTable(label, columns, dialect=said, notes=notes))
 
 
 # ---- files ---------------------------------------------------------------------------------------
@@ -218,7 +301,7 @@ def _load_file(source: str | Path, how: Reading) -> RawTable:
         near = difflib.get_close_matches(path.name, beside, n=3, cutoff=0.6)
         known = [str(folder / name) for name in near] + list(bundled)
         raise UnknownNameError("table file", str(source), known)
-    suffix = require_file(path).suffix.lower()
+    suffix = ".db3" if is_bag(path) else require_file(path).suffix.lower()
     with reading(path, "a table", "save it as CSV anew"):
         if suffix in _READERS:
             return _READERS[suffix](path, how)
@@ -228,7 +311,7 @@ def _load_file(source: str | Path, how: Reading) -> RawTable:
         kind = next((s for magic, s in _MAGIC.items() if content.startswith(magic)), None)
         if kind is not None:
             return _READERS[kind](path, how)
-        return _from_text(_decoded(content, path.name), path.name, suffix, how)
+        return _from_text(_decoded(content, path.name, how.encoding), path.name, suffix, how)
 
 
 _MAGIC = {
@@ -236,6 +319,11 @@ _MAGIC = {
     b"MATLAB": ".mat",
     b"\x93NUMPY": ".npy",
     b"PAR1": ".parquet",
+    b"TDSm": ".tdms",
+    b"#ROSBAG": ".bag",
+    b"\x89MCAP": ".mcap",
+    b"PK\x03\x04": ".xlsx",
+    b"\xd0\xcf\x11\xe0": ".xlsb",
 }
 """How files of other endings begin."""
 
@@ -245,23 +333,60 @@ def _ending(path: Path) -> str:
     return "" if name.startswith(".") else Path(name).suffix
 
 
-def _decoded(content: bytes, name: str) -> str:
-    """The text of a file in UTF-8, in UTF-16 with its mark (as Excel writes it), or in Latin-1."""
+def _decoded(content: bytes, name: str, encoding: str | None = None) -> str:
+    """The text of a file: UTF-8, UTF-16 (as Excel writes it), or the encoding of one byte or two
+    in which most words are names of quantities, Latin-1 where none are.
+    """
+    if encoding is not None:
+        try:
+            return content.decode(encoding).removeprefix("\ufeff")
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"{name} is not written in {encoding} ({error}); name another"
+            ) from None
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16")
+    elif content[1:400:2].count(0) > 0.7 * len(content[1:400:2]) > 2:
+        text = content.decode("utf-16-le")
+    elif content[0:400:2].count(0) > 0.7 * len(content[0:400:2]) > 2:
+        text = content.decode("utf-16-be")
     else:
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
-            text = content.decode("cp1252", "replace")
+            text = max((content.decode(e, "replace") for e in ENCODINGS), key=_names_in)
     if "\0" in text:
         raise InputError(f"{name} is no text file; save the table as CSV")
     return text
 
 
+ENCODINGS = ("cp1252", "cp1251", "cp1250", "shift_jis", "gb18030", "euc_jp", "mac_roman")
+"""What texts that are no Unicode are written in, the likelier ones first."""
+
+
+def _names_in(text: str) -> int:
+    """How many words at the beginning are names of quantities with letters beyond ASCII."""
+    words = re.split(r"[\t;,|\n\r\"\[\](){}/:]|  ", text[:4000].lower())
+    known = frozenset().union(*NAMES.values(), TIME_NAMES)
+    return sum(not w.isascii() and w.strip() in known for w in words)
+
+
 def _from_text(text: str, label: str, suffix: str, how: Reading) -> RawTable:
-    grid = grid_of_text(text, label, suffix, how.skip, how.delimiter, how.decimal)
-    return tabulated(grid, how.columns, how.pivot)
+    if is_lvm(text):
+        return _from_tree(segments_of(text, label), label, how)
+    if text.lstrip()[:1] in ("{", "[") and text.rstrip()[-1:] in ("}", "]"):
+        try:
+            return _from_tree(_json(text.encode()), label, how)
+        except ValueError as error:
+            if isinstance(error, InputError):
+                raise
+    if is_markup(text):
+        return _of_sheets(tables_of(text), label, how)
+    return _table_of(grid_of_text(text, label, suffix, how.skip, how.delimiter, how.decimal), how)
+
+
+def _table_of(grid: Grid, how: Reading) -> RawTable:
+    return tabulated(grid, how.columns, how.pivot, how.pick, how.bad_lines == "drop")
 
 
 def _unpacked(path: Path, how: Reading) -> RawTable:
@@ -282,7 +407,7 @@ def _unpacked(path: Path, how: Reading) -> RawTable:
         return _from_tree(read_mat(path, content), path.name, how)
     if inner in _READERS:
         raise InputError(f"{path.name}: unpack it first, {inner} files are packed already")
-    return _from_text(_decoded(content, path.name), path.name, inner, how)
+    return _from_text(_decoded(content, path.name, how.encoding), path.name, inner, how)
 
 
 def _json(content: bytes) -> Any:
@@ -297,15 +422,36 @@ def _json(content: bytes) -> Any:
 
 
 def _read_sheet(path: Path, how: Reading) -> RawTable:
+    """Of a workbook; of one that only calls itself so, whatever it is."""
+    start = path.read_bytes()[:4]
+    if start in (b"PK\x03\x04", b""):
+        return _of_sheets(read_sheets(path, how.sheet), path.name, how)
+    if start[:2] == b"\xd0\xcf":
+        return _read_calamine(path, how)
+    return _from_text(_decoded(content_of(path), path.name, how.encoding), path.name, ".csv", how)
+
+
+def _read_calamine(path: Path, how: Reading) -> RawTable:
+    return _of_sheets(read_calamine(path, how.sheet), path.name, how)
+
+
+def _of_sheets(sheets: Mapping[str, Sequence[Any]], label: str, how: Reading) -> RawTable:
     """The sheet that is named, or the only one with a table."""
-    sheets = read_sheets(path, how.sheet)
+    if how.sheet is not None and len(sheets) > 1:
+        names = list(sheets)
+        if isinstance(how.sheet, int) and 1 <= how.sheet <= len(names):
+            sheets = {names[how.sheet - 1]: sheets[names[how.sheet - 1]]}
+        elif how.sheet in sheets:
+            sheets = {str(how.sheet): sheets[str(how.sheet)]}
+        else:
+            raise UnknownNameError(f"sheet of {label}", str(how.sheet), names)
     grids = {}
     for name, rows in sheets.items():
         numbered = [(i, row) for i, row in enumerate(rows, start=1) if i > how.skip]
         texts = [c for _, row in numbered[:2000] for c in row if isinstance(c, str)]
         sign = how.decimal or decimal_of(texts)
         said = (f"sheet {name!r}", *(["decimal comma"] if sign == "," else []))
-        grids[name] = Grid(path.name, [r for _, r in numbered], [i for i, _ in numbered], sign)
+        grids[name] = Grid(label, [r for _, r in numbered], [i for i, _ in numbered], sign)
         grids[name].dialect = said
     filled = {n: g for n, g in grids.items() if any(not is_empty(c) for r in g.rows for c in r)}
     tables = {n: g for n, g in filled.items() if has_table(g)}
@@ -313,12 +459,12 @@ def _read_sheet(path: Path, how: Reading) -> RawTable:
     if len(found) > 1:
         shown = ", ".join(map(repr, found[:8]))
         raise Unsaid(
-            f"{path.name} has {len(found)} sheets with numbers, {shown}: choose one with "
+            f"{label} has {len(found)} sheets with numbers, {shown}: choose one with "
             f"sheet={found[0]!r}"
         )
     if not found:
-        raise InputError(f"{path.name} is empty: it needs a header and at least one row")
-    return tabulated((tables or filled)[found[0]], how.columns, how.pivot)
+        raise InputError(f"{label} is empty: it needs a header and at least one row")
+    return _table_of((tables or filled)[found[0]], how)
 
 
 def _promise(grid: Grid) -> int:
@@ -342,7 +488,15 @@ _READERS: dict[str, Callable[[Path, Reading], RawTable]] = {
     ".parquet": _read_parquet,
     ".xlsx": _read_sheet,
     ".xlsm": _read_sheet,
+    ".xlsb": _read_calamine,
+    ".ods": _read_calamine,
+    ".tdms": lambda path, how: _from_tree(read_tdms(path), path.name, how),
+    ".bag": lambda path, how: _from_tree(read_bag(path, flat), path.name, how),
+    ".db3": lambda path, how: _from_tree(read_bag(path, flat), path.name, how),
+    ".mcap": lambda path, how: _from_tree(read_mcap(path, flat), path.name, how),
 }
 """How files that are no tables of text are read, by their ending."""
-ENDINGS = frozenset({*_READERS, ".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm"})
+ENDINGS = frozenset(
+    {*_READERS, ".csv", ".tsv", ".txt", ".dat", ".asc", ".log", ".lvm", ".xls", ".htm", ".html"}
+)
 """Files of a folder that are taken for tables."""

@@ -39,7 +39,8 @@ SHORTEST = 1e-5
 """Steps of days that would be seconds are shorter than this [s]."""
 _TIME = (
     r"(?P<h>\d{1,3}):(?P<m>\d{2})(?::(?P<s>\d{2}))?(?:[.,:](?P<f>\d+))?"
-    r"\s*(?P<half>[APap][Mm])?\s*(?:Z|UTC|(?P<zone>[+-]\d{2}:?\d{2}))?"
+    r"\s*(?P<half>[APap][Mm])?"
+    r"\s*(?:Z|UTC|(?P<zone>[+-]\d{2}(?::?\d{2})?)|(?P<called>[A-Z]{3,4}))?(?:\[[\w/+-]+\])?"
 )
 _YEAR_FIRST = re.compile(
     rf"(?P<y>\d{{4}})[-/.](?P<a>\d{{1,2}})[-/.](?P<b>\d{{1,2}})(?:[T ,]+{_TIME})?$"
@@ -47,6 +48,12 @@ _YEAR_FIRST = re.compile(
 _YEAR_LAST = re.compile(
     rf"(?P<a>\d{{1,2}})(?P<sign>[-/.])(?P<b>\d{{1,2}})[-/.](?P<y>\d{{2,4}})(?:[T ,]+{_TIME})?$"
 )
+ZONES = {
+    **{"GMT": 0, "WET": 0, "WEST": 1, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2},
+    **{"EET": 2, "EEST": 3, "EST": -5, "EDT": -4, "CDT": -5, "MST": -7, "MDT": -6},
+    **{"PST": -8, "PDT": -7, "JST": 9},
+}
+"""Hours ahead of UTC of zones that are called by one name only."""
 _OF_DAY = re.compile(_TIME + "$")
 
 
@@ -62,7 +69,8 @@ def seconds_of_stamps(cells: Sequence[Any], place: Any) -> tuple[Array, str]:
     there = [p for p in parsed if p is not None]
     month_first = _month_first(there)
     try:
-        t = np.array([np.nan if p is None else _seconds(p, month_first) for p in parsed])
+        since = int(_seconds(there[0], month_first) // DAY) if there and there[0][0] else 0
+        t = np.array([np.nan if p is None else _seconds(p, month_first, since) for p in parsed])
     except (ValueError, OverflowError) as error:
         raise InputError(f"{place(0)}: the dates cannot be read ({error})") from None
     if all(p[0] is None for p in there):
@@ -96,6 +104,8 @@ def _parsed(cell: Any) -> _Stamp | None:
         return None, 3600 * cell.hour + 60 * cell.minute + cell.second + 1e-6 * cell.microsecond
     text = str(cell).strip()
     match = _YEAR_FIRST.match(text)
+    if _unknown_zone(text):
+        return None
     if match:
         return (int(match["y"]), int(match["a"]), int(match["b"]), "y"), _of_day(match)
     match = _YEAR_LAST.match(text)
@@ -104,6 +114,11 @@ def _parsed(cell: Any) -> _Stamp | None:
         return (year, int(match["a"]), int(match["b"]), match["sign"]), _of_day(match)
     match = _OF_DAY.match(text)
     return (None, _of_day(match)) if match else None
+
+
+def _unknown_zone(text: str) -> bool:
+    name = re.search(r"\d\s*([A-Z]{3,4})(?:\[.*)?$", text)
+    return name is not None and name[1] not in (*ZONES, "UTC")
 
 
 def _of_day(match: re.Match[str]) -> float:
@@ -115,7 +130,9 @@ def _of_day(match: re.Match[str]) -> float:
         h, m, s = 0, h, m
     if match["half"]:
         h = h % 12 + (12 if match["half"].lower() == "pm" else 0)
-    zone = (match["zone"] or "").replace(":", "")
+    if match["called"]:
+        return 3600 * (h - ZONES[match["called"]]) + 60 * m + s + fraction
+    zone = (match["zone"] or "").replace(":", "").ljust(5, "0") if match["zone"] else ""
     ahead = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:])) if zone else 0
     return 3600 * h + 60 * m + s + fraction - ahead
 
@@ -133,12 +150,13 @@ def _month_first(stamps: Sequence[_Stamp]) -> bool | None:
     return len({d[1] for d in dates}) < len({d[2] for d in dates})
 
 
-def _seconds(stamp: _Stamp, month_first: bool | None) -> float:
+def _seconds(stamp: _Stamp, month_first: bool | None, since: int = 0) -> float:
+    """Seconds since the beginning of a day, by its number: of days long ago they lose digits."""
     if stamp[0] is None:
         return stamp[1]
     year, a, b, sign = stamp[0]
     month, day = (a, b) if sign == "y" or month_first else (b, a)
-    return date(year, month, day).toordinal() * DAY + stamp[1]
+    return (date(year, month, day).toordinal() - since) * DAY + stamp[1]
 
 
 def seconds_of_numbers(

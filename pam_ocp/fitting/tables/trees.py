@@ -13,34 +13,54 @@ from ...core.errors import InputError, UnknownNameError
 from ...core.files import MOST_CELLS, require_size
 from .cells import decimal_of, is_number
 from .dialect import Grid, Unsaid
+from .headers import TIME_NAMES, plain
+from .raw import RawTable
+from .series import rewritten
+from .topics import clocked, merged
 
-__all__ = ["Found", "chosen_table"]
+__all__ = ["Found", "chosen_table", "left_out"]
 
 Found = Mapping[str, Sequence[Any]] | Grid
 """Columns by name, or cells that a layout must be found in."""
+TIME_OF = {*TIME_NAMES, *(f"{name} [s]" for name in TIME_NAMES)}
+GENERIC = frozenset({"v", "value", "values", "data", "samples", "y", "messages", "signal"})
+"""Names that say nothing of what was measured."""
 MOST_LEVELS = 20
 MOST_TABLES = 2000
 
 
-def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[str, ...]]:
-    """(the table of a tree, what was left out).
+def chosen_table(
+    tree: Any, label: str, pick: str | Sequence[str] | None
+) -> tuple[Found | RawTable, tuple[str, ...]]:
+    """(the table of a tree, which it is).
 
-    pick : its name, as ``run.data`` or ``runs[2]``; needed where there are several. Raises an
-    InputError that names them.
+    pick : its name, as ``run.data`` or ``runs[2]``, or several to be put on one clock; needed where
+    there are several that do not have clocks of their own. Raises an InputError that names them.
     """
     _require_few(label, list(_arrays(tree, 0)))
-    tables = dict(_tables(tree, "", label, 0))
-    if pick is not None:
-        wanted = pick.strip()
-        if wanted not in tables:
-            raise UnknownNameError(f"table of {label}", wanted, tables)
-        return tables[wanted], _beside(tables, wanted)
+    tables = _renamed(dict(_tables(rewritten(tree), "", label, 0)))
+    wanted = [pick] if isinstance(pick, str) else list(pick or ())
+    for name in wanted:
+        if name.strip() not in tables:
+            raise UnknownNameError(f"table of {label}", name, tables)
+    if len(wanted) == 1:
+        return tables[wanted[0].strip()], _beside(tables, wanted[0].strip())
+    if wanted:
+        several = {n.strip(): tables[n.strip()] for n in wanted}
+        if not clocked(several):
+            raise InputError(
+                f"pick = {wanted!r}: to put tables on one clock each needs a time of its own, and "
+                "columns of other names; choose one"
+            )
+        return merged(several, label), ()  # type: ignore[arg-type]
     if not tables:
         raise InputError(
             f"{label} holds no table: it needs columns of one length, or a matrix of numbers"
         )
     whole = [n for n in tables if n == ""]
     top = whole or list(tables)
+    if clocked({n: tables[n] for n in top}):
+        return merged({n: tables[n] for n in top}, label), ()  # type: ignore[misc]
     if len(top) > 1:
         shown = ", ".join(f"{n!r} ({_size(tables[n])})" for n in top[:8])
         more = f" and {len(top) - 8} more" if len(top) > 8 else ""
@@ -48,6 +68,42 @@ def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
     return tables[top[0]], _beside(tables, top[0])
+
+
+def _renamed(tables: dict[str, Found]) -> dict[str, Found]:
+    """Tables of a time and one value each, which is called by its place: ``sensors.p.samples``."""
+    if len(tables) < 2 or not all(
+        isinstance(t, Mapping) and len(t) == 2 and sum(n in TIME_OF for n in map(plain, t)) == 1
+        for t in tables.values()
+    ):
+        return tables
+    made: dict[str, Found] = {}
+    for name, table in tables.items():
+        assert isinstance(table, Mapping)
+        parts = [p for p in name.split(".") if p.lower() not in GENERIC]
+        columns = {parts[-1] if plain(n) in GENERIC and parts else n: c for n, c in table.items()}
+        made[name] = columns if len(columns) == 2 else table
+    return made
+
+
+def left_out(tree: Any, label: str, found: Found | RawTable) -> tuple[str, ...]:
+    """Which rows of numbers of a tree are not in its table, in words."""
+    if not isinstance(tree, Mapping) or isinstance(found, Grid):
+        return ()
+    columns = found.columns if isinstance(found, RawTable) else found
+    taken = set(columns)
+    lost = []
+    for key, value in rewritten(tree).items():
+        inside = value.items() if isinstance(value, Mapping) else [(key, value)]
+        for name, one in inside:
+            column = _vector(one)
+            known = {str(name), f"{key} {name}", str(key)} & taken
+            if column and len(column) > 2 and not _is_text(column) and not known:
+                lost.append(f"{name if name == key else f'{key}.{name}'} ({len(column)})")
+    if not lost:
+        return ()
+    more = f" and {len(lost) - 8} more" if len(lost) > 8 else ""
+    return (f"not in the table, for they have other lengths: {', '.join(lost[:8])}{more}",)
 
 
 def _require_few(label: str, arrays: Sequence[NDArray[Any]]) -> None:
@@ -142,18 +198,10 @@ def _columns(tree: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def _signals(value: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Columns one level below those beside them: of a mapping, or of Simulink's "structure with
-    time", which holds values and labels.
-    """
+    """Columns one level below those beside them, where they have no clock of their own."""
     several = value if isinstance(value, list | tuple) else [value]
-    for number, one in enumerate(several[:MOST_TABLES], start=1):
-        if not isinstance(one, Mapping):
-            continue
-        values = _vector(one.get("values"))
-        if values is not None:
-            label = one.get("label")
-            text = label.ravel()[0] if isinstance(label, np.ndarray) and label.size else label
-            yield str(text) if text is not None else f"signal {number}", values
+    for one in several[:MOST_TABLES]:
+        if not isinstance(one, Mapping) or any(plain(str(n)) in TIME_OF for n in one):
             continue
         for name, column in one.items():
             values = _vector(column)

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 __all__ = ["FitStep", "MuscleStep", "TableStep"]
 
-_WORDS = ("columns", "units", "sheet", "skip", "pick", "pivot", "delimiter", "decimal", "empty")
+_WORDS = (
+    *("columns", "units", "sheet", "skip", "pick", "pivot", "delimiter", "decimal", "empty"),
+    *("encoding", "bad_lines", "constants", "pattern"),
+)
 
 
 @STEPS.register("table")

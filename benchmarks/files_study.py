@@ -1,0 +1,881 @@
+"""Are files read as laboratories have them?
+
+    python benchmarks/files_study.py 100 --seed 7 [--keep FOLDER] [--show]
+
+Files of a static test or of a record in time, in the shapes of MATLAB, Simulink, dSPACE, LabVIEW,
+ROS, spreadsheets, loggers and scripts, with names, units, separators, languages and encodings drawn
+at random, written by the libraries of others. Each is read without a word; where reading asks for a
+keyword, the user's answer is given if it is the keyword that the sentence names, and so on.
+
+Counted: right at the first call; right with the keywords named; refused by a sentence that names a
+keyword or what to do; refused otherwise; wrong with a doubt or a note that names the column; wrong
+in silence. Exit code 1 if one is wrong in silence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import json
+import re
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import scipy.io
+
+import pam_ocp as pam
+
+REST = 0.3
+TO_SI = {
+    **{"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6, "psi": 6894.757293168, "mbar": 1e2},
+    **{"kgf/cm2": 98066.5, "at": 98066.5, "mmHg": 133.322387415, "Torr": 101325 / 760},
+    **{"N": 1.0, "kN": 1e3, "daN": 10.0, "kp": 9.80665, "kgf": 9.80665, "lbf": 4.4482216152605},
+    **{"mm": 1e-3, "m": 1.0, "cm": 1e-2, "%": 1e-2, "1": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6},
+}
+NAMES = {
+    "pressure": ("p", "pressure", "Druck", "pression", "Pressure", "presión"),
+    "force": ("F", "force", "Kraft", "Force", "fuerza", "Zugkraft"),
+    "contraction": ("kappa", "contraction", "Kontraktion", "Contraction"),
+    "x": ("x", "pos", "Weg", "displacement", "Position"),
+    "command": ("p_set", "command", "Sollwert", "setpoint"),
+    "time": ("time", "t", "Zeit", "Time"),
+}
+UNITS = {
+    "pressure": ("kPa", "bar", "MPa", "psi", "kgf/cm2", "mmHg", "Torr"),
+    "force": ("N", "kN", "daN", "kp", "lbf"),
+    "contraction": ("%", "1"),
+    "x": ("mm", "m", "cm"),
+    "command": ("bar", "kPa"),
+}
+
+
+@dataclass
+class Case:
+    """What was written. truth : {kind: SI values, or a function of time}; names : {kind: header}.
+    answers : what the user knows, by keyword. span : (first, last) time of the rows [s].
+    """
+
+    source: Any
+    truth: dict[str, Any]
+    names: dict[str, str] = field(default_factory=dict)
+    answers: dict[str, Any] = field(default_factory=dict)
+    record: bool = False
+    first: float = 0.0
+    rows: int = 0
+    tolerance: float = 2e-3
+
+
+SHAPES: dict[str, Callable[[Any, Path], Case]] = {}
+
+
+def shape(function: Callable[[Any, Path], Case]) -> Callable[[Any, Path], Case]:
+    SHAPES[function.__name__] = function
+    return function
+
+
+class Draw:
+    """Random choices, and what is measured."""
+
+    def __init__(self, seed: Any) -> None:
+        self.random = np.random.default_rng(seed)
+        self.phase = self.random.uniform(0, 6)
+
+    def of(self, *choices: Any) -> Any:
+        return choices[int(self.random.integers(len(choices)))]
+
+    def name(self, kind: str) -> str:
+        return str(self.of(*NAMES[kind]))
+
+    def unit(self, kind: str) -> str:
+        return str(self.of(*UNITS[kind]))
+
+    def header(self, name: str, unit: str) -> str:
+        return (
+            str(self.of(f"{name} [{unit}]", f"{name} ({unit})", f"{name}/{unit}"))
+            if ("/" not in unit)
+            else f"{name} [{unit}]"
+        )
+
+    # ---- a static test ---------------------------------------------------------------------------
+    def table(self) -> dict[str, np.ndarray]:
+        kappas = np.arange(0, 0.21, self.of(0.04, 0.05))
+        p = np.linspace(1e5, 6e5, int(self.random.integers(5, 9)))
+        k, p = (a.ravel() for a in np.meshgrid(kappas, p, indexing="ij"))
+        force = 3.14e-4 * p * (22.6 * (1 - k) ** 2 - 8.5) * self.random.uniform(0.8, 1.2)
+        return {"contraction": k, "pressure": p, "force": force}
+
+    # ---- a record --------------------------------------------------------------------------------
+    def signals(self) -> dict[str, Callable[[Any], Any]]:
+        a = self.phase
+        return {
+            "pressure": lambda t: 3e5 + 1e5 * np.sin(2.0 * t + a),
+            "x": lambda t: 0.02 * np.sin(2.0 * t + a - 0.4),
+            "force": lambda t: 400 + 150 * np.cos(1.5 * t + a),
+        }
+
+    def times(self, rate: float | None = None) -> np.ndarray:
+        rate = rate or self.of(100.0, 200.0, 250.0)
+        return np.arange(int(self.random.integers(400, 900))) / rate
+
+
+def columns(draw: Draw, t: np.ndarray, kinds: Any = ("pressure", "x", "force")) -> Any:
+    """({header: numbers}, {kind: header}, truth) of a record, without its clock."""
+    signals = draw.signals()
+    made, names = {}, {}
+    for kind in kinds:
+        unit = draw.unit(kind)
+        names[kind] = draw.header(draw.name(kind), unit)
+        made[names[kind]] = signals[kind](t) / TO_SI[unit]
+    return made, names, {k: signals[k] for k in kinds}
+
+
+def cells(draw: Draw) -> Any:
+    """The same of a static test: ({header: numbers}, truth)."""
+    truth = draw.table()
+    made = {}
+    for kind, values in truth.items():
+        unit = draw.unit(kind)
+        name = draw.name(kind)
+        header = name if kind == "contraction" and unit == "1" else draw.header(name, unit)
+        made[header] = values / TO_SI[unit]
+    return made, truth
+
+
+def shown(value: float, sign: str = ".") -> str:
+    return f"{value:.7g}".replace(".", sign)
+
+
+# ---- text ----------------------------------------------------------------------------------------
+def text_of(made: dict[str, Any], cut: str, sign: str) -> list[str]:
+    rows = zip(*made.values(), strict=True)
+    return [
+        cut.join(made),
+        *(cut.join(v if isinstance(v, str) else shown(v, sign) for v in r) for r in rows),
+    ]
+
+
+@shape
+def csv_in_any_encoding(draw: Draw, path: Path) -> Case:
+    made, truth = cells(draw)
+    cut, sign = draw.of((",", "."), (";", ","), ("\t", ","), ("\t", "."), (";", "."), ("|", "."))
+    lines = text_of(made, cut, sign)
+    if draw.of(True, False):
+        lines = ["Test rig 4", "recorded 2024", *lines]
+    file = path / f"static.{draw.of('csv', 'txt', 'dat')}"
+    encoding = draw.of("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1")
+    file.write_bytes(draw.of("\n", "\r\n").join(lines).encode(encoding))
+    return Case(file, truth)
+
+
+@shape
+def cyrillic(draw: Draw, path: Path) -> Case:
+    _made, truth = cells(draw)
+    units = ("kPa", "N", "%")
+    heads = [f"{n} [{u}]" for n, u in zip(("давление", "сила", "kappa"), units, strict=True)]
+    values = (truth["pressure"] / 1e3, truth["force"], truth["contraction"] * 100)
+    file = path / "данные.csv"
+    lines = text_of(dict(zip(heads, values, strict=True)), ";", ",")
+    file.write_bytes("\n".join(lines).encode(draw.of("cp1251", "utf-8")))
+    return Case(file, truth)
+
+
+@shape
+def two_header_rows(draw: Draw, path: Path) -> Case:
+    truth = draw.table()
+    kinds, units = list(truth), [draw.unit(k) for k in truth]
+    cut, sign = draw.of((",", "."), (";", ","), ("\t", "."))
+    rows = zip(*(truth[k] / TO_SI[u] for k, u in zip(kinds, units, strict=True)), strict=True)
+    said = [("-" if u == "1" else draw.of(u, u) if sign == "," else f"[{u}]") for u in units]
+    lines = [cut.join(draw.name(k) for k in kinds), cut.join(said)]
+    lines += [cut.join(shown(v, sign) for v in row) for row in rows]
+    file = path / "static.csv"
+    file.write_text("\n".join(lines))
+    return Case(file, truth)
+
+
+@shape
+def stray_lines(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    made, names, truth = columns(draw, t)
+    lines = text_of({"time [s]": t, **made}, ",", ".")
+    bad = sorted(draw.random.choice(np.arange(20, len(lines) - 20), 6, replace=False), reverse=True)
+    for i, kind in zip(bad, ("cut", "stray", "head", "cut", "stray", "glued"), strict=True):
+        if kind == "cut":
+            lines[i] = lines[i][: lines[i].rindex(",") - 1]
+        elif kind == "glued":
+            lines[i : i + 2] = [lines[i] + lines[i + 1]]
+        else:
+            lines.insert(i, lines[0] if kind == "head" else "--- sensor restarted ---")
+    file = path / "log.txt"
+    file.write_text("\n".join(lines) + "\n")
+    return Case(file, truth, names, {"bad_lines": "drop", "max_gap": 1.0}, True)
+
+
+@shape
+def key_value(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    equal, cut = draw.of("=", ": ", ":"), draw.of(" ", ", ", "; ", "\t")
+    signals = draw.signals()
+    lines = [
+        cut.join(
+            (
+                f"t{equal}{u:.4f}",
+                f"p{equal}{signals['pressure'](u) / 1000.0:.5g}kPa",
+                f"x{equal}{1000.0 * signals['x'](u):.5g} mm",
+                f"F{equal}{signals['force'](u):.6g}",
+            )
+        )
+        for u in t
+    ]
+    file = path / "serial.log"
+    file.write_text("\n".join(lines))
+    return Case(
+        file, signals, {"pressure": "p", "x": "x", "force": "F"}, {"units": {"time": "s"}}, True
+    )
+
+
+@shape
+def zones_across_a_change(draw: Draw, path: Path) -> Case:
+    t = draw.times(1.0) if draw.of(True, False) else draw.times(10.0)
+    zone = ZoneInfo(draw.of("Europe/Berlin", "America/New_York"))
+    day = dt.datetime(2024, *draw.of((10, 27), (3, 31), (11, 3), (3, 10)), 0, 59, 0, tzinfo=dt.UTC)
+    if zone.key.startswith("America"):
+        day = day.replace(hour=6)
+    stamps = [(day + dt.timedelta(seconds=float(u))).astimezone(zone) for u in t]
+    written = [
+        draw.of(s.isoformat(timespec="milliseconds"), s.isoformat(" ", "milliseconds"))
+        for s in stamps
+    ]
+    made, names, truth = columns(draw, t)
+    file = path / "stamped.csv"
+    file.write_text("\n".join(text_of({"timestamp": written, **made}, ";", ".")))
+    return Case(file, truth, names, {}, True)
+
+
+@shape
+def clock_in_other_units(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    unit, factor = draw.of(("us", 1e6), ("ms", 1e3), ("days", 1 / 86400), ("d", 1 / 86400))
+    made, names, truth = columns(draw, t)
+    said = draw.of(True, False)
+    clock = f"time [{unit}]" if said else "time"
+    lines = [",".join([clock, *made])]
+    rows = zip(t * factor, *made.values(), strict=True)
+    lines += [",".join(f"{v:.12g}" for v in row) for row in rows]
+    file = path / "clock.csv"
+    file.write_text("\n".join(lines))
+    return Case(file, truth, names, {"units": {"time": unit}}, True)
+
+
+@shape
+def without_a_clock(draw: Draw, path: Path) -> Case:
+    t = np.arange(600) * 0.004
+    made, names, truth = columns(draw, t)
+    file = path / "even.csv"
+    file.write_text("\n".join(text_of(made, ",", ".")))
+    return Case(file, truth, names, {"kind": "record", "sample_time": 0.004}, True)
+
+
+@shape
+def constant_contraction(draw: Draw, path: Path) -> Case:
+    truth = draw.table()
+    one = truth["contraction"] == np.unique(truth["contraction"])[2]
+    truth = {k: v[one] for k, v in truth.items()}
+    unit = draw.unit("pressure")
+    made = {f"p [{unit}]": truth["pressure"] / TO_SI[unit], "F [N]": truth["force"]}
+    level = float(truth["contraction"][0])
+    file = path / f"M1_{100 * level:g}pct_run2.csv"
+    file.write_text("\n".join(text_of(made, ";", ",")))
+    answers = draw.of(
+        {"constants": {"contraction": level}},
+        {"pattern": "M1_{contraction [%]}pct_run{run}.csv"},
+        {"constants": {"contraction": f"{100 * level:g} %", "run": 2}},
+    )
+    return Case(file, truth, answers=answers)
+
+
+# ---- spreadsheets --------------------------------------------------------------------------------
+def book(path: Path, rows: list[list[Any]], merge: list[str] | None = None) -> Path:
+    import openpyxl
+
+    made = openpyxl.Workbook()
+    sheet = made.active
+    for row in rows:
+        sheet.append([None if c is None else c if isinstance(c, str) else float(c) for c in row])
+    for span in merge or ():
+        sheet.merge_cells(span)
+    made.save(path)
+    return path
+
+
+@shape
+def merged_head_in_excel(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    signals = draw.signals()
+    name = draw.of("Druck", "Pressure")
+    rows: list[list[Any]] = [["time", name, None, "Position"], ["s", "bar", "bar", "mm"]]
+    rows += [[u, signals["pressure"](u) / 1e5, 2 + 0.1 * u, signals["x"](u) * 1e3] for u in t]
+    file = book(path / "merged.xlsx", rows, ["B1:C1"])
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, {"pressure": f"{name} 1", "x": "Position"}, {}, True)
+
+
+@shape
+def groups_in_excel(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    signals = draw.signals()
+    rows: list[list[Any]] = [["", "Muscle 1", None, "Muscle 2", None]]
+    rows += [["t", "p", "F", "p", "F"], ["s", "bar", "N", "bar", "N"]]
+    rows += [[u, signals["pressure"](u) / 1e5, signals["force"](u), 1.5, 20 + u] for u in t]
+    file = book(path / "groups.xlsx", rows, ["B1:C1", "D1:E1"])
+    truth = {"pressure": signals["pressure"], "force": signals["force"]}
+    return Case(file, truth, {"pressure": "Muscle 1 p", "force": "Muscle 1 F"}, {}, True)
+
+
+@shape
+def blocks_side_by_side(draw: Draw, path: Path) -> Case:
+    truth = draw.table()
+    levels = np.unique(truth["contraction"])
+    say = draw.of("contraction {} %", "{} %", "kappa = {} %")
+    gap, unit = draw.of(0, 1), draw.unit("pressure")
+    rows: list[list[Any]] = [[], []]
+    parts = [truth["contraction"] == k for k in levels]
+    for k in levels:
+        rows[0] += [say.format(f"{100 * k:g}"), None, *[None] * gap]
+        rows[1] += [f"p [{unit}]", "F [N]", *[None] * gap]
+    for i in range(int(parts[0].sum())):
+        row: list[Any] = []
+        for part in parts:
+            row += [
+                truth["pressure"][part][i] / TO_SI[unit],
+                truth["force"][part][i],
+                *[None] * gap,
+            ]
+        rows.append(row)
+    if draw.of(True, False):
+        file = book(path / "blocks.xlsx", rows)
+    else:
+        file = path / "blocks.csv"
+        lines = [
+            ";".join("" if c is None else c if isinstance(c, str) else shown(c, ",") for c in r)
+            for r in rows
+        ]
+        file.write_text("\n".join(lines))
+    return Case(file, truth)
+
+
+@shape
+def clocks_side_by_side(draw: Draw, path: Path) -> Case:
+    slow, fast = np.arange(0, 6, 0.02), np.arange(0, 6, 0.005)
+    signals = draw.signals()
+    rows: list[list[Any]] = [["t [s]", "p [kPa]", "t [s]", "x [mm]"]]
+    for i, u in enumerate(fast):
+        left = [slow[i], signals["pressure"](slow[i]) / 1e3] if i < len(slow) else [None, None]
+        rows.append([*left, u, signals["x"](u) * 1e3])
+    file = book(path / "clocks.xlsx", rows)
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, {"pressure": "p", "x": "x"}, {}, True, tolerance=5e-3)
+
+
+@shape
+def html_that_calls_itself_xls(draw: Draw, path: Path) -> Case:
+    made, truth = cells(draw)
+    sign = draw.of(".", ",")
+    head = "".join(f"<{draw.of('th', 'td')}>{h}</td>" for h in made)
+    rows = zip(*made.values(), strict=True)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{shown(v, sign)}&nbsp;</td>" for v in r) + "</tr>\n" for r in rows
+    )
+    title = draw.of("", f"<tr><td colspan={len(made)}><b>Export 12</b></td></tr>")
+    file = path / "export.xls"
+    file.write_text(
+        f"<html><head><style>td {{color: red}}</style></head><body><table>{title}<tr>{head}</tr>"
+        f"{body}</table></body></html>",
+        encoding="utf-8",
+    )
+    return Case(file, truth)
+
+
+# ---- MATLAB, Simulink, dSPACE --------------------------------------------------------------------
+@shape
+def matlab_level_4(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    signals = draw.signals()
+    made = {"time": t, "p_kPa": signals["pressure"](t) / 1e3, "x_mm": signals["x"](t) * 1e3}
+    made = {k: v[:, None] if draw.of(True, False) else v[None, :] for k, v in made.items()}
+    file = path / "level4.mat"
+    scipy.io.savemat(file, made, format="4")
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, {"pressure": "p", "x": "x"}, {"units": {"time": "s"}}, True)
+
+
+def structure(t: Any, several: dict[str, Any], three: bool = False) -> dict[str, Any]:
+    made = np.empty((1, len(several)), dtype=[("values", "O"), ("dimensions", "O"), ("label", "O")])
+    for i, (label, values) in enumerate(several.items()):
+        values = np.asarray(values)
+        made[0, i] = (values.reshape(1, 1, -1) if three else values.reshape(len(t), -1), 1.0, label)
+    return {"time": np.asarray(t)[:, None], "signals": made, "blockName": "rig/To Workspace"}
+
+
+@shape
+def to_workspace(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    signals = draw.signals()
+    several = {"p [bar]": signals["pressure"](t) / 1e5, "x [mm]": signals["x"](t) * 1e3}
+    file = path / "out.mat"
+    scipy.io.savemat(
+        file, {draw.of("ScopeData", "simout"): structure(t, several, draw.of(True, False))}
+    )
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, {"pressure": "p", "x": "x"}, {}, True)
+
+
+@shape
+def several_to_workspace(draw: Draw, path: Path) -> Case:
+    signals = draw.signals()
+    a, b = np.arange(0, 5, 0.004), np.arange(0, 5, draw.of(0.004, 0.01))
+    held = {
+        "p_bar": structure(a, {"": signals["pressure"](a) / 1e5}),
+        "x_mm": structure(b, {"": signals["x"](b) * 1e3}),
+        "tout": a[:, None],
+    }
+    if draw.of(True, False):
+        del held["tout"]
+    file = path / "out.mat"
+    scipy.io.savemat(file, held)
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    answers = {"pick": ["p_bar", "x_mm"]}
+    return Case(file, truth, {"pressure": "p_bar", "x": "x_mm"}, answers, True, tolerance=5e-3)
+
+
+@shape
+def structure_without_time(draw: Draw, path: Path) -> Case:
+    t = np.arange(500) * 0.002
+    signals = draw.signals()
+    several = {"p [bar]": signals["pressure"](t) / 1e5, "x [mm]": signals["x"](t) * 1e3}
+    made = structure(t, several)
+    made["time"] = np.zeros((0, 0))
+    file = path / "out.mat"
+    scipy.io.savemat(file, {"simout": made})
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    answers = {"kind": "record", "sample_time": 0.002}
+    return Case(file, truth, {"pressure": "p", "x": "x"}, answers, True)
+
+
+@shape
+def dspace(draw: Draw, path: Path) -> Case:
+    signals = draw.signals()
+    rasters = [np.arange(0, 4, 0.001), np.arange(0, 4, draw.of(0.001, 0.01))]
+    two = not np.array_equal(*rasters)
+    paths = {
+        "pressure": draw.of('Model Root/"p1"/Out1', "p1", "Model Root/Sensors/p1"),
+        "x": draw.of("Model Root/x/Out1", "x"),
+    }
+    y = np.empty(
+        (1, 2), dtype=[(n, "O") for n in ("Name", "Type", "Data", "Unit", "XIndex", "Path")]
+    )
+    for i, (kind, unit) in enumerate((("pressure", "bar"), ("x", "mm"))):
+        t = rasters[i if two else 0]
+        values = signals[kind](t) / TO_SI[unit]
+        y[0, i] = (
+            paths[kind],
+            "Signal",
+            values[None, :].astype(np.float32),
+            unit,
+            float(1 + i * two),
+            "",
+        )
+    x = np.empty((1, 1 + two), dtype=[("Name", "O"), ("Type", "O"), ("Data", "O"), ("Raster", "O")])
+    for i in range(1 + two):
+        x[0, i] = ("time", "Double", rasters[i][None, :], f"HostService{i}")
+    file = path / "capture.mat"
+    told = {"Application": "ControlDesk", "Version": 7.0}
+    scipy.io.savemat(
+        file, {"rec_001": {"X": x, "Y": y, "Description": told, "RTProgram": "rig.sdf"}}
+    )
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, {"pressure": "p1", "x": "x"}, {}, True, tolerance=5e-3)
+
+
+@shape
+def hdf5(draw: Draw, path: Path) -> Case:
+    import h5py
+
+    t = draw.times()
+    signals = draw.signals()
+    file = path / "run.h5"
+    with h5py.File(file, "w") as made:
+        group = made.create_group("run/signals") if draw.of(True, False) else made
+        for name, values, unit in (
+            ("time", t, "s"),
+            ("p1", signals["pressure"](t) / 1e3, "kPa"),
+            ("x", signals["x"](t), "m"),
+        ):
+            group.create_dataset(name, data=values).attrs["unit"] = unit
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, {"pressure": "p1", "x": "x"}, {}, True)
+
+
+# ---- LabVIEW -------------------------------------------------------------------------------------
+@shape
+def lvm(draw: Draw, path: Path) -> Case:
+    t = np.arange(500) * 0.002
+    signals = draw.signals()
+    sign, kind = draw.of(".", ","), draw.of("One", "No", "Multi")
+    names = draw.of(("Pressure", "Position"), ("p", "x"))
+    made = (signals["pressure"](t) / 1e5, signals["x"](t) * 1e3)
+    lines = ["LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab"]
+    lines += [f"Decimal_Separator\t{sign}", "Multi_Headings\tNo", f"X_Columns\t{kind}"]
+    lines += ["Time_Pref\tAbsolute", "Operator\tlab", "Date\t2024/03/12", f"Time\t14:05:01{sign}25"]
+    lines += ["***End_of_Header***\t", "\t", "Channels\t2\t\t", "Samples\t500\t500\t"]
+    lines += ["Y_Unit_Label\tbar\tmm\t", "X_Dimension\tTime\tTime\t"]
+    lines += [f"X0\t0{sign}0E+0\t0{sign}0E+0\t", f"Delta_X\t0{sign}002\t0{sign}002\t"]
+    lines += ["***End_of_Header***\t\t\t"]
+    if kind == "Multi":
+        lines += [f"X_Value\t{names[0]}\tX_Value\t{names[1]}\tComment"]
+    else:
+        lines += [f"X_Value\t{names[0]}\t{names[1]}\tComment"]
+    for i, u in enumerate(t):
+        p, x = (f"{v[i]:.6f}".replace(".", sign) for v in made)
+        clock = "" if kind == "No" else f"{u:.6f}".replace(".", sign)
+        lines.append(f"{clock}\t{p}\t{clock}\t{x}" if kind == "Multi" else f"{clock}\t{p}\t{x}")
+    file = path / "test.lvm"
+    file.write_text("\r\n".join(lines), encoding="latin-1")
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(
+        file, truth, dict(zip(("pressure", "x"), names, strict=True)), {}, True, tolerance=5e-3
+    )
+
+
+@shape
+def tdms(draw: Draw, path: Path) -> Case:
+    from nptdms import ChannelObject, TdmsWriter
+
+    signals = draw.signals()
+    steps = (0.001, draw.of(0.001, 0.01))
+    kind = draw.of("waveform", "waveform", "time channel")
+    start = np.datetime64("2024-03-12T14:05:01.250000")
+    made = []
+    if kind == "time channel":
+        t = np.arange(0, 4, 0.001)
+        made.append(ChannelObject("Data", "Time", t, {"unit_string": "s"}))
+    for (name, unit, what), step in zip(
+        (("p", "bar", "pressure"), ("x", "mm", "x")), steps, strict=True
+    ):
+        t = np.arange(0, 4, 0.001 if kind == "time channel" else step)
+        told: dict[str, Any] = {"unit_string": unit}
+        if kind == "waveform":
+            told |= {"wf_increment": step, "wf_start_offset": 0.0, "wf_start_time": start}
+            told["wf_samples"] = len(t)
+        made.append(ChannelObject("Data", name, signals[what](t) / TO_SI[unit], told))
+    file = path / "log.tdms"
+    with TdmsWriter(file) as writer:
+        writer.write_segment(made)
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, {"pressure": "p", "x": "x"}, {}, True, tolerance=5e-3)
+
+
+# ---- ROS -----------------------------------------------------------------------------------------
+START = 1_710_252_301_250_000_000
+
+
+def topics(draw: Draw) -> list[tuple[str, np.ndarray, Callable[[Any], Any]]]:
+    signals = draw.signals()
+    rates = draw.of((100.0, 100.0), (200.0, 100.0), (250.0, 50.0))
+    late = draw.random.uniform(0, 0.02)
+    return [
+        (draw.of("/rig/pressure", "/pressure"), np.arange(0, 5, 1 / rates[0]), signals["pressure"]),
+        ("/rig/x", late + np.arange(0, 5, 1 / rates[1]), signals["x"]),
+    ]
+
+
+def of_topics(file: Path, several: Any, answers: dict[str, Any] | None = None) -> Case:
+    (_, a, p), (_, b, x) = several
+    first = max(a[0], b[0])
+    main = a if a.size >= b.size else b
+    first = float(main[main >= first - 1e-9][0])
+    truth = {"pressure": p, "x": x}
+    return Case(
+        file, truth, {"pressure": "pressure", "x": "x"}, answers or {}, True, first, tolerance=1e-2
+    )
+
+
+def write_ros(writer: Any, store: Any, several: Any, ros1: bool) -> None:
+    kinds = store.types
+    kind = kinds["std_msgs/msg/Float64"]
+    for topic, t, f in several:
+        connection = writer.add_connection(topic, kind.__msgtype__, typestore=store)
+        for u in t:
+            message = kind(data=float(f(u)))
+            raw = (
+                store.serialize_ros1(message, kind.__msgtype__)
+                if ros1
+                else store.serialize_cdr(message, kind.__msgtype__)
+            )
+            writer.write(connection, START + round(u * 1e9), raw)
+    text = kinds["std_msgs/msg/String"]
+    connection = writer.add_connection("/remarks", text.__msgtype__, typestore=store)
+    for u in (0.1, 3.0):
+        message = text(data="valve opened")
+        raw = (
+            store.serialize_ros1(message, text.__msgtype__)
+            if ros1
+            else store.serialize_cdr(message, text.__msgtype__)
+        )
+        writer.write(connection, START + round(u * 1e9), raw)
+
+
+@shape
+def rosbag_1(draw: Draw, path: Path) -> Case:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    several = topics(draw)
+    file = path / "run.bag"
+    with Writer(file) as writer:
+        write_ros(writer, get_typestore(Stores.ROS1_NOETIC), several, True)
+    return of_topics(file, several)
+
+
+@shape
+def rosbag_2(draw: Draw, path: Path) -> Case:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    several = topics(draw)
+    file = path / "run"
+    plugin = draw.of(StoragePlugin.SQLITE3, StoragePlugin.MCAP)
+    with Writer(file, version=9, storage_plugin=plugin) as writer:
+        write_ros(writer, get_typestore(Stores.ROS2_HUMBLE), several, False)
+    inside = draw.of(None, "*.db3" if plugin is StoragePlugin.SQLITE3 else "*.mcap")
+    return of_topics(file if inside is None else next(file.glob(inside)), several)
+
+
+@shape
+def joint_states(draw: Draw, path: Path) -> Case:
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    t, signals = np.arange(0, 5, 0.01), draw.signals()
+    state, header, time = (
+        kinds[n]
+        for n in (
+            "sensor_msgs/msg/JointState",
+            "std_msgs/msg/Header",
+            "builtin_interfaces/msg/Time",
+        )
+    )
+    file = path / "joints"
+    with Writer(file, version=9) as writer:
+        connection = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
+        for u in t:
+            ns = START + round(u * 1e9)
+            message = state(
+                header=header(stamp=time(sec=ns // 10**9, nanosec=ns % 10**9), frame_id=""),
+                name=["slide", "arm"],
+                position=np.array([signals["x"](u), 0.1]),
+                velocity=np.array([0.0, 0.0]),
+                effort=np.array([signals["force"](u), 0.0]),
+            )
+            late = ns + int(draw.random.uniform(0, 3e6))  # when it arrived
+            writer.write(connection, late, store.serialize_cdr(message, state.__msgtype__))
+    names = {"x": "joint_states.position.slide", "force": "joint_states.effort.slide"}
+    return Case(file, {"x": signals["x"], "force": signals["force"]}, names, {}, True)
+
+
+@shape
+def mcap_of_json(draw: Draw, path: Path) -> Case:
+    from mcap.writer import Writer
+
+    several = topics(draw)
+    file = path / "run.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic, t, f in several:
+            text = json.dumps({"type": "object", "properties": {"data": {"type": "number"}}})
+            schema = writer.register_schema("Number", "jsonschema", text.encode())
+            channel = writer.register_channel(topic, "json", schema)
+            for u in t:
+                ns = START + round(u * 1e9)
+                data = json.dumps({"data": float(f(u))}).encode()
+                writer.add_message(channel, log_time=ns, publish_time=ns, data=data)
+        writer.finish()
+    return of_topics(file, several)
+
+
+# ---- JSON and pandas -----------------------------------------------------------------------------
+@shape
+def nested_json(draw: Draw, path: Path) -> Case:
+    t = draw.times()
+    signals = draw.signals()
+    p, x = signals["pressure"](t) / 1e3, signals["x"](t) * 1e3
+    kind = draw.of("channels", "mapping", "records", "lines", "united records")
+    file = path / "run.json"
+    if kind == "channels":
+        made: Any = {
+            "meta": {"rig": 4, "by": "lab"},
+            "channels": [
+                {"name": "time", "unit": "s", "data": t.tolist()},
+                {"name": "p", "unit": "kPa", "data": p.tolist()},
+                {"name": "x", "unit": "mm", "data": x.tolist()},
+            ],
+        }
+    elif kind == "mapping":
+        made = {
+            "info": {"rate": 100},
+            "data": {
+                "time": {"unit": "s", "values": t.tolist()},
+                "p": {"unit": "kPa", "values": p.tolist()},
+                "x": {"unit": "mm", "values": x.tolist()},
+            },
+        }
+    elif kind == "united records":
+        made = [
+            {"t": u, "p": {"value": a, "unit": "kPa"}, "x": {"value": b, "unit": "mm"}}
+            for u, a, b in zip(t, p, x, strict=True)
+        ]
+    else:
+        made = [{"t": u, "rig": {"p_kPa": a, "x_mm": b}} for u, a, b in zip(t, p, x, strict=True)]
+    if kind == "lines":
+        file = path / draw.of("run.jsonl", "run.log")
+        file.write_text("\n".join(map(json.dumps, made)))
+    else:
+        file.write_text(json.dumps(made, indent=draw.of(None, 1)))
+    nested = kind in ("records", "lines")
+    names = {"pressure": "rig.p_kPa" if nested else "p", "x": "rig.x_mm" if nested else "x"}
+    truth = {"pressure": signals["pressure"], "x": signals["x"]}
+    return Case(file, truth, names, {"units": {"time": "s"}}, True)
+
+
+@shape
+def frame_with_an_index_of_times(draw: Draw, path: Path) -> Case:
+    import pandas as pd
+
+    t = draw.times()
+    made, names, truth = columns(draw, t)
+    begin = pd.Timestamp("2024-10-27 00:59:59", tz=draw.of(None, "UTC")) + pd.to_timedelta(
+        t, unit="s"
+    )
+    if begin.tz is not None:
+        begin = begin.tz_convert(draw.of("Europe/Berlin", "UTC"))
+    index = draw.of(begin, pd.to_timedelta(t, unit="s"), pd.Index(t, name="time [s]"))
+    frame = pd.DataFrame(made, index=index)
+    if draw.of(True, False):
+        return Case(frame, truth, names, {}, True)
+    frame.to_parquet(path / "run.parquet")
+    return Case(path / "run.parquet", truth, names, {}, True)
+
+
+# ---- reading -------------------------------------------------------------------------------------
+def plain(name: str) -> str:
+    """A name without its unit, as records call their variables."""
+    text = re.sub(r"\s*[\[(][^\])]*[\])]$|/[^/\s]+$", "", name)
+    text = re.sub(r"_(kPa|mm|bar)$", "", text) if "effort" not in text else text
+    return re.sub(r"\W", "_", text).lower()
+
+
+def is_right(case: Case, result: Any) -> bool:
+    if isinstance(result, pam.fitting.ForceTable):
+        if case.record or len(result) != len(case.truth["pressure"]):
+            return False
+        order, wanted = (
+            np.lexsort((np.round(a["pressure"]), np.round(a["contraction"], 6)))
+            for a in ({"pressure": result.pressure, "contraction": result.contraction}, case.truth)
+        )
+        return all(
+            np.allclose(getattr(result, k)[order], v[wanted], rtol=1e-5, atol=1e-6)
+            for k, v in case.truth.items()
+        )
+    t = result.t - result.t[0] + case.first
+    names = {plain(v.name): v.name for v in result.variables}
+    for kind, truth in case.truth.items():
+        name = names.get(plain(case.names[kind]), names.get(kind))
+        if name is None:
+            return False
+        wanted = truth(t)
+        if np.max(np.abs(result[name] - wanted)) > case.tolerance * np.ptp(wanted):
+            return False
+    return len(result) > 200
+
+
+def asked(sentence: str, answers: dict[str, Any], given: dict[str, Any]) -> str | None:
+    """The keyword that a sentence names and the user can answer."""
+    named = [k for k in answers if k not in given and re.search(rf"\b{k}\b", sentence)]
+    return named[0] if named else None
+
+
+def read(case: Case) -> tuple[str, str]:
+    """(outcome, what was said)."""
+    given: dict[str, Any] = {}
+    if case.answers.get("kind"):
+        case.answers.pop("kind")
+    for _ in range(5):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            try:
+                result = (pam.read_record if case.record else pam.read_table)(case.source, **given)
+            except pam.PamError as error:
+                sentence = str(error)
+                keyword = asked(sentence, case.answers, given)
+                if keyword is None:
+                    helped = re.search(r"\w+=|give |save |say |name ", sentence)
+                    return ("refused, helped" if helped else "refused"), sentence
+                given[keyword] = case.answers[keyword]
+                continue
+        words = " ".join(str(w.message) for w in told)
+        if is_right(case, result):
+            return ("right with " + ", ".join(given) if given else "right"), words
+        doubt = " ".join(str(w.message) for w in told if w.category is pam.UnitWarning)
+        keyword = asked(doubt, case.answers, given)
+        if keyword is None:
+            return ("wrong, doubted" if doubt else "WRONG IN SILENCE"), words or repr(result)
+        given[keyword] = case.answers[keyword]
+    return "refused", sentence
+
+
+def study(count: int, seed: int, folder: Path) -> list[tuple[str, str, str]]:
+    """(shape, outcome, what was said) of each file: all shapes in turn."""
+    found = []
+    for i in range(count):
+        name = list(SHAPES)[i % len(SHAPES)]
+        place = folder / f"{i:03d}_{name}"
+        place.mkdir(parents=True)
+        case = SHAPES[name](Draw([seed, i]), place)
+        found.append((f"{i:03d} {name}", *read(case)))
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("count", type=int, nargs="?", default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder in which the files stay")
+    parser.add_argument("--show", action="store_true", help="what was said of each file")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        found = study(options.count, options.seed, options.keep or Path(scratch))
+    for name, outcome, words in found:
+        if options.show or not outcome.startswith("right"):
+            print(f"{name}: {outcome}: {words[:400]}")
+    counts = Counter(
+        "right with a keyword" if o.startswith("right with") else o for _, o, _ in found
+    )
+    print(f"{options.count} files, seed {options.seed}:", dict(counts))
+    return int(counts["WRONG IN SILENCE"] > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

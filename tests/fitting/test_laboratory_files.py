@@ -1,0 +1,435 @@
+"""Files as laboratories have them: loggers, structures, blocks, several clocks, folders."""
+
+import json
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+import pam_ocp as pam
+from pam_ocp.core.exceptions import InputError
+from pam_ocp.core.units import unit
+from pam_ocp.fitting import ReadingWarning, look
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+T = np.arange(300) * 0.01
+BAR = 3 + np.sin(T)
+
+
+def lines(*columns: np.ndarray, cut: str = ",") -> str:
+    rows = zip(*columns, strict=True)
+    return "\n".join(cut.join(f"{v:.6f}" for v in row) for row in rows) + "\n"
+
+
+def quietly(function, *arguments, **options):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        result = function(*arguments, **options)
+    return result, " ".join(str(w.message) for w in told)
+
+
+def test_a_file_of_every_shape_is_read_right_and_none_wrong(tmp_path: Path) -> None:
+    for library in ("nptdms", "rosbags", "mcap", "h5py", "pandas"):
+        pytest.importorskip(library)
+    import files_study
+
+    found = files_study.study(len(files_study.SHAPES), 11, tmp_path)
+    outcomes = [outcome for _, outcome, _ in found]
+    assert not [name for name, outcome, _ in found if "wrong" in outcome.lower()]
+    assert sum(o.startswith("right") for o in outcomes) >= 0.9 * len(outcomes)
+
+
+@pytest.mark.parametrize(
+    ("header", "size"),
+    [
+        ("p [mmHg]", 133.322387415),
+        ("p [Torr]", 101325 / 760),
+        ("p [inHg]", 3386.388640341),
+        ("p [kgf/cm2]", 98066.5),
+        ("p [kgf/cm²]", 98066.5),
+        ("p [kp/cm^2]", 98066.5),
+        ("p [at]", 98066.5),
+        ("p [N/mm²]", 1e6),
+    ],
+)
+def test_pressures_in_units_of_other_times_and_places(header: str, size: float) -> None:
+    record = pam.read_record({"time [s]": T, header: BAR * 1e5 / size})
+    assert record["p"] == pytest.approx(BAR * 1e5)
+
+
+def test_forces_in_dekanewton_and_kilopond() -> None:
+    assert unit("daN").factor == 10.0
+    assert unit("kp").factor == unit("kgf").factor == 9.80665
+
+
+def test_stray_and_cut_lines_are_dropped_on_request_counted_and_said(tmp_path: Path) -> None:
+    rows = lines(T, BAR).splitlines()
+    rows.insert(200, "--- restart ---")
+    rows[100] = rows[100][:3]
+    path = tmp_path / "log.csv"
+    path.write_text("time [s],p [bar]\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError, match="bad_lines='drop'"):
+        pam.read_record(path)
+    record, words = quietly(pam.read_record, path, bad_lines="drop")
+    assert "2 of 301 lines are no rows and left out (line 102, 202)" in words
+    assert len(record) == 299
+
+
+def test_more_bad_lines_than_rows_are_no_table(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t [s],p [bar]\n" + "0.1,2\n0.2,3\nfoo\nbar\nbaz\n" * 20 + "0.3,1\n0.4,1\n" * 5)
+    with pytest.raises(InputError, match=r"at most 50 %|needs a header and at least one row"):
+        pam.read_record(path, bad_lines="drop")
+
+
+def test_a_last_value_that_is_cut_off_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time [s],p [bar]\n" + lines(T, BAR)[:-4])
+    record, words = quietly(pam.read_record, path)
+    assert "the last, is cut off" in words
+    assert record["p"] == pytest.approx(BAR[:-1] * 1e5, rel=1e-5)
+
+
+def test_names_that_come_again_are_no_rows(tmp_path: Path) -> None:
+    rows = lines(T, BAR).splitlines()
+    rows.insert(50, "time [s],p [bar]")
+    path = tmp_path / "log.csv"
+    path.write_text("time [s],p [bar]\n" + "\n".join(rows) + "\n")
+    record, words = quietly(pam.read_record, path)
+    assert "names that come again left out" in words
+    assert record["p"] == pytest.approx(BAR * 1e5, rel=1e-5)
+
+
+def test_a_constant_stands_for_a_column() -> None:
+    cells = {"p [bar]": [1, 2, 3, 4], "F [N]": [100, 300, 500, 700]}
+    for value in (0.05, "5 %", "0,05"):
+        table = pam.read_table(cells, constants={"contraction": value, "branch": "up", "run": 3})
+        assert table.contraction == pytest.approx([0.05] * 4)
+        assert table.branch == ("inflation",) * 4
+        assert table.run == ("3",) * 4
+    table = pam.read_table(cells, rest_length=0.3, constants={"length": "285 mm"})
+    assert table.contraction == pytest.approx([0.05] * 4)
+
+
+@pytest.mark.parametrize(
+    ("constants", "words"),
+    [
+        (0.05, "give {name: value}"),
+        ({"contraction": "5 mm"}, "something else"),
+        ({"pressure": 1e5}, "already"),
+        ({"mass": "heavy"}, "give a number"),
+    ],
+)
+def test_constants_that_cannot_be_are_refused(constants: object, words: str) -> None:
+    cells = {"p [bar]": [1, 2, 3, 4], "F [N]": [100, 300, 500, 700]}
+    with pytest.raises(InputError, match=words):
+        pam.read_table(cells, constants=constants)
+
+
+def look_or_refusal(path: Path) -> str | None:
+    """The sentence by which a file is refused; None where it is read. Other errors come out."""
+    try:
+        quietly(pam.read_record, path)
+    except pam.PamError as error:
+        return str(error)
+    return None
+
+
+def folder_of_runs(folder: Path) -> None:
+    for muscle, gain in (("M1", 1.0), ("M2", 0.9)):
+        for percent in (0, 5, 10):
+            p = np.arange(1.0, 6.0)
+            force = gain * p * (140 - 8 * percent)
+            name = f"{muscle}_k{percent}_run1.csv"
+            (folder / name).write_text("p [bar],F [N]\n" + lines(p, force))
+
+
+def test_a_folder_is_one_call_and_says_what_was_read_how(tmp_path: Path) -> None:
+    folder_of_runs(tmp_path)
+    (tmp_path / "M3_kx_run1.csv").write_text("p [bar],F [N]\n1,2\n")
+    (tmp_path / "notes.md").write_text("nothing")
+    pattern = "{muscle}_k{contraction [%]}_run{run}.csv"
+    found, words = quietly(pam.read_folder, tmp_path, pattern=pattern)
+    assert "1 of 7 files not read" in words
+    assert list(found.problems) == [str(tmp_path / "M3_kx_run1.csv")]
+    assert len(found.table) == 30
+    assert sorted(set(found.table.contraction)) == pytest.approx([0.0, 0.05, 0.10])
+    by_muscle = found.by("muscle")
+    assert max(by_muscle["M2"].table.force) == pytest.approx(630.0)
+    assert str(found).count("cells between commas") == 6
+    assert found.rows()[1]["contraction [%]"] == 10.0
+
+
+def test_a_pattern_that_is_none_and_a_folder_without_files_are_refused(tmp_path: Path) -> None:
+    folder_of_runs(tmp_path)
+    for pattern, words in (
+        ("{run", "each brace"),
+        ("{x [foo]}.csv", "no unit"),
+        ("*.xyz", "no file"),
+    ):
+        with pytest.raises(InputError, match=words):
+            pam.read_folder(tmp_path, pattern=pattern)
+    with pytest.raises(InputError, match="say the unit of contraction"):
+        pam.read_table(tmp_path / "M1_k5_run1.csv", pattern="M1_k{contraction}_run1.csv")
+    with pytest.raises(InputError, match="does not fit the name"):
+        pam.read_table(tmp_path / "M1_k5_run1.csv", pattern="M2_k{contraction [%]}_run1.csv")
+
+
+def test_rows_without_a_time_are_counted_by_the_sample_time() -> None:
+    with pytest.raises(InputError, match=r"sample_time=0.001"):
+        pam.read_record({"p [bar]": BAR})
+    record, words = quietly(pam.read_record, {"p [bar]": BAR}, sample_time=0.01)
+    assert "rows are counted" in words
+    assert record.t == pytest.approx(T)
+    # a column in milliseconds is a clock that must be named, not counted over
+    with pytest.raises(InputError, match=r"time='elapsed_\[ms\]'|time='tick \[ms\]'"):
+        pam.read_record({"tick [ms]": 1e3 * T, "p [bar]": BAR}, sample_time=0.01)
+
+
+def test_topics_come_on_the_finest_clock_and_commands_are_held() -> None:
+    slow = np.arange(0, 3, 0.05)
+    steps = np.floor(slow)
+    tree = {
+        "sensor": {"time": T.tolist(), "p [bar]": BAR.tolist()},
+        "valve": {"time": slow.tolist(), "command [bar]": steps.tolist()},
+        "slide": {"time": slow.tolist(), "x [mm]": (10 * slow).tolist()},
+    }
+    path = Path("topics.json")
+    path.write_text(json.dumps(tree))
+    record, words = quietly(pam.read_record, path)
+    path.unlink()
+    assert "held between samples: command [bar]" in words
+    inside = T[slow[-1] >= T]
+    assert record.t == pytest.approx(inside)
+    assert record["x"] == pytest.approx(0.01 * inside)
+    assert record["command"] == pytest.approx(1e5 * np.floor(inside + 1e-9), abs=1e-6)
+
+
+def test_clocks_without_a_unit_are_doubted_after_merging_too(tmp_path: Path) -> None:
+    tree = {
+        "a": {"time": (1e3 * T).tolist(), "p [bar]": BAR.tolist()},
+        "b": {"time": (1e3 * T).tolist(), "x [mm]": BAR.tolist()},
+    }
+    (tmp_path / "t.json").write_text(json.dumps(tree))
+    with pytest.warns(pam.UnitWarning, match=r"units=\{'time': 'ms'\}"):
+        pam.read_record(tmp_path / "t.json")
+    record, _ = quietly(pam.read_record, tmp_path / "t.json", units={"time": "ms"})
+    assert record.t == pytest.approx(T)
+
+
+def test_topics_that_end_alike_keep_their_paths(tmp_path: Path) -> None:
+    writer_of = pytest.importorskip("mcap.writer").Writer
+    path = tmp_path / "two.mcap"
+    with path.open("wb") as stream:
+        writer = writer_of(stream)
+        writer.start()
+        schema = writer.register_schema("P", "jsonschema", b"{}")
+        for side, gain in (("left", 1.0), ("right", 2.0)):
+            channel = writer.register_channel(f"/{side}/pressure", "json", schema)
+            for t, p in zip(T, BAR, strict=True):
+                data = json.dumps({"data": gain * 1e5 * p}).encode()
+                now = round(1e9 * t) + 10**18
+                writer.add_message(channel, log_time=now, publish_time=now, data=data)
+        writer.finish()
+    record, _ = quietly(pam.read_record, path)
+    assert record["right_pressure"] == pytest.approx(2 * record["left_pressure"])
+    assert record["left_pressure"] == pytest.approx(BAR * 1e5)
+
+
+def test_nothing_is_interpolated_across_a_gap(tmp_path: Path) -> None:
+    slow = np.concatenate([np.arange(0, 1, 0.05), np.arange(2, 3, 0.05)])
+    tree = {
+        "a": {"time": T.tolist(), "p [bar]": BAR.tolist()},
+        "b": {"time": slow.tolist(), "x [mm]": (10 * slow).tolist()},
+    }
+    (tmp_path / "t.json").write_text(json.dumps(tree))
+    with pytest.raises(InputError, match="a gap of"):
+        pam.read_record(tmp_path / "t.json")
+
+
+def test_tables_that_were_not_recorded_together_are_not_merged(tmp_path: Path) -> None:
+    tree = {
+        "a": {"time": T.tolist(), "p [bar]": BAR.tolist()},
+        "b": {"time": (T + 100).tolist(), "x [mm]": BAR.tolist()},
+    }
+    (tmp_path / "t.json").write_text(json.dumps(tree))
+    with pytest.raises(InputError, match=r"not recorded together.*pick='a'"):
+        pam.read_record(tmp_path / "t.json")
+    assert pam.read_record(tmp_path / "t.json", pick="b").names == ("x",)
+
+
+def test_repeated_runs_are_not_taken_for_topics(tmp_path: Path) -> None:
+    runs = {f"run{i}": {"t": T, "p_bar": BAR + i} for i in (1, 2)}
+    scipy.io.savemat(tmp_path / "runs.mat", runs)
+    with pytest.raises(InputError, match="pick='run1'"):
+        pam.read_record(tmp_path / "runs.mat")
+    record = pam.read_record(tmp_path / "runs.mat", pick="run2")
+    assert record["p"] == pytest.approx((BAR + 2) * 1e5)
+
+
+def test_what_is_left_out_of_a_structure_is_said(tmp_path: Path) -> None:
+    made = {"time": T, "p_bar": BAR, "x_mm": BAR, "F_N": BAR[::3]}
+    scipy.io.savemat(tmp_path / "rates.mat", made)
+    record, words = quietly(pam.read_record, tmp_path / "rates.mat")
+    assert record.names == ("p", "x")
+    assert "other lengths: F_N (100)" in words
+
+
+def test_a_damaged_file_of_level_4_is_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "old.mat"
+    scipy.io.savemat(path, {"time": T, "p_bar": BAR}, format="4")
+    sound = path.read_bytes()
+    random = np.random.default_rng(3)
+    for _ in range(60):
+        damaged = bytearray(sound)
+        damaged[int(random.integers(20))] = int(random.integers(256))
+        path.write_bytes(bytes(damaged[: int(random.integers(20, len(sound)))]))
+        refused = look_or_refusal(path)
+        assert refused is None or "old.mat" in refused
+
+
+@pytest.mark.parametrize("zone", ["CEST", "+0200", "+02", "+02:00"])
+def test_a_change_of_daylight_saving_is_no_jump(zone: str, tmp_path: Path) -> None:
+    after = {"CEST": "CET", "+0200": "+0100", "+02": "+01", "+02:00": "+01:00"}[zone]
+    rows = [f"2024-10-27 02:59:{s:02d} {zone},{s}" for s in range(30, 60)]
+    rows += [f"2024-10-27 02:00:{s:02d} {after},{60 + s}" for s in range(30)]
+    (tmp_path / "z.csv").write_text("time,p [kPa]\n" + "\n".join(rows) + "\n")
+    record = pam.read_record(tmp_path / "z.csv")
+    assert record.t == pytest.approx(np.arange(60.0))
+
+
+def test_a_zone_that_is_not_known_is_refused(tmp_path: Path) -> None:
+    rows = [f"2024-10-27 02:59:{s:02d} XYZ,{s}" for s in range(30)]
+    (tmp_path / "z.csv").write_text("time,p [kPa]\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError, match="no time"):
+        pam.read_record(tmp_path / "z.csv")
+
+
+def test_an_index_of_times_is_the_clock() -> None:
+    pd = pytest.importorskip("pandas")
+    index = pd.date_range("2024-03-31 00:59:59", periods=300, freq="10ms", tz="UTC")
+    for one in (index, index.tz_convert("Europe/Berlin"), index - index[0]):
+        record = pam.read_record(pd.DataFrame({"p [bar]": BAR}, index=one))
+        assert record.t == pytest.approx(T)
+    heads = pd.MultiIndex.from_tuples([("time", "s"), ("p", "bar")])
+    record = pam.read_record(pd.DataFrame(np.c_[T, BAR], columns=heads))
+    assert record["p"] == pytest.approx(BAR * 1e5)
+
+
+def test_names_may_run_down_the_left_side(tmp_path: Path) -> None:
+    path = tmp_path / "down.csv"
+    rows = [["time [s]", *map(str, T)], ["p [bar]", *map(str, BAR)]]
+    path.write_text("\n".join(",".join(row) for row in rows))
+    record = pam.read_record(path)
+    assert record["p"] == pytest.approx(BAR * 1e5)
+
+
+def test_html_with_cells_over_two_rows_keeps_its_columns(tmp_path: Path) -> None:
+    body = "".join(
+        f"<tr><td>{a:.2f}</td><td>{b:.4f}</td></tr>" for a, b in zip(T, BAR, strict=True)
+    )
+    head = "<tr><td rowspan=2>time [s]</td><td>Sensor</td></tr><tr><td>p [bar]</td></tr>"
+    (tmp_path / "e.xls").write_text(f"<html><table>{head}{body}</table></html>")
+    record = pam.read_record(tmp_path / "e.xls")
+    assert record["p"] == pytest.approx(BAR * 1e5, rel=1e-4)
+
+
+def test_blocks_of_muscles_are_chosen_by_their_titles(tmp_path: Path) -> None:
+    rows = ["Muscle A;;;Muscle B;;", "kappa [%];p [bar];F [N];kappa [%];p [bar];F [N]"]
+    rows += [
+        f"{5 * (i // 5)};{1 + i % 5};{10 + i};{5 * (i // 5)};{1 + i % 5};{90 + i}"
+        for i in range(20)
+    ]
+    (tmp_path / "ab.csv").write_text("\n".join(rows))
+    with pytest.raises(InputError, match="pick='Muscle A'"):
+        pam.read_table(tmp_path / "ab.csv")
+    table, _ = quietly(pam.read_table, tmp_path / "ab.csv", pick="Muscle B")
+    assert table.force[:3] == pytest.approx([90, 91, 92])
+
+
+def test_blocks_below_each_other_take_their_titles(tmp_path: Path) -> None:
+    text = "".join(
+        f"contraction {k} %\np;F\nbar;N\n"
+        + "".join(f"{i};{(100 - k) * i}\n" for i in range(1, 7))
+        + "\n"
+        for k in (0, 5, 10)
+    )
+    (tmp_path / "v.csv").write_text(text)
+    table = pam.read_table(tmp_path / "v.csv")
+    assert table.contraction == pytest.approx(np.repeat([0, 0.05, 0.1], 6))
+    assert table.pressure == pytest.approx(np.tile(np.arange(1, 7) * 1e5, 3))
+    assert table.force[-1] == pytest.approx(540)
+
+
+def test_a_last_command_holds_to_the_end_of_the_record(tmp_path: Path) -> None:
+    tree = {
+        "rig": {"time": T.tolist(), "p [bar]": BAR.tolist()},
+        "orders": {"time": [0.0, 0.5], "p_set [bar]": [1.0, 2.0]},
+    }
+    (tmp_path / "o.json").write_text(json.dumps(tree))
+    record, _ = quietly(pam.read_record, tmp_path / "o.json")
+    assert record.t == pytest.approx(T)
+    assert record["p_set"] == pytest.approx(np.where(T >= 0.5 - 1e-9, 2e5, 1e5))
+
+
+def test_messages_that_cannot_be_decoded_are_named(tmp_path: Path) -> None:
+    writer_of = pytest.importorskip("mcap.writer").Writer
+    path = tmp_path / "proto.mcap"
+    with path.open("wb") as stream:
+        writer = writer_of(stream)
+        writer.start()
+        schema = writer.register_schema("rig.P", "protobuf", b"\x00")
+        channel = writer.register_channel("/p", "protobuf", schema)
+        writer.add_message(channel, log_time=1, publish_time=1, data=b"\x08\x01")
+        writer.finish()
+    with pytest.raises(InputError, match="protobuf, which is not read"):
+        pam.read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "package"),
+    [
+        ("a.tdms", b"TDSm", "nptdms"),
+        ("a.bag", b"#ROSBAG V2.0", "rosbags"),
+        ("a.mcap", b"\x89MCAP", "mcap"),
+    ],
+)
+def test_a_reader_that_is_not_installed_is_named(name, content, package, tmp_path, monkeypatch):
+    for module in [m for m in sys.modules if m.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    (tmp_path / name).write_bytes(content + bytes(40))
+    with pytest.raises(InputError, match=r"pip install pam_ocp\[files\]"):
+        pam.read_record(tmp_path / name)
+
+
+def test_columns_in_units_that_are_not_known_are_left_out_and_named() -> None:
+    source = {"time [s]": T, "p [bar]": BAR, "T [°C]": 20 + BAR}
+    record, words = quietly(pam.read_record, source)
+    assert record.names == ("p",)
+    assert "'T [°C]' left out" in words
+    assert look(source).ok
+
+
+def test_words_of_a_wrong_encoding_can_be_said(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_bytes(("время [с];давление [кПа]\n" + lines(T, 100 * BAR, cut=";")).encode("cp866"))
+    with pytest.raises(InputError):
+        pam.read_record(path)
+    units = {"time": "s", "давление": "kPa"}
+    with pytest.raises(InputError, match="encoding = 'klingon'"):
+        pam.read_record(path, encoding="klingon")
+    columns = ["time [s]", "p [kPa]"]
+    record = pam.read_record(path, encoding="cp866", skip=1, columns=columns)
+    assert units
+    assert record["p"] == pytest.approx(BAR * 1e5, rel=1e-5)
+
+
+def test_warnings_of_reading_are_of_one_kind(tmp_path: Path) -> None:
+    rows = "time [s],p [bar]\n" + lines(T, BAR) + "restart\n" + lines(T[-1:] + 0.01, BAR[-1:])
+    (tmp_path / "w.csv").write_text(rows)
+    with pytest.warns(ReadingWarning, match="no rows and left out"):
+        pam.read_record(tmp_path / "w.csv", bad_lines="drop")
