@@ -8,3 +8,13 @@ from .motion import save_input_table as save_input_table
 from .package import export_fmu as export_fmu
 from .ssp import export_ssp as export_ssp
 from .ssv import save_ssv as save_ssv
+from .worlds.jax_world import JaxBlock as JaxBlock
+from .worlds.jax_world import JaxPlant as JaxPlant
+from .worlds.jax_world import JaxStepper as JaxStepper
+from .worlds.jax_world import to_jax as to_jax
+from .worlds.onnx_world import to_onnx as to_onnx
+from .worlds.registry import WORLDS as WORLDS
+from .worlds.registry import export as export
+from .worlds.torch_world import to_torch as to_torch
+
+def __call__(*args: object, **kwargs: object) -> object: ...
