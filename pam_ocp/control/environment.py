@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, UnknownNameError, require_count, require_positive
 from ..core.stop import verb
-from ..export.worlds.jax_world import JaxPlant, to_jax
+from ..export.worlds.jax_world import JaxPlant, jax_plant
 from ..export.worlds.signature import library
 from ..planning.planner import plan
 from ..plants.plant import Plant, Values, require_plant
@@ -90,7 +90,8 @@ def env(
     ``time``, ``distance``, ``success``. ``environment.optimum`` is the verified Plan of the same
     task, and ``environment.score(time)`` its duration as a part of a policy's time.
 
-    Needs the extra ``gym``. Raises InputError for an input without finite range, a name that is none.
+    Needs the extra ``gym``. Raises InputError for an input without finite range, UnknownNameError
+    for a target that is no state or output.
 
     Examples
     --------
@@ -105,7 +106,7 @@ def env(
     elif target is not None or options:
         raise InputError("target and its options stand in the Task; leave them out")
     step = require_positive("sample_time", sample_time, "s")
-    system = _System(plant, to_jax(plant), task, dict(start or {}), step)
+    system = _System(plant, jax_plant(plant), task, dict(start or {}), step)
     if num_envs is None:
         return _classes()[0](system)
     return _classes()[1](system, require_count("num_envs", num_envs))

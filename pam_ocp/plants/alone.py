@@ -10,10 +10,10 @@ from ..core.stop import verb
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_muscle
 from .damping import Loss
-from .feeds import Feed
+from .feeds import AttachedMuscle, Feed
 from .plant import Plant
 
-__all__ = ["muscle_alone"]
+__all__ = ["attached_alone", "muscle_alone"]
 
 
 @verb
@@ -38,6 +38,13 @@ def muscle_alone(
     >>> [v.name for v in alone.inputs]
     ['muscle.length', 'muscle.speed', 'muscle.command']
     """
+    return attached_alone(muscle, feed, losses, name)[0]
+
+
+def attached_alone(
+    muscle: Muscle | str, feed: Feed | None, losses: Loss | Sequence[Loss], name: str
+) -> tuple[Plant, AttachedMuscle]:
+    """The same plant, still open, and the expressions of its muscle."""
     muscle = as_muscle(muscle)
     rest, reach = float(muscle.rest_length), float(muscle.contraction_range[1])
     plant = Plant(name, f"{muscle.name or 'a muscle'} alone, moved from outside")
@@ -59,7 +66,7 @@ def muscle_alone(
         description=f"speed at which {name} grows longer",
     )
     # contraction 1 - length/rest_length, with the parameter that the muscle brings along
-    plant.add_muscle(
+    attached = plant.add_muscle(
         name,
         muscle,
         shortening=-length,
@@ -68,4 +75,4 @@ def muscle_alone(
         feed=feed,
         losses=losses,
     )
-    return plant
+    return plant, attached

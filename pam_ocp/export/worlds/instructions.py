@@ -163,7 +163,9 @@ def _scalar(function: ca.Function, what: str, cse: bool) -> ca.Function:
     shapes = [function.size_in(i) for i in range(function.n_in())]
     shaped = [ca.reshape(s, *shape) for s, shape in zip(symbols, shapes, strict=True)]
     try:
-        results = function.call(shaped) if function.is_a("SXFunction") else _expanded(function, shaped)
+        results = (
+            function.call(shaped) if function.is_a("SXFunction") else _expanded(function, shaped)
+        )
     except RuntimeError as error:  # of CasADi
         raise _refusal(what, _reason(error)) from None
     dense = [ca.vec(ca.densify(r)) for r in results]

@@ -20,7 +20,7 @@ from .instructions import Instructions, array_table
 from .registry import WORLDS
 from .signature import Signature, block_program, library, plant_programs, signature
 
-__all__ = ["JaxBlock", "JaxPlant", "JaxStepper", "to_jax"]
+__all__ = ["JaxBlock", "JaxPlant", "JaxStepper", "jax_plant", "to_jax"]
 
 Array: TypeAlias = Any
 """A jax.Array, or what becomes one."""
@@ -58,7 +58,11 @@ def to_jax(system: Plant | Block | Any) -> JaxPlant | JaxBlock:
     block = as_block(system)
     if block is not None:
         return JaxBlock(signature(block), block_program(block))
-    plant = require_plant(system)
+    return jax_plant(require_plant(system))
+
+
+def jax_plant(plant: Plant) -> JaxPlant:
+    """A plant's functions."""
     return JaxPlant(plant, signature(plant), *plant_programs(plant))
 
 
@@ -417,9 +421,7 @@ class JaxStepper:
         u = jnp.asarray(u, float)
         each = u.ndim > jnp.asarray(x).ndim
         half = JaxStepper(self.world, self.step / 2, self.method)
-        fine = half.run(
-            x, jnp.repeat(u, 2, axis=0) if each else u, p, steps=2 * steps, keep=True
-        )
+        fine = half.run(x, jnp.repeat(u, 2, axis=0) if each else u, p, steps=2 * steps, keep=True)
         wrong = jnp.abs(self.run(x, u, p, steps=steps, keep=True) - fine[::2])
         size = jnp.max(wrong / _asarray(self.world.signature.nominal), axis=(0, -1))
         return size / (1 - 2.0**-self.order)

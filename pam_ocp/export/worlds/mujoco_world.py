@@ -190,7 +190,7 @@ class MujocoMuscles:
                 if command:
                     v = one.plant.variable(command)
                     given |= {"ctrllimited": "true", "ctrlrange": f"{v.min!r} {v.max!r}"}
-                ET.SubElement(actuators, "general", name=name, tendon=tendon, **given)
+                ET.SubElement(actuators, "general", {"name": name, "tendon": tendon, **given})
             ET.SubElement(sensors, "actuatorfrc", name=f"{one.name}.force", actuator=one.name)
             ET.SubElement(sensors, "tendonpos", name=f"{one.name}.length", tendon=tendon)
             ET.SubElement(sensors, "tendonvel", name=f"{one.name}.speed", tendon=tendon)

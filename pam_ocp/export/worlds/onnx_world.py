@@ -167,9 +167,7 @@ class _Graph:
 
     def rows(self, inputs: Sequence[str]) -> str:
         """Zeros (N, 1) of the batch, for results that hang on no input."""
-        zeros = [
-            self.node("Mul", self.split(name, 1)(0), self.constant(0.0)) for name in inputs
-        ]
+        zeros = [self.node("Mul", self.split(name, 1)(0), self.constant(0.0)) for name in inputs]
         total = zeros[0]
         for zero in zeros[1:]:
             total = self.node("Add", total, zero)
@@ -262,9 +260,7 @@ def _composed(o: dict[str, Callable[..., str]], graph: _Graph) -> dict[str, Call
         # single precision, then what is missing: atan(a) - y = atan((a - tan y)/(1 + a tan y))
         y = graph.node("Cast", graph.node("Atan", graph.node("Cast", a, to=1)), to=11)
         sine, cosine = o["sin"](y), o["cos"](y)
-        missing = o["div"](
-            o["sub"](o["mul"](a, cosine), sine), o["add"](cosine, o["mul"](a, sine))
-        )
+        missing = o["div"](o["sub"](o["mul"](a, cosine), sine), o["add"](cosine, o["mul"](a, sine)))
         return o["add"](y, missing)
 
     def asin(a: str) -> str:

@@ -20,12 +20,16 @@ ENDINGS: dict[str, str] = {}
 
 
 def export(
-    system: Any, path: str | os.PathLike[str] | None = None, *, world: str | None = None, **options: Any
+    system: Any,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    world: str | None = None,
+    **options: Any,
 ) -> Any:
     """A plant, or a controller, in another world: ``pam.export(plant, "slide.fmu")``.
 
-    path : the file to write; its ending tells the world (.fmu, .ssp, .onnx, .mo, .ssc, .xml). None for
-        worlds in this process (jax, torch, mujoco).
+    path : the file to write; its ending tells the world (.fmu, .ssp, .onnx, .mo, .xml of MuJoCo).
+        None for worlds in this process (jax, torch, mujoco).
     world : by name, where no path tells it, or where its ending does not.
     options : of what does the work (``pam.export_fmu``, ``pam.export.to_jax``, ...).
 

@@ -76,12 +76,17 @@ def _names(variables: Sequence[Variable]) -> tuple[str, ...]:
 def signature(system: Plant | Block) -> Signature:
     """Of a plant, or of a block, whose memory takes the place of states."""
     states = system.memory if isinstance(system, Block) else system.states
-    numbers = [np.array([v.start or 0.0 for v in g]) for g in (states, system.inputs)]
+    groups = (states, system.inputs, system.parameters)
+    x0, u0, p0 = (np.array([v.start or 0.0 for v in group]) for group in groups)
     return Signature(
         system.name,
-        *map(_names, (states, system.inputs, system.outputs, system.parameters)),
-        *numbers,
-        np.array([v.start or 0.0 for v in system.parameters]),
+        _names(states),
+        _names(system.inputs),
+        _names(system.outputs),
+        _names(system.parameters),
+        x0,
+        u0,
+        p0,
         np.array([v.nominal for v in states]),
     )
 

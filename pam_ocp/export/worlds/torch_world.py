@@ -25,8 +25,8 @@ Tensor: TypeAlias = Any
 def to_torch(system: Plant | Block | Any) -> Any:
     """A plant, or a block such as a controller, as a ``torch.nn.Module`` in double precision.
 
-    Of a plant ``module(x, u)`` is (x', y); ``module.f(t, x, u, p)`` and ``module.outputs(t, x, u, p)``
-    are as those of :func:`to_jax`: tensors with states (inputs, outputs) along their last axis, and
+    Of a plant ``module(x, u)`` is (x', y); ``module.f(t, x, u, p)`` and
+    ``module.outputs(t, x, u, p)`` are as those of :func:`to_jax`: tensors with states (inputs, outputs) along their last axis, and
     ``p`` a dictionary by name. What ``p`` does not name is taken from ``module.p``, one
     ``torch.nn.Parameter`` of all values in the order of ``module.signature.parameters``, which
     an optimiser may train. ``module.run(x, u, p, step=1e-3, steps=500)`` makes equal steps of rk4.
@@ -56,7 +56,7 @@ def _modules() -> tuple[type, type]:
     """The classes of plants and of blocks, made where torch is there."""
     import torch
 
-    class Base(torch.nn.Module):
+    class Base(torch.nn.Module):  # type: ignore[misc]
         """What both have: names, start values, and parameters that can be trained."""
 
         def __init__(self, own: Signature, missing: bool) -> None:
@@ -123,12 +123,16 @@ def _modules() -> tuple[type, type]:
             return self.f(0.0, x, u, p), self.outputs(0.0, x, u, p)
 
         def run(self, x: Tensor, u: Tensor, p: Any = None, *, step: float, steps: int) -> Tensor:
-            """x (steps + 1, ..., nx) by equal steps [s] of rk4; u held, or one row for each step."""
+            """x (steps + 1, ..., nx) by equal steps [s] of rk4; u held, or a row for each step."""
             step = require_positive("step", step, "s")
             rows = [x]
             for k in range(require_count("steps", steps)):
                 held = u[k] if u.dim() > x.dim() else u
-                rows.append(rk4(lambda z, _, held=held: self.f(0.0, z, held, p), rows[-1], step))
+
+                def slope(z: Tensor, _: float, held: Tensor = held) -> Tensor:
+                    return self.f(0.0, z, held, p)
+
+                rows.append(rk4(slope, rows[-1], step))
             return torch.stack(torch.broadcast_tensors(*rows))
 
     class TorchBlock(Base):
