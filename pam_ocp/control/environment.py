@@ -184,25 +184,30 @@ class _System:
         """(x, y, u) a sample later."""
         low, high = (self.plant.vector("input", attribute=a) for a in ("min", "max"))
         u = low + (np.clip(np.asarray(action, float), -1, 1) + 1) / 2 * (high - low)
-        x, y = self._called(lambda: self._moved(x, u))
-        return x, y, u
+        new, y = self._called(lambda: self._moved(x, u))
+        return new, y, u
 
     def drawn(self, rng: np.random.Generator, n: int) -> Array:
         """Targets (n, values)."""
         ends = [np.broadcast_to(v, 2) for v in self.task.target.values()]
-        return np.array([[rng.uniform(*e) for e in ends] for _ in range(n)])
+        rows = [[float(rng.uniform(*e)) for e in ends] for _ in range(n)]
+        return np.array(rows, float).reshape(n, len(ends))
 
     def wanted(self, target: Array, t: Array) -> Array:
         """The target's values at times (n,)."""
         if self.task.kind != "track":
             return target
         size = np.array([self.task.amplitude.get(n, 0.0) for n in self.task.target])
-        return target + size * np.sin(2 * np.pi * self.task.frequency * t)[:, None]
+        wave = np.sin(2 * np.pi * self.task.frequency * t)
+        moved: Array = target + size * wave[:, None]
+        return moved
 
     def off(self, x: Array, y: Array, target: Array, t: Array) -> Array:
         """How far the values are from the wanted ones, in units of nominal (n, values)."""
         at, nominal = self.places
-        return (self.wanted(target, t) - np.concatenate([x, y], axis=-1)[:, at]) / nominal
+        values = np.concatenate([x, y], axis=-1)[:, at]
+        missing: Array = (self.wanted(target, t) - values) / nominal
+        return missing
 
     def seen(self, x: Array, off: Array) -> Array:
         """The observation (n, nx + values)."""
@@ -312,7 +317,7 @@ def _classes() -> tuple[type, type]:
     class One(Common, gymnasium.Env):  # type: ignore[misc]
         """One plant."""
 
-        metadata = {"render_modes": []}  # noqa: RUF012
+        metadata: Any = {"render_modes": []}  # noqa: RUF012
 
         def __init__(self, system: _System) -> None:
             Common.__init__(self, system, 1)
@@ -334,7 +339,7 @@ def _classes() -> tuple[type, type]:
     class Many(Common, VectorEnv):  # type: ignore[misc]
         """Many plants at once; an episode that ended starts anew at the next step."""
 
-        metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+        metadata: Any = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
         def __init__(self, system: _System, count: int) -> None:
             Common.__init__(self, system, count)

@@ -395,14 +395,15 @@ class JaxStepper:
         shape = _shape(first, given, values)
         begin = tuple(jnp.broadcast_to(e, shape) for e in first)
 
-        @jax.checkpoint
         def one(now: tuple[Array, ...], row: Any) -> tuple[Array, ...]:
             own = given if row is None else [row[..., i] for i in range(row.shape[-1])]
             made = self._next(list(now), own, values)
             return tuple(jnp.broadcast_to(jnp.asarray(e, float), shape) for e in made)
 
+        again = jax.checkpoint(one)
+
         def over(now: tuple[Array, ...], row: Any) -> tuple[tuple[Array, ...], Any]:
-            new = one(now, row)
+            new = again(now, row)
             return new, new if keep else None
 
         end, rows = lax.scan(over, begin, u if each else None, length=steps)

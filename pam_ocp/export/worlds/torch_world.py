@@ -26,7 +26,8 @@ def to_torch(system: Plant | Block | Any) -> Any:
     """A plant, or a block such as a controller, as a ``torch.nn.Module`` in double precision.
 
     Of a plant ``module(x, u)`` is (x', y); ``module.f(t, x, u, p)`` and
-    ``module.outputs(t, x, u, p)`` are as those of :func:`to_jax`: tensors with states (inputs, outputs) along their last axis, and
+    ``module.outputs(t, x, u, p)`` are as those of :func:`to_jax`: tensors with states (inputs,
+    outputs) along their last axis, and
     ``p`` a dictionary by name. What ``p`` does not name is taken from ``module.p``, one
     ``torch.nn.Parameter`` of all values in the order of ``module.signature.parameters``, which
     an optimiser may train. ``module.run(x, u, p, step=1e-3, steps=500)`` makes equal steps of rk4.
