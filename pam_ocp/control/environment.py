@@ -24,8 +24,10 @@ Array: TypeAlias = NDArray[np.float64]
 Target: TypeAlias = "Mapping[str, float | tuple[float, float]]"
 Kind = Literal["reach", "track", "stiffness"]
 
-RK4_STEPS = 20
+RK4_STEPS = 40
 """Steps of rk4 within a sample, beyond which Rodas5P makes two."""
+PARTS = 10
+"""Steps within the longest that rk4 stands: for an error of about 1e-6 of nominal."""
 SLOW = 5.0
 """Speed at which a target counts as reached, in tolerances of nominal speeds."""
 
@@ -39,13 +41,13 @@ class Task:
         sin(2 pi ``frequency`` t) about the target's values.
     target : {name of a state or an output: value, or (low, high) drawn at each reset} [SI].
     tolerance : of each value, in parts of its nominal, within which it counts as reached.
-    time_limit : [s], after which an episode is truncated.
+    duration : of an episode [s], after which it is truncated.
     """
 
     kind: Kind
     target: Target
     tolerance: float = 0.01
-    time_limit: float = 2.0
+    duration: float = 2.0
     amplitude: Mapping[str, float] = field(default_factory=dict)
     frequency: float = 1.0
 
@@ -54,7 +56,7 @@ class Task:
             raise InputError(f"task = {self.kind!r}: choose one of {', '.join(get_args(Kind))}")
         if not self.target:
             raise InputError("target is empty; name what is to be reached, as {'x': 0.01}")
-        for name in ("tolerance", "time_limit", "frequency"):
+        for name in ("tolerance", "duration", "frequency"):
             require_positive(name, getattr(self, name))
         for name in self.amplitude:
             if name not in self.target:
@@ -75,7 +77,7 @@ def env(
     """A plant as a ``gymnasium.Env``; with ``num_envs`` as a ``gymnasium.vector.VectorEnv``.
 
     task : "reach", "track", "stiffness", or a Task. target, and as options ``tolerance``,
-        ``time_limit``, ``amplitude``, ``frequency`` : see :class:`Task`.
+        ``duration``, ``amplitude``, ``frequency`` : see :class:`Task`.
     start : conditions of the equilibrium at which episodes start, as ``plant.equilibrium`` takes
         them; by default the plant's start values.
     sample_time : for which an action is held [s].
@@ -86,7 +88,7 @@ def env(
 
     Rewards of "reach" and "stiffness" add up to minus the time [s], plus what the distance (in
     units of nominal) became less: this shaping changes no optimal policy; leaving a range costs the
-    time limit. Rewards of "track" add up to minus the integral of the squared error. ``info`` has
+    duration. Rewards of "track" add up to minus the integral of the squared error. ``info`` has
     ``time``, ``distance``, ``success``. ``environment.optimum`` is the verified Plan of the same
     task, and ``environment.score(time)`` its duration as a part of a policy's time.
 
@@ -151,7 +153,7 @@ class _System:
         """(x, u) -> (x a sample later, y there), compiled."""
         import jax
 
-        longest = self.world.longest / 2
+        longest = self.world.longest / PARTS
         steps = max(1, math.ceil(self.sample_time / longest)) if longest < math.inf else 1
         method = "rk4" if steps <= RK4_STEPS else "rosenbrock"
         steps = max(steps, 2) if method == "rk4" else 2
@@ -230,7 +232,7 @@ class _System:
         self, off: Array, before: Array, x: Array, t: Array
     ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
         """(reward, terminated, truncated, success) of a sample."""
-        left, late = self.left(x), t >= self.task.time_limit - 1e-9
+        left, late = self.left(x), t >= self.task.duration - 1e-9
         if self.task.kind == "track":
             reward = -np.sum(off**2, axis=-1) * self.sample_time
             success = np.zeros(len(x), bool)
@@ -238,7 +240,7 @@ class _System:
             nearer = np.linalg.norm(before, axis=-1) - np.linalg.norm(off, axis=-1)
             reward = nearer - self.sample_time
             success = np.all(np.abs(off) <= self.task.tolerance, axis=-1) & self.still(x) & ~left
-        reward = np.where(left, -self.task.time_limit, reward)
+        reward = np.where(left, -self.task.duration, reward)
         return reward, success | left, late & ~(success | left), success
 
     @cached_property

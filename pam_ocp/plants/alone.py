@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import casadi as ca
 
@@ -10,7 +11,7 @@ from ..core.stop import verb
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_muscle
 from .damping import Loss
-from .feeds import AttachedMuscle, Feed
+from .feeds import AttachedMuscle, Feed, IdealPressure
 from .plant import Plant
 
 __all__ = ["attached_alone", "muscle_alone"]
@@ -28,7 +29,8 @@ def muscle_alone(
 
     Inputs are ``<name>.length`` (between its ends [m]; the rest length at contraction 0),
     ``<name>.speed`` (that at which it grows longer [m/s]) and the commands of its feed; the output
-    ``<name>.force`` pulls the ends together [N]. States are those of the feed and of the losses.
+    ``<name>.force`` pulls the ends together [N]. States are those of the feed and of the losses;
+    an ``IdealPressure`` counts its work.
 
     Raises InputError as ``Plant.add_muscle``.
 
@@ -46,6 +48,8 @@ def attached_alone(
 ) -> tuple[Plant, AttachedMuscle]:
     """The same plant, still open, and the expressions of its muscle."""
     muscle = as_muscle(muscle)
+    if isinstance(feed, IdealPressure):
+        feed = replace(feed, totals=True)  # a plant without a state is none
     rest, reach = float(muscle.rest_length), float(muscle.contraction_range[1])
     plant = Plant(name, f"{muscle.name or 'a muscle'} alone, moved from outside")
     length = plant.input(

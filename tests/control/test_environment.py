@@ -1,5 +1,7 @@
 """A plant as a Gymnasium environment, alone and many at once."""
 
+import importlib
+
 import numpy as np
 import pytest
 
@@ -21,7 +23,8 @@ def plant():
 def test_gymnasium_finds_nothing_wrong(plant, kind):
     target = {"x": 0.03} if kind != "stiffness" else {"x": 0.03, "stiffness": 2e4}
     made = pam.env(plant, kind, target, start=START)
-    gymnasium.utils.env_checker.check_env(made, skip_render_check=True)
+    checker = importlib.import_module("gymnasium.utils.env_checker")
+    checker.check_env(made, skip_render_check=True)
 
 
 def to_pressure(plant, pressure):
@@ -61,15 +64,15 @@ def test_rewards_of_an_episode_add_up_to_its_time_and_what_became_nearer(plant):
 
 
 def test_many_do_what_one_does(plant):
-    one = pam.env(plant, "reach", TARGET, start=START, time_limit=0.05)
-    many = pam.env(plant, "reach", TARGET, start=START, time_limit=0.05, num_envs=3)
+    one = pam.env(plant, "reach", TARGET, start=START, duration=0.05)
+    many = pam.env(plant, "reach", TARGET, start=START, duration=0.05, num_envs=3)
     first, _ = one.reset(seed=0)
     rows, _ = many.reset(seed=0)
     np.testing.assert_allclose(rows, np.tile(first, (3, 1)))
     actions = np.array([[0.1], [-0.2], [0.1]], np.float32)
     for k in range(5):
         seen, reward, *_, late, _ = one.step(actions[0])
-        rows, rewards, _, lates, told = many.step(actions)
+        rows, rewards, _, lates, _ = many.step(actions)
         np.testing.assert_allclose(rows[[0, 2]], [seen, seen], atol=1e-12)
         np.testing.assert_allclose(rewards[0], reward, atol=1e-12)
         assert lates[0] == late == (k == 4)

@@ -361,7 +361,7 @@ def test_what_is_no_formula_is_refused_in_one_sentence(jnp):
 
 def test_wrong_names_and_shapes_are_told(hanging, jnp, tmp_path):
     world = pam.export.to_jax(hanging)
-    with pytest.raises(pam.UnknownNameError, match="'mas'.*mass"):
+    with pytest.raises(pam.UnknownNameError, match=r"'mas'.*mass"):
         world.f(0.0, world.x0, world.u0, {"mas": 1.0})
     with pytest.raises(pam.InputError, match=r"x has shape \(2,\).*3 entries"):
         world.f(0.0, world.x0[:2], world.u0)

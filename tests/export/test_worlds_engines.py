@@ -194,7 +194,7 @@ def test_check_compares_start_values_of_binary_and_description(tmp_path):
     assert pam.check_fmu(path).ok
     for old, new, said in (
         ('start="0.3"', 'start="0.31"', "muscle.length is 0.3 at the start"),
-        ('max="0.6"', 'max="0.2"', "outside of 0 .. 0.2"),
+        ('max="0.6" nominal="0.078"', 'max="0.2" nominal="0.078"', "outside of 0 .. 0.2"),
     ):
         other = tmp_path / "other.fmu"
         with zipfile.ZipFile(path) as whole, zipfile.ZipFile(other, "w") as changed:

@@ -48,10 +48,10 @@ def to_jax(system: Plant | Block | Any) -> JaxPlant | JaxBlock:
 
     Examples
     --------
-    >>> world = pam.export.to_jax(plant)
-    >>> world.states
+    >>> world = pam.export.to_jax(plant)  # doctest: +SKIP
+    >>> world.states  # doctest: +SKIP
     ('x', 'v', 'muscle.pressure')
-    >>> world.f(0.0, world.x0, world.u0, {"mass": 6.0}).shape
+    >>> world.f(0.0, world.x0, world.u0, {"mass": 6.0}).shape  # doctest: +SKIP
     (3,)
     """
     library("jax", "jax", "to_jax")

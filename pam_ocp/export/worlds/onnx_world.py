@@ -50,7 +50,7 @@ def to_onnx(
 
     Examples
     --------
-    >>> pam.export.to_onnx(plant, "load.onnx").name
+    >>> pam.export.to_onnx(plant, "load.onnx").name  # doctest: +SKIP
     'load.onnx'
     """
     onnx = library("onnx", "onnx", "to_onnx")

@@ -38,8 +38,8 @@ def export(
 
     Examples
     --------
-    >>> pam.export(plant, world="jax").states
-    ('x', 'v', 'muscle.pressure')
+    >>> pam.export(plant, "Load.mo").name
+    'Load.mo'
     """
     if world is None:
         if path is None:
