@@ -42,6 +42,11 @@ class Task:
     target : {name of a state or an output: value, or (low, high) drawn at each reset} [SI].
     tolerance : of each value, in parts of its nominal, within which it counts as reached.
     duration : of an episode [s], after which it is truncated.
+
+    Examples
+    --------
+    >>> pam.control.Task("reach", {"x": 0.03}, duration=1.0).kind
+    'reach'
     """
 
     kind: Kind

@@ -9,6 +9,7 @@ from typing import Any
 from ..core.lazy import from_stub
 
 __getattr__, __dir__, __all__ = from_stub(__name__, __file__)
+__module__ = None  # as of every module: that of its class would be found
 
 
 class _Verb(ModuleType):

@@ -92,7 +92,13 @@ def _shape(*groups: list[Any]) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False)
 class JaxBlock:
-    """A sampled block: :meth:`step` is pure."""
+    """A sampled block: :meth:`step` is pure.
+
+    Examples
+    --------
+    >>> world = pam.export.to_jax(law)  # doctest: +SKIP
+    >>> memory, outputs = world.step(world.x0, inputs)  # doctest: +SKIP
+    """
 
     signature: Signature
     _program: Instructions
@@ -128,6 +134,11 @@ class JaxPlant:
     The axes before it are those of a batch, and broadcast. Parameters are a dictionary by name, of
     numbers or arrays of the batch's shape, those that are not named at the plant's values; or an
     array of all, in the order of ``parameters``. Functions are autonomous: t is there for solvers.
+
+    Examples
+    --------
+    >>> world = pam.export.to_jax(plant)  # doctest: +SKIP
+    >>> world.f(0.0, world.x0, world.u0, {"mass": 6.0})  # doctest: +SKIP
     """
 
     plant: Plant
@@ -344,7 +355,14 @@ def _stages() -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class JaxStepper:
-    """Equal steps: a call is one, ``run`` many of them in one ``lax.scan``. Pure functions."""
+    """Equal steps: a call is one, ``run`` many of them in one ``lax.scan``. Pure functions.
+
+    Examples
+    --------
+    >>> stepper = pam.export.to_jax(plant).stepper(1e-3)  # doctest: +SKIP
+    >>> stepper.method, stepper.order  # doctest: +SKIP
+    ('rk4', 4)
+    """
 
     world: JaxPlant
     step: float

@@ -50,6 +50,12 @@ class MujocoMuscle:
         slide): the change of its length with the joint.
     offset : its length less that of the tendon [m]: of a way by sites minus what the cords take, of
         a way by joints its length where they are at 0.
+
+    Examples
+    --------
+    >>> one = pam.export.MujocoMuscle("flexor", "DMSP-20-300", {"slide": -1.0}, offset=0.3)
+    >>> one.commands
+    ('flexor.command',)
     """
 
     name: str
@@ -157,7 +163,14 @@ def _muscles(muscles: MujocoMuscle | Sequence[MujocoMuscle]) -> MujocoMuscles:
 
 @dataclass(frozen=True)
 class MujocoMuscles:
-    """Muscles of one model."""
+    """Muscles of one model.
+
+    Examples
+    --------
+    >>> one = pam.export.MujocoMuscle("flexor", "DMSP-20-300", {"slide": -1.0}, offset=0.3)
+    >>> "actuatorfrc" in pam.export.MujocoMuscles((one,)).mjcf()
+    True
+    """
 
     muscles: tuple[MujocoMuscle, ...]
 

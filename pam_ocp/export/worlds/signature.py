@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError
+from ...core.lazy import load
 from ...core.variables import Variable
 from ...plants.plant import Plant
 from .instructions import Instructions, instructions
@@ -23,7 +23,7 @@ __all__ = ["Signature", "block_program", "library", "plant_programs", "signature
 def library(name: str, extra: str, asks: str) -> Any:
     """A library of an extra, imported now. Raises InputError where it is not installed."""
     try:
-        return importlib.import_module(name)
+        return load(name)
     except ImportError:
         raise InputError(
             f"{asks} needs {name}, which is not installed: pip install 'pam_ocp[{extra}]'"
