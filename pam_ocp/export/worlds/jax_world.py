@@ -268,7 +268,7 @@ class JaxPlant:
         x0: Array | None = None,
         p: Parameters = None,
         *,
-        tolerance: float = 1e-9,
+        tolerance: float = 1e-10,
         max_steps: int = 100_000,
     ) -> Array:
         """States (n, nx) at the times t (n,), by steps of Rodas5P that follow the tolerance.
