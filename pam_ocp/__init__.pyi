@@ -11,6 +11,7 @@ from . import plants as plants
 from . import simulation as simulation
 from . import studies as studies
 from . import vibration as vibration
+from .control.environment import env as env
 from .control.estimators.extended_kalman import KalmanFilter as KalmanFilter
 from .control.linear_quadratic import lqr as lqr
 from .control.loop import closed_loop as closed_loop

@@ -16,6 +16,8 @@ from .controller_plants import state_feedback_controller as state_feedback_contr
 from .describing import DescribingFunction as DescribingFunction
 from .describing import describing_function as describing_function
 from .describing import muscle_characteristic as muscle_characteristic
+from .environment import Task as Task
+from .environment import env as env
 from .estimators.extended_kalman import KalmanFilter as KalmanFilter
 from .estimators.moving_horizon import MovingHorizonEstimator as MovingHorizonEstimator
 from .estimators.stationary import StationaryFilter as StationaryFilter

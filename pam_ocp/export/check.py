@@ -119,8 +119,9 @@ def check_fmu(
        Model Exchange, in Co-Simulation by lines (FMI 2) or pairs of held values (FMI 3) with the
        same mean and first moment, to an error of about 1e-8 of nominal. Without a trajectory
        the two modes are compared with each other over ``duration`` [s], at constant inputs.
-    4. A state saved, serialised and restored in another instance continues to the last bit.
-    5. Directional derivatives agree with differences to 1e-6.
+    4. Start values of the binary are those of the description, and lie in its ranges.
+    5. A state saved, serialised and restored in another instance continues to the last bit.
+    6. Directional derivatives agree with differences to 1e-6.
 
     Parameters
     ----------

@@ -27,6 +27,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 _LINKER_MARKS = ("__dso_handle", "_mh_dylib_header")
 """zig's linker exports these two addresses from every library for macOS."""
+_ROUNDING = 1e-9
+"""What a start value may be off, in parts of itself or of its nominal: decimals are rounded."""
 _MOST_FINDINGS, _LONGEST = 100, 500
 """Of one kind, and characters of one."""
 
@@ -129,6 +131,7 @@ def _run_all(
         deviations = _replayed(fmu, against, parameters, tell)
     tell(deviations=deviations)
     _tell_findings(tell, _too_large(deviations, tolerance))
+    _tell_findings(tell, _start_findings(fmu))
     _tell_findings(tell, _state_findings(fmu))
     _tell_findings(tell, _derivative_findings(fmu))
 
@@ -210,6 +213,37 @@ def _too_large(deviations: Mapping[str, Mapping[str, float]], tolerance: float) 
 
 
 # ---- saved states and derivatives ---------------------------------------------------------------
+
+
+def _start_findings(fmu: UnpackedFmu) -> list[str]:
+    """The binary starts at the values that the description states, and within its ranges."""
+    reals = {n: v for n, v in fmu.variables.items() if v.type in ("Real", "Float64")}
+    plain = {n: v for n, v in reals.items() if not getattr(v, "dimensions", None)}
+    given = ("input", "parameter", "structuralParameter")
+    stated = {
+        n: float(v.start)
+        for n, v in plain.items()
+        if v.start is not None and (v.initial == "exact" or v.causality in given)
+    }
+    findings = []
+    for kind, _ in _interfaces(fmu):
+        with Runner(fmu, kind) as runner:
+            runner.initialize({}, 0.0, None)
+            values = dict(zip(plain, runner.get(list(plain)), strict=True))
+        where = f"at the start in {kind}"
+        for name, start in stated.items():
+            size = max(abs(start), float(fmu.nominals([name])[0]))
+            if abs(values[name] - start) > _ROUNDING * size:
+                told = f"{start:g} in the description"
+                findings.append(f"{name} is {values[name]:g} {where}, {told}")
+        for name, v in plain.items():
+            low = -np.inf if v.min is None else float(v.min)
+            high = np.inf if v.max is None else float(v.max)
+            slack = _ROUNDING * float(fmu.nominals([name])[0])
+            if not low - slack <= values[name] <= high + slack:
+                told = f"outside of {low:g} .. {high:g}, its range in the description"
+                findings.append(f"{name} is {values[name]:g} {where}, {told}")
+    return findings
 
 
 def _state_findings(fmu: UnpackedFmu) -> list[str]:

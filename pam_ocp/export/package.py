@@ -12,6 +12,10 @@ from ..core.block import Block
 from ..core.errors import InputError
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
+from ..muscles.pneumatic_muscle import Muscle
+from ..plants.alone import muscle_alone
+from ..plants.damping import Loss
+from ..plants.feeds import Feed
 from ..plants.plant import Plant, require_plant
 from . import documentation, interface, sampled, source
 from .assembly import Content, write_fmu
@@ -19,7 +23,7 @@ from .layout import PlantLayout
 from .sampled import as_block
 from .settings import FmiVersion, Settings, checked, checked_about
 
-__all__ = ["export_fmu", "write_block"]
+__all__ = ["export_fmu", "export_muscle", "write_block"]
 
 
 @verb
@@ -124,6 +128,34 @@ def export_fmu(
         reference=reference,
     )
     return write_fmu(PlantLayout(offered, shown, calculated), path, settings, platforms, content)
+
+
+@verb
+def export_muscle(
+    muscle: Muscle | str,
+    path: str | os.PathLike[str],
+    *,
+    feed: Feed | None = None,
+    losses: Loss | Sequence[Loss] = (),
+    name: str = "muscle",
+    **options: Any,
+) -> Path:
+    """Write a muscle alone as an FMU, for multibody tools; returns its path.
+
+    Inputs are ``<name>.length`` between its ends [m], ``<name>.speed`` at which it grows longer
+    [m/s] and the commands of its feed; the output ``<name>.force`` pulls the ends together [N]
+    (docs/worlds.md). muscle, feed, losses, name : as :func:`pam_ocp.plants.muscle_alone` takes
+    them. options : of :func:`export_fmu`.
+
+    Raises InputError, UnknownNameError, ExportError as these do.
+
+    Examples
+    --------
+    >>> path = pam.export.export_muscle(muscle, "muscle.fmu", platforms=["native"])
+    >>> path.name
+    'muscle.fmu'
+    """
+    return export_fmu(muscle_alone(muscle, feed=feed, losses=losses, name=name), path, **options)
 
 
 def write_block(

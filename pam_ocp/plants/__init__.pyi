@@ -2,6 +2,7 @@
 from . import feeds as feeds
 from . import loads as loads
 from . import losses as losses
+from .alone import muscle_alone as muscle_alone
 from .elastic import SeriesLoad as SeriesLoad
 from .elastic import SpringOverMuscle as SpringOverMuscle
 from .hanging import HangingLoad as HangingLoad

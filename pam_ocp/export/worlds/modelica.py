@@ -1,0 +1,234 @@
+"""Modelica: a plant as a model, a muscle as a component with two flanges and a pneumatic port."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from ...core.atomic import atomic_path
+from ...core.errors import InputError
+from ...core.stop import verb
+from ...core.variables import Variable
+from ...muscles.gas import AMBIENT_PRESSURE, GAS_CONSTANT, REFERENCE_TEMPERATURE, ConsistentVolume
+from ...muscles.pneumatic_muscle import Muscle
+from ...plants.alone import attached_alone
+from ...plants.damping import Loss
+from ...plants.feeds import IdealPressure
+from ...plants.plant import Plant, require_plant
+from .formulas import Language, formulas, identifiers
+from .instructions import instructions
+from .registry import ENDINGS, WORLDS
+
+__all__ = ["FUNCTIONS", "export_modelica"]
+
+FUNCTIONS = {
+    **{n: f"{n}({{0}})" for n in ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos")},
+    **{n: f"{n}({{0}})" for n in ("atan", "sinh", "cosh", "tanh", "floor", "ceil", "sign")},
+    "fabs": "abs({0})",
+    "fmin": "min({0}, {1})",
+    "fmax": "max({0}, {1})",
+    "atan2": "atan2({0}, {1})",
+    "hypot": "sqrt(({0})^2 + ({1})^2)",
+    "expm1": "(2*exp(({0})/2)*sinh(({0})/2))",
+    "log1p": "log(1 + ({0}))",
+}
+MODELICA = Language(
+    "Modelica", FUNCTIONS, "noEvent(if {0} then {1} else {2})", ("and", "or", "not ")
+)
+_WORDS = """
+algorithm and annotation assert block break class connect connector constant constrainedby der
+discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends external
+false final flow for function if import impure in initial inner input loop model not operator or
+outer output package parameter partial protected public pure record redeclare replaceable return
+stream then true type when while within time abs acos asin atan atan2 ceil cos cosh exp floor log
+max min sign sin sinh smooth sqrt sum tan tanh noEvent pre terminal sample delay cross size fill
+zeros ones vector mod rem
+"""
+RESERVED = frozenset(_WORDS.split())
+OWN = frozenset({"flange_a", "flange_b", "port", "length", "speed", "pressure", "volume"})
+OWN |= {"mass", "R", "atmosphere", "temperature"}
+"""Of the component, besides the variables of the muscle."""
+CONNECTORS = """\
+  connector Flange "a translational flange, as that of Modelica.Mechanics.Translational"
+    Real s(unit = "m") "position";
+    flow Real f(unit = "N") "force into the component";
+  end Flange;
+
+  connector PneumaticPort "air"
+    Real p(unit = "Pa") "gauge pressure";
+    flow Real m_flow(unit = "kg/s") "mass flow into the component";
+  end PneumaticPort;
+"""
+
+
+@verb
+def export_modelica(
+    system: Plant | Muscle,
+    path: str | os.PathLike[str],
+    *,
+    losses: Loss | Sequence[Loss] = (),
+    name: str | None = None,
+) -> Path:
+    """Write a plant or a muscle as Modelica source; returns the path.
+
+    A plant becomes a model with inputs and outputs. A muscle becomes a package: its component has
+    two flanges (their distance is its length, it pulls them together) and a pneumatic port; the air
+    in it is isothermal, and its mass follows from pressure and volume. Names have underscores in
+    place of dots; every variable has its unit and description, parameters their sources.
+
+    losses : of a muscle. name : of the model; by default that of the system.
+
+    Raises InputError (a muscle without diameter, whose volume nobody knows), ExportError for an
+    operation that Modelica has not.
+
+    Examples
+    --------
+    >>> pam.export.export_modelica(muscle, "Muscle.mo").name
+    'Muscle.mo'
+    """
+    if isinstance(system, Muscle):
+        text = _component(system, losses, name)
+    elif losses:
+        raise InputError("losses: a plant has its own; give them with a muscle alone")
+    else:
+        plant = require_plant(system)
+        model = name or _class(plant.name)
+        text = "\n".join([_model(plant, model), ""])
+    with atomic_path(path) as file:
+        file.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+WORLDS.register("modelica")(export_modelica)
+ENDINGS[".mo"] = "modelica"
+
+
+def _class(name: str) -> str:
+    """A name for a model: hanging_load as HangingLoad."""
+    plain = next(iter(identifiers([name]).values()))
+    words = [w[:1].upper() + w[1:] for w in plain.split("_") if w]
+    made = "".join(words)
+    return made if made[:1].isalpha() else f"M{made}"
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _declared(prefix: str, v: Variable, name: str, start: bool, value: bool = False) -> str:
+    about = [f'unit = "{v.unit}"']
+    if v.display_unit not in ("1", v.unit):
+        about.append(f'displayUnit = "{v.display_unit}"')
+    if start and v.start is not None:
+        about.append(f"start = {v.start!r}")
+    if prefix == "" and start:
+        about.append("fixed = true")
+    if v.nominal != 1.0 and not value:
+        about.append(f"nominal = {v.nominal!r}")
+    worth = f" = {v.start!r}" if value else ""
+    words = f" {_quoted(v.description)}" if v.description else ""
+    return f"{prefix + ' ' if prefix else ''}Real {name}({', '.join(about)}){worth}{words};"
+
+
+def _equations(plant: Plant, names: Mapping[str, str]) -> tuple[list[str], list[tuple[str, str]]]:
+    """(names of shared parts, (left, right) of all equations)."""
+    xdot, y, _ = plant.function(plant.x, plant.u, plant.p)
+    whole = ca.Function("plant", [plant.x, plant.u, plant.p], [xdot, y])
+    program = instructions(whole, f"plant {plant.name!r}")
+    groups = (plant.states, plant.inputs, plant.parameters)
+    arguments = [[names[v.name] for v in g] for g in groups]
+    prefix = "w"
+    while any(n.startswith(prefix) and n[len(prefix) :].isdigit() for n in names.values()):
+        prefix += "w"
+    shared, (slopes, outputs) = formulas(program, arguments, MODELICA, prefix)
+    lines = list(shared)
+    lines += [(f"der({names[v.name]})", e) for v, e in zip(plant.states, slopes, strict=True)]
+    lines += [(names[v.name], e) for v, e in zip(plant.outputs, outputs, strict=True)]
+    return [name for name, _ in shared], lines
+
+
+def _model(plant: Plant, model: str) -> str:
+    """A plant as a model with inputs and outputs."""
+    names = identifiers([v.name for v in plant.variables], RESERVED)
+    inner, lines = _equations(plant, names)
+    declared = [
+        *(_declared("parameter", v, names[v.name], False, True) for v in plant.parameters),
+        *(_declared("input", v, names[v.name], True) for v in plant.inputs),
+        *(_declared("output", v, names[v.name], False) for v in plant.outputs),
+        *(_declared("", v, names[v.name], True) for v in plant.states),
+    ]
+    return _text(model, plant.description, declared, inner, lines)
+
+
+def _text(
+    model: str,
+    description: str,
+    declared: Sequence[str],
+    inner: Sequence[str],
+    lines: Sequence[tuple[str, str]],
+    bare: Sequence[str] = (),
+) -> str:
+    body = [f"  {line}" for line in declared]
+    if inner:
+        body += ["protected", *(f"  Real {n};" for n in inner)]
+    body += ["equation", *(f"  {line};" for line in bare)]
+    body += [f"  {left} = {right};" for left, right in lines]
+    return "\n".join([f"model {model} {_quoted(description)}", *body, f"end {model};"])
+
+
+def _component(muscle: Muscle, losses: Loss | Sequence[Loss], name: str | None) -> str:
+    """A package with the connectors and the muscle."""
+    if muscle.diameter is None:
+        raise InputError(
+            f"muscle {muscle.name!r} has no diameter, so its volume is unknown; give it one "
+            "(dataclasses.replace(muscle, diameter=0.02))"
+        )
+    plant, attached = attached_alone(muscle, IdealPressure(), losses, "muscle")
+
+    def declare(name: str, value: float, **about: Any) -> ca.SX:
+        return plant.parameter(f"muscle.{name}", value, **about)
+
+    volume = ConsistentVolume().filled(attached.muscle, attached.contraction, declare)
+    plant.output("muscle.volume", volume, unit="m3", nominal=1e-4, description="air in the muscle")
+    moved = {"muscle.length": "length", "muscle.speed": "speed", "muscle.pressure": "pressure"}
+    names = identifiers(
+        [v.name.removeprefix("muscle.") for v in plant.variables if v.name not in moved],
+        RESERVED | OWN,
+    )
+    names = {v.name: names.get(v.name.removeprefix("muscle."), "") for v in plant.variables} | moved
+    names["muscle.volume"] = "volume"
+    inner, lines = _equations(plant, names)
+    declared = [
+        "Flange flange_a;",
+        "Flange flange_b;",
+        "PneumaticPort port;",
+        *(_declared("parameter", v, names[v.name], False, True) for v in plant.parameters),
+        f'parameter Real atmosphere(unit = "Pa") = {AMBIENT_PRESSURE!r} "absolute, outside";',
+        f'parameter Real temperature(unit = "K") = {REFERENCE_TEMPERATURE!r} "of the air";',
+        f'constant Real R(unit = "J/(kg.K)") = {GAS_CONSTANT!r} "specific gas constant of air";',
+        *(_declared("", v, names[v.name], True) for v in plant.states),
+        *(_declared("", v, names[v.name], False) for v in plant.inputs),
+        *(_declared("", v, names[v.name], False) for v in plant.outputs),
+        'Real mass(unit = "kg") "air inside";',
+    ]
+    bare = [
+        "length = flange_b.s - flange_a.s",
+        "speed = der(length)",
+        "pressure = port.p",
+        "flange_b.f = force",
+        "flange_a.f = -force",
+        "mass = (pressure + atmosphere)*volume/(R*temperature)",
+        "port.m_flow = der(mass)",
+    ]
+    law = type(muscle.law)
+    source = getattr(muscle.law, "reference", "") or law.__name__
+    words = f"{muscle.name or 'muscle'}: {getattr(law, 'title', '') or law.__name__}; {source}"
+    model = _text("Muscle", words, declared, inner, lines, bare)
+    inside = "\n".join(f"  {line}" for line in model.splitlines())
+    package = name or _class(muscle.name or "PneumaticMuscle")
+    title = _quoted("A pneumatic muscle by its force law. SI units, gauge pressures")
+    return f"package {package} {title}\n{CONNECTORS}\n{inside}\nend {package};\n"

@@ -1,0 +1,339 @@
+"""Muscles as actuators of MuJoCo: MJCF for tendons, actuators, sensors; callbacks for their laws.
+
+MuJoCo's own muscle is a biological one. Here an actuator's activations are the states of feed and
+losses (pressure, hysteresis, a valve's spool), and its force that of the fitted law.
+"""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from ...core.atomic import atomic_path
+from ...core.errors import InputError, UnknownNameError, require_finite
+from ...core.stop import verb
+from ...muscles.pneumatic_muscle import Muscle
+from ...numerics.buffered import Buffered
+from ...plants.alone import muscle_alone
+from ...plants.components import as_muscle
+from ...plants.damping import Loss
+from ...plants.feeds import Feed
+from ...plants.plant import Plant
+from .registry import ENDINGS, WORLDS
+from .signature import library
+
+__all__ = ["MujocoMuscle", "MujocoMuscles", "export_mjcf", "to_mujoco"]
+
+Way: TypeAlias = "Sequence[str] | Mapping[str, float]"
+
+REACH = 2.5
+"""Longest step in time constants of the quickest decaying state: the border of RK4 is 2.785, that
+of Euler's 2."""
+MOVED = ("length", "speed")
+
+
+@dataclass(frozen=True)
+class MujocoMuscle:
+    """A muscle and its way through a MuJoCo model.
+
+    name : of the actuator. muscle, feed, losses : as ``Plant.add_muscle`` takes them.
+    way : names of the sites that its tendon leads through, or {joint: moment arm [m]} (1 for a
+        slide): the change of its length with the joint.
+    offset : its length less that of the tendon [m]: of a way by sites minus what the cords take, of
+        a way by joints its length where they are at 0.
+
+    Examples
+    --------
+    >>> one = pam.export.MujocoMuscle("flexor", "DMSP-20-300", {"slide": -1.0}, offset=0.3)
+    >>> one.commands
+    ('flexor.command',)
+    """
+
+    name: str
+    muscle: Muscle | str
+    way: Way
+    feed: Feed | None = None
+    losses: Loss | Sequence[Loss] = ()
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite("offset", self.offset)
+        if not self.way or (not isinstance(self.way, Mapping) and len(self.way) < 2):
+            raise InputError(
+                f"way = {self.way!r}: give two sites or more, or the moment arm of each joint"
+            )
+
+    @cached_property
+    def plant(self) -> Plant:
+        """The muscle alone: length and speed in, force out."""
+        muscle = as_muscle(self.muscle)
+        return muscle_alone(muscle, feed=self.feed, losses=self.losses, name=self.name)
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Names of its inputs beside length and speed; each is the control of an actuator."""
+        moved = {f"{self.name}.{m}" for m in MOVED}
+        return tuple(v.name for v in self.plant.inputs if v.name not in moved)
+
+
+@verb
+def to_mujoco(muscles: MujocoMuscle | Sequence[MujocoMuscle]) -> MujocoMuscles:
+    """Muscles for a MuJoCo model: :meth:`MujocoMuscles.mjcf` and :meth:`MujocoMuscles.installed`.
+
+    Raises InputError where MuJoCo is missing, and for names that stand twice.
+
+    Examples
+    --------
+    >>> one = pam.export.MujocoMuscle("flexor", "DMSP-20-300", {"slide": -1.0}, offset=0.3)
+    >>> made = pam.export.to_mujoco([one])  # doctest: +SKIP
+    """
+    library("mujoco", "mujoco", "to_mujoco")
+    return _muscles(muscles)
+
+
+@verb
+def export_mjcf(
+    muscles: MujocoMuscle | Sequence[MujocoMuscle],
+    path: str | os.PathLike[str],
+    *,
+    model: str | os.PathLike[str] | None = None,
+) -> Path:
+    """Write the tendons, actuators and sensors of muscles as MJCF; returns the path.
+
+    model : an MJCF file whose elements are to stand with them; by default the file has them alone,
+        for ``<include file="..."/>`` in a model of one's own.
+
+    Forces need :meth:`MujocoMuscles.installed`, in Python: MJCF has no words for these laws.
+
+    Raises InputError for a model that is no MJCF, and for names that stand twice.
+
+    Examples
+    --------
+    >>> one = pam.export.MujocoMuscle("flexor", "DMSP-20-300", {"slide": -1.0}, offset=0.3)
+    >>> pam.export.export_mjcf([one], "muscles.xml").name
+    'muscles.xml'
+    """
+    elements = _muscles(muscles).elements()
+    if model is None:
+        root = ET.Element("mujocoinclude")
+    else:
+        try:
+            root = ET.parse(model).getroot()
+        except (ET.ParseError, OSError) as error:
+            raise InputError(f"model = {os.fspath(model)!r} is no MJCF file: {error}") from None
+        if root.tag != "mujoco":
+            raise InputError(f"model = {os.fspath(model)!r} is no MJCF: its root is <{root.tag}>")
+    root.extend(elements)
+    ET.indent(root)
+    with atomic_path(path) as file:
+        file.write_text(ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+    return Path(path)
+
+
+WORLDS.register("mujoco")(
+    lambda muscles, path=None, **options: (
+        to_mujoco(muscles) if path is None else export_mjcf(muscles, path, **options)
+    )
+)
+ENDINGS[".xml"] = "mujoco"
+
+
+def _muscles(muscles: MujocoMuscle | Sequence[MujocoMuscle]) -> MujocoMuscles:
+    given = (muscles,) if isinstance(muscles, MujocoMuscle) else tuple(muscles)
+    for muscle in given:
+        if not isinstance(muscle, MujocoMuscle):
+            raise InputError(
+                f"muscles holds a {type(muscle).__name__}; MuJoCo has the masses and takes muscles "
+                "alone: give MujocoMuscle(name, muscle, way, ...)"
+            )
+    names = [m.name for m in given]
+    if not given or len(set(names)) < len(names):
+        raise InputError(f"muscles = {names}: give one or more, each with a name of its own")
+    return MujocoMuscles(given)
+
+
+@dataclass(frozen=True)
+class MujocoMuscles:
+    """Muscles of one model.
+
+    Examples
+    --------
+    >>> one = pam.export.MujocoMuscle("flexor", "DMSP-20-300", {"slide": -1.0}, offset=0.3)
+    >>> "actuatorfrc" in pam.export.MujocoMuscles((one,)).mjcf()
+    True
+    """
+
+    muscles: tuple[MujocoMuscle, ...]
+
+    def mjcf(self) -> str:
+        """The elements tendon, actuator and sensor as text, to stand within ``<mujoco>``."""
+        made = self.elements()
+        for element in made:
+            ET.indent(element)
+        return "\n".join(ET.tostring(e, encoding="unicode") for e in made)
+
+    def elements(self) -> list[ET.Element]:
+        """The same as elements."""
+        tendons, actuators, sensors = (ET.Element(t) for t in ("tendon", "actuator", "sensor"))
+        for one in self.muscles:
+            tendon = f"{one.name}.tendon"
+            if isinstance(one.way, Mapping):
+                way = ET.SubElement(tendons, "fixed", name=tendon)
+                for joint, arm in one.way.items():
+                    ET.SubElement(way, "joint", joint=joint, coef=repr(float(arm)))
+            else:
+                way = ET.SubElement(tendons, "spatial", name=tendon, width="0.01")
+                for site in one.way:
+                    ET.SubElement(way, "site", site=site)
+            states = len(one.plant.states)
+            kind = {"dyntype": "user", "actdim": str(states)} if states else {"dyntype": "none"}
+            force = {"gaintype": "fixed", "gainprm": "0", "biastype": "user"}
+            for i, command in enumerate(one.commands or ("",)):
+                name = one.name if i == 0 else command
+                given = {**kind, **force} if i == 0 else {"gainprm": "0"}
+                if command:
+                    v = one.plant.variable(command)
+                    given |= {"ctrllimited": "true", "ctrlrange": f"{v.min!r} {v.max!r}"}
+                ET.SubElement(actuators, "general", {"name": name, "tendon": tendon, **given})
+            ET.SubElement(sensors, "actuatorfrc", name=f"{one.name}.force", actuator=one.name)
+            ET.SubElement(sensors, "tendonpos", name=f"{one.name}.length", tendon=tendon)
+            ET.SubElement(sensors, "tendonvel", name=f"{one.name}.speed", tendon=tendon)
+        return [tendons, actuators, sensors]
+
+    # ---- in the engine ------------------------------------------------------------------------
+    @contextmanager
+    def installed(self, model: Any) -> Iterator[MujocoMuscles]:
+        """MuJoCo computes these muscles of this (loaded) model in the ``with``.
+
+        Callbacks belong to the whole process: one set of muscles at a time, and MuJoCo cannot load
+        another model meanwhile. What was set before is set again behind it.
+
+        Raises InputError where the model's time step is too long for the quickest state (which says
+        how long it may be), or an actuator of these muscles is missing.
+        """
+        import mujoco
+
+        laws = self._laws(model)
+
+        def dynamics(m: Any, d: Any, i: int) -> float:
+            law = laws.get(i)
+            if law is None:
+                return 0.0
+            slopes = law.evaluated(d)[0]
+            d.act_dot[law.begin : law.begin + law.count] = slopes
+            return float(slopes[0])
+
+        def bias(m: Any, d: Any, i: int) -> float:
+            law = laws.get(i)
+            return 0.0 if law is None else -float(law.evaluated(d)[1])
+
+        before = mujoco.get_mjcb_act_dyn(), mujoco.get_mjcb_act_bias()
+        mujoco.set_mjcb_act_dyn(dynamics)
+        mujoco.set_mjcb_act_bias(bias)
+        try:
+            yield self
+        finally:
+            mujoco.set_mjcb_act_dyn(before[0])
+            mujoco.set_mjcb_act_bias(before[1])
+
+    def reset(self, model: Any, data: Any, values: Mapping[str, float] | None = None) -> None:
+        """Start states into ``data.act``, start commands into ``data.ctrl``.
+
+        values : other states and commands by name. Raises UnknownNameError.
+        """
+        known = {v.name: v for m in self.muscles for v in (*m.plant.states, *m.plant.inputs)}
+        for name in values or {}:
+            if name not in known:
+                raise UnknownNameError("values", name, list(known))
+        for law in self._laws(model, checked=False).values():
+            plant = law.muscle.plant
+            own = [(values or {}).get(v.name, v.start) for v in plant.states]
+            data.act[law.begin : law.begin + law.count] = own
+            for at, name in zip(law.controls, law.muscle.commands, strict=True):
+                data.ctrl[at] = (values or {}).get(name, plant.variable(name).start)
+
+    def _laws(self, model: Any, checked: bool = True) -> dict[int, _Law]:
+        laws = {}
+        for one in self.muscles:
+            law = _Law(one, model)
+            if checked:
+                law.check(float(model.opt.timestep))
+            laws[law.actuator] = law
+        return laws
+
+
+class _Law:
+    """One muscle in one model: where it stands there, and what computes it."""
+
+    def __init__(self, muscle: MujocoMuscle, model: Any) -> None:
+        self.muscle, plant = muscle, muscle.plant
+        names = [muscle.name, *muscle.commands[1:]]
+        found = [_actuator(model, n) for n in names]
+        self.actuator = found[0]
+        self.controls = found if muscle.commands else []
+        self.begin = int(model.actuator_actadr[self.actuator])
+        self.count = len(plant.states)
+        if self.count and int(model.actuator_actnum[self.actuator]) != self.count:
+            raise InputError(
+                f"actuator {muscle.name!r} of the model has {model.actuator_actnum[self.actuator]} "
+                f"activations, the muscle {self.count} states; write its MJCF anew"
+            )
+        p = plant.vector("parameter")
+        x, u = ca.SX.sym("x", self.count), ca.SX.sym("u", len(plant.inputs))
+        slopes = plant.function(x, u, p)[0]
+        names = [v.name for v in plant.outputs]
+        force = plant.function(x, u, p)[1][names.index(f"{muscle.name}.force")]
+        results = [ca.densify(slopes), ca.densify(force)]
+        self._function = Buffered(ca.Function("muscle", [x, u], ca.cse(results)))
+        inputs = [v.name for v in plant.inputs]
+        self._moved = [inputs.index(f"{muscle.name}.{m}") for m in MOVED]
+        self._commanded = [inputs.index(c) for c in muscle.commands]
+
+    def evaluated(self, data: Any) -> tuple[Any, Any]:
+        """(slopes of the states, force) now."""
+        x, u = self._function.arguments
+        x[:] = data.act[self.begin : self.begin + self.count]
+        length, speed = self._moved
+        u[length] = data.actuator_length[self.actuator] + self.muscle.offset
+        u[speed] = data.actuator_velocity[self.actuator]
+        for at, control in zip(self._commanded, self.controls, strict=True):
+            u[at] = data.ctrl[control]
+        self._function.call()
+        slopes, force = self._function.results
+        return slopes[:, 0], force[0, 0]
+
+    def check(self, step: float) -> None:
+        """Refuse a time step that this muscle's states do not stand."""
+        plant = self.muscle.plant
+        if not self.count:
+            return
+        x, p = plant.vector("state"), plant.vector("parameter")
+        a = np.array(plant.jacobians(x, plant.vector("input"), p)[0])
+        poles = np.linalg.eigvals(a) if np.all(np.isfinite(a)) else np.zeros(1)
+        fastest = float(np.max(np.abs(poles[poles.real < 0]), initial=0.0))
+        if fastest * step > REACH:
+            raise InputError(
+                f"timestep = {step:g} s is too long for {self.muscle.name!r}, whose quickest state "
+                f"allows {REACH / fastest:.2g} s; set the model's option timestep"
+            )
+
+
+def _actuator(model: Any, name: str) -> int:
+    import mujoco
+
+    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+    if found < 0:
+        raise InputError(
+            f"the model has no actuator {name!r}; put MujocoMuscles.mjcf() or the file of "
+            "export_mjcf into it"
+        )
+    return int(found)
