@@ -109,7 +109,7 @@ class Sensors:
         for name in expected:
             if name not in self.names:
                 raise UnknownNameError("measured variable of the real side", name, self.names)
-        given = expected if noise is None else noise
+        given = noise if noise is not None else {} if side.measured else expected
         self.noise = {
             alias.get(n, n): require_positive(f"noise[{n!r}]", s, zero=True)
             for n, s in given.items()

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from ..plants.plant import Given, Plant, Values, by_name
 from ..simulation.sampled import SampledPlant
 from ..simulation.simulator import evaluated
 
-__all__ = ["FmuSide", "PlantSide", "Side", "side_of"]
+__all__ = ["FmuSide", "HasSide", "PlantSide", "Side", "side_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -41,6 +41,8 @@ class Side(ABC):
     name: str
     variables: tuple[Variable, ...]
     inputs: dict[str, float]
+    measured = False
+    """Whether its values are measurements already, to which no noise is added."""
 
     def __init__(self) -> None:
         self._held_open = ExitStack()
@@ -88,8 +90,16 @@ class Side(ABC):
         )
 
 
+@runtime_checkable
+class HasSide(Protocol):
+    """What makes a side of its own: a rig."""
+
+    def side(self, sample_time: float, start: Given | None = None) -> Side:
+        """The side of one run. start : what it is to begin at, as far as that can be done."""
+
+
 def side_of(
-    real: Plant | str | os.PathLike[str],
+    real: Plant | HasSide | str | os.PathLike[str],
     model: Plant | None,
     sample_time: float,
     parts: int,
@@ -98,12 +108,18 @@ def side_of(
     start: Given | None,
     rtol: float,
 ) -> Side:
-    """The side that a user named: a Plant, or the path of an FMU.
+    """The side that a user named: a Plant, the path of an FMU, or what makes its own (a rig).
 
     model : plant that says of an FMU's variables what they are (None: its own description does).
     parameters, start : that differ from its own. Raises InputError for what cannot be meant.
     """
-    require_instance("side", real, (Plant, str, os.PathLike), "give a Plant, or the path of an FMU")
+    remedy = "give a Plant, the path of an FMU, or a Rig"
+    require_instance("side", real, (Plant, HasSide, str, os.PathLike), remedy)
+    if isinstance(real, HasSide):
+        if parameters or parts != 1:
+            what = "parameters" if parameters else "parts"
+            raise InputError(f"{what}: what is real has none to be set; leave {what} out")
+        return real.side(sample_time, start)
     sampling = (sample_time, parts, rtol)
     if isinstance(real, Plant):
         return PlantSide(real, parameters, start, sampling)

@@ -1,0 +1,133 @@
+"""A rig as the side of a closed loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..control.sides import Side
+from ..core.errors import InputError
+from ..core.trajectory import Trajectory
+from ..plants.plant import Given, by_name
+from .channels import Command
+from .guard import RigError
+from .running import Running
+
+if TYPE_CHECKING:
+    from .rig import Rig
+
+__all__ = ["RigSide", "play", "player"]
+
+
+class RigSide(Side):
+    """Between two samples the rig moves by itself, and is waited for."""
+
+    measured = True
+
+    def __init__(self, rig: Rig, sample_time: float, start: Given | None) -> None:
+        super().__init__()
+        self.rig, self.name, self.variables = rig, rig.name, rig.variables
+        self._rows: list[tuple[float, list[float]]] = []
+        target = {n: float(v) for n, v in by_name("start", start).items() if n in rig.commands}
+        self._run = self._held_open.enter_context(Running(rig, sample_time))
+        try:
+            if target:
+                self._run.approach(target)
+        except BaseException as error:
+            self.__exit__(type(error), error, error.__traceback__)
+            raise
+        self.inputs = dict(self._run.sent)
+        self._begin = dict(self._run.sent)
+        self._offset: dict[str, float] | None = None
+        self.bumpless = True
+        self._steps, self._sample_time = 0, sample_time
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._held_open.__exit__(kind, error, trace)
+
+    def values(self) -> dict[str, float]:
+        """See :class:`Side`: readings, and commands as they act."""
+        return {**self._run.values, **self.inputs}
+
+    def step(self, time: float) -> None:
+        """See :class:`Side`. The step of a controller that takes over fades."""
+        run = self._run
+        asked = {n: self.inputs[n] for n in self.rig.commands}
+        if self._offset is None:
+            self._offset = {n: self._begin[n] - asked[n] for n in asked}
+        fade = self.rig.guard.fade
+        left = 0.0
+        if fade and self.bumpless:
+            left = math.exp(-self._steps * self._sample_time / fade)
+        self._steps += 1
+        seen = list(run.values.values())
+        at = run.time
+        run.step({n: v + left * self._offset[n] for n, v in asked.items()})
+        self.inputs = dict(run.sent)
+        self._add(at, seen)
+
+    def _add(self, at: float, seen: list[float]) -> None:
+        """A row: readings, and the commands sent on them."""
+        if self._rows and at <= self._rows[-1][0]:  # the same answer as before
+            at = self._rows[-1][0] + 1e-6
+        self._rows.append((at, [*seen, *(self.inputs[n] for n in self.rig.commands)]))
+
+    def trajectory(self) -> Trajectory:
+        """See :class:`Side`: at the times at which the readings were taken."""
+        self._add(self._run.time, list(self._run.values.values()))
+        t = np.array([row[0] for row in self._rows])
+        data = np.array([row[1] for row in self._rows])
+        columns = {v.name: data[:, i] for i, v in enumerate(self.variables)}
+        return Trajectory(t - t[0], columns, self.variables, "previous")
+
+
+def player(
+    inputs: Any, sample_time: float, commands: Mapping[str, Command]
+) -> tuple[Callable[[float, Any], Mapping[str, float]], float | None]:
+    """(a controller that plays inputs, how long they are [s])."""
+    motion = getattr(inputs, "trajectory", inputs)
+    if not isinstance(motion, Trajectory):
+        if not callable(inputs):
+            raise InputError(
+                f"inputs is a {type(inputs).__name__}: give a function of time, a trajectory, or a "
+                "plan"
+            )
+        return (lambda t, seen: inputs(t)), None
+    names = [n for n in motion.named("input") if n in commands]
+    if not names:
+        raise RigError(f"the motion holds none of the commands {', '.join(commands)}")
+    t0, end = float(motion.t[0]), float(motion.t[-1])
+    count = max(1, round((end - t0) / sample_time))
+    middles = np.minimum(t0 + sample_time * (np.arange(count) + 0.5), end)
+    rows = motion.at(middles).array(names)
+
+    def law(t: float, seen: Any) -> dict[str, float]:
+        row = rows[min(max(round(t / sample_time), 0), count - 1)]
+        return dict(zip(names, row.tolist(), strict=True))
+
+    return law, float(motion.duration)
+
+
+def play(rig: Rig, motion: Trajectory, start: Mapping[str, float] | None = None) -> Trajectory:
+    """Play a motion's inputs as they are, after a soft start to ``start`` (by default to its first
+    ones). What was read and sent.
+    """
+    law, span = player(motion, rig.sample_time, rig.commands)
+    first = start if start is not None else {n: float(v) for n, v in law(0.0, {}).items()}
+    side = RigSide(rig, rig.sample_time, first)
+    side.bumpless = False
+    with side:
+        for k in range(max(1, round((span or 0.0) / rig.sample_time))):
+            t = k * rig.sample_time
+            side.inputs = {**side.inputs, **law(t, {})}
+            side.step(t)
+        return side.trajectory()
