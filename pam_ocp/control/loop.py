@@ -362,7 +362,7 @@ class _Run:
         for name in self.known[0].deviation if self.known else ():
             noise[name] = max(float(np.mean([e.deviation[name] for e in self.known])), 0.0)
         statistics = getattr(self.controller, "statistics", None)
-        names = self.expected[0] if self.expected else ()
+        names = [n for n in (self.expected[0] if self.expected else ()) if n in motion]
         return judge_loop(
             motion,
             wanted=wanted,

@@ -101,8 +101,10 @@ def identify(
     width, duration = require_positive("width", width), require_positive("duration", duration, "s")
     every = max(1, round((sample or 0.02) / rig.sample_time))
     step = every * rig.sample_time
-    measured = [n for n, r in rig.readings.items() if not r.slope_of]
+    known_names = {v.name for v in (*rig.plant.states, *rig.plant.outputs)}
+    measured = [n for n, r in rig.readings.items() if not r.slope_of and n in known_names]
     measured = [n for n in measured if n in (outputs or measured)]
+    rig.require_armed()
     ranges = inputs or {n: _inner(c.low, c.high, 0.8) for n, c in rig.commands.items()}
     begin = {n: (low + high) / 2 for n, (low, high) in ranges.items()} | dict(at or {})
     if noise is None:

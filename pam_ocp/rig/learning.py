@@ -8,6 +8,7 @@ taken back, and the steps from there are half as large.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -20,7 +21,7 @@ from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.sampled import SampledPlant
-from .side import play
+from .side import play, start_of
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -36,7 +37,8 @@ POINTS = 100
 @dataclass(frozen=True)
 class Learned:
     """What the runs came to. ``errors`` : RMS of the tracked variable in each run [its unit];
-    ``inputs`` : those of the best run; ``runs`` : what was read in each.
+    ``inputs``, ``start`` : those of the best run, and the commands of the rest before it, for
+    ``rig.run(learned.inputs, start=learned.start)``; ``runs`` : what was read in each.
 
     Examples
     --------
@@ -47,6 +49,7 @@ class Learned:
     track: str
     errors: tuple[float, ...]
     inputs: Trajectory = field(repr=False)
+    start: Mapping[str, float]
     runs: tuple[Trajectory, ...] = field(repr=False)
 
     @property
@@ -88,6 +91,7 @@ def learn(
     if plant is None or not isinstance(wanted, Trajectory):
         raise InputError("learn: give a rig with a model (plant=), and a plan or trajectory of it")
     require_count("runs", runs)
+    rig.require_armed()
     if track not in rig.readings or track not in wanted:
         raise InputError(f"track = {track!r} must be a reading of the rig and stand in the motion")
     usual = wanted.duration / POINTS
@@ -100,16 +104,17 @@ def learn(
     names = list(rig.commands)
     response = _response(plant, wanted, times, track, names, h)
     nominal = np.array([rig.commands[n].high - rig.commands[n].low for n in names])
-    scaled = response * np.tile(nominal, count)[None, :]
+    scaled = response * np.tile(nominal, count + 1)[None, :]
     size = float(np.linalg.norm(scaled, 2)) ** 2
     law = np.linalg.solve(scaled.T @ scaled + weight * size * np.eye(scaled.shape[1]), scaled.T)
     middles = np.minimum(times[:-1] + h / 2, wanted.t[-1])
-    u = wanted.at(middles).array(names)
+    begin = start_of(rig, wanted)
+    u = np.vstack([[begin[n] for n in names], wanted.at(middles).array(names)])
     low, high = (np.array([getattr(rig.commands[n], a) for n in names]) for a in ("low", "high"))
     best, part = (np.inf, u, np.zeros(count + 1)), gain
     errors, seen = [], []
     for _ in range(runs):
-        run = play(rig, _inputs(plant, times, u, names))
+        run = play(rig, _inputs(plant, times, u[1:], names), dict(zip(names, u[0], strict=True)))
         error = goal - np.interp(times - times[0], run.t, run[track])
         rms = float(np.sqrt(np.mean(error**2)))
         errors.append(rms)
@@ -118,9 +123,11 @@ def learn(
             best = rms, u, error
         else:
             part /= 2
-        change = (law @ best[2]).reshape(count, len(names)) * nominal
+        change = (law @ best[2]).reshape(count + 1, len(names)) * nominal
         u = np.clip(best[1] + part * change, low, high)
-    return Learned(track, tuple(errors), _inputs(plant, times, best[1], names), tuple(seen))
+    start = dict(zip(names, best[1][0].tolist(), strict=True))
+    inputs = _inputs(plant, times, best[1][1:], names)
+    return Learned(track, tuple(errors), inputs, start, tuple(seen))
 
 
 def _inputs(plant: Plant, times: Array, u: Array, names: list[str]) -> Trajectory:
@@ -133,9 +140,8 @@ def _inputs(plant: Plant, times: Array, u: Array, names: list[str]) -> Trajector
 def _response(
     plant: Plant, motion: Trajectory, times: Array, track: str, names: list[str], h: float
 ) -> Array:
-    """Change of ``track`` at the times (n+1) per change of the inputs held over each step (n m).
-
-    The first inputs are those of the soft start, too: the rest that they lead to is the start.
+    """Change of ``track`` at the times (n+1) per change of the inputs: those of the rest before the
+    motion, and those held over each step, ((n+1) m).
     """
     at = motion.at(times)
     x, u = at.array([v.name for v in plant.states]), at.array([v.name for v in plant.inputs])
@@ -149,14 +155,14 @@ def _response(
     a, b = (np.asarray(j) for j in plant.jacobians(x[0], u[0], plant.vector("parameter"))[:2])
     inner = np.linalg.pinv(a * scale / scale[:, None], rcond=1e-9)
     rest = -(inner @ (b[:, places] / scale[:, None])) * scale[:, None]
-    found = np.zeros((count + 1, count * m))
-    state = np.zeros((n, count * m))
+    found = np.zeros((count + 1, (count + 1) * m))
+    state = np.zeros((n, (count + 1) * m))
     state[:, :m] = rest
     found[0] = row[0] @ state
     for k in range(count):
         step_a, step_b = sampled.slopes(x[k], u[k], inputs=places)
         state = step_a @ state
-        state[:, k * m : (k + 1) * m] += step_b
+        state[:, (k + 1) * m : (k + 2) * m] += step_b
         found[k + 1] = row[k + 1] @ state
     return found
 

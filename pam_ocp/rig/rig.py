@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -27,8 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Rig"]
 
-ATTEMPTS = 3
-"""Times that a vent is sent where no answer comes; the watchdog's way is taken besides."""
+PATIENCE, PAUSE = 0.25, 0.005
+"""How long a vent is sent again where no answer comes, and how often [s]; the watchdog's way is
+taken besides.
+"""
 
 
 class Rig:
@@ -94,7 +95,6 @@ class Rig:
         self.reason = ""
         """Why the guard vented last; "" where it did not."""
         self.vented = {n: float(c.vent or 0.0) for n, c in self.commands.items()}
-        self._vented_at = math.nan
         self.zeros: dict[str, float] = {}
         """What readings show where they should show nothing [SI]: taken off; found by home()."""
         if hasattr(driver, "open"):
@@ -215,6 +215,14 @@ class Rig:
             ) from error
         self._armed = True
 
+    def require_armed(self) -> None:
+        """RigError where it is not."""
+        if not self._armed:
+            why = f" (it was vented: {self.reason})" if self.reason else ""
+            raise RigError(
+                f"{self.name} is not armed{why}; look that nobody is near, and call rig.arm()"
+            )
+
     def _let_act(self) -> None:
         """Only with vent values behind it, so that nothing moves."""
         if hasattr(self.driver, "arm"):
@@ -231,17 +239,18 @@ class Rig:
             self.reason, self._armed = self.reason or reason, False
         if self._watchdog is not None and reason:
             self._watchdog.vent()
-        for _ in range(ATTEMPTS):
+        until = self.clock.now() + PATIENCE
+        while self.clock.now() < until:
             try:
                 self.driver.vent()
             except Exception:  # whatever it is, it is tried again
+                if self._watchdog is not None:
+                    self._watchdog.vent()
+                self.clock.wait(self.clock.now() + PAUSE)
                 continue
-            self._vented_at = self.clock.now()
             if self._watchdog is not None and not reason:
                 self._watchdog.idle()
             return True
-        if self._watchdog is not None:
-            self._watchdog.vent()
         return False
 
     def disarm(self) -> None:

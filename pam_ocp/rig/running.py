@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Running", "Watch"]
 
+STEP = 1e-6
+"""[s], by which rows differ at least."""
 SETTLED = 0.3
 """How long a soft start waits where it has arrived [s]."""
 
@@ -26,19 +28,14 @@ class Running:
     """
 
     def __init__(self, rig: Rig, sample_time: float) -> None:
-        if not rig.armed:
-            raise RigError(
-                f"{rig.name} is not armed"
-                + (f" (it was vented: {rig.reason})" if rig.reason else "")
-                + "; look that nobody is near, and call rig.arm()"
-            )
+        rig.require_armed()
         if rig._running:
             raise RigError(f"{rig.name} is under way already; end that run first")
         self.rig, self.sample_time = rig, sample_time
         self.watch = Watch(rig.guard, rig.readings, rig.commands)
         self.sent = dict(rig.vented)
         self.values: dict[str, float] = {}
-        self.stamp = -math.inf
+        self.stamp = self.at = -math.inf
         self.samples = self.missed = self.lost = 0
         self.latest: list[float] = []
         """By how much each sample was late [s]."""
@@ -84,6 +81,7 @@ class Running:
         except Exception as error:  # the age of what is read says how long that may go on
             self.lost += 1
             self._cause = str(error)
+        self._mark()
         self._write_down()
         self._beat()
         self.deadline += self.sample_time
@@ -138,7 +136,14 @@ class Running:
     def _write_down(self) -> None:
         if self._record is not None:
             row = [*self.values.values(), *(self.sent[n] for n in self.rig.commands)]
-            self._record.row(self.time, row)
+            self._record.row(self.at, row)
+
+    def _mark(self) -> None:
+        """When the readings were taken, for the row to come; where they are those of the row before,
+        when the commands were sent.
+        """
+        sent = max(self.rig.clock.now() - self.zero, self.at + STEP)
+        self.at = self.time if self.time > self.at else sent
 
     @property
     def time(self) -> float:
@@ -160,7 +165,6 @@ class Running:
             self.step({n: begin[n] + part * (v - begin[n]) for n, v in goal.items()})
         for _ in range(math.ceil(SETTLED / self.sample_time)):
             self.step(goal)
-        self.zero = self.stamp
 
     def __enter__(self) -> Running:
         return self
@@ -179,12 +183,15 @@ class Running:
             reason = " ".join(str(error).split()) or type(error).__name__
         try:
             answered = rig.vent(reason)
+            self.sent = dict(rig.vented) if answered else self.sent
             if not answered and not reason:
                 rig.vent("the rig did not answer when it was to vent at the end of a run")
         finally:
             rig._running = False
             if self._record is not None:
-                self._write_down()
+                if self.values:
+                    self._mark()
+                    self._write_down()
                 self._record.close(self.figures(rig.reason))
 
     def figures(self, reason: str = "") -> dict[str, Any]:

@@ -15,12 +15,15 @@ from ..core.trajectory import Trajectory
 from ..plants.plant import Given, by_name
 from .channels import Command
 from .guard import RigError
-from .running import Running
+from .running import STEP, Running
 
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["RigSide", "play", "player"]
+__all__ = ["RigSide", "play", "player", "start_of"]
+
+RESTING = 0.05
+"""Rates per second, in units of nominal, below which a motion begins at rest."""
 
 
 class RigSide(Side):
@@ -70,20 +73,17 @@ class RigSide(Side):
             left = math.exp(-self._steps * self._sample_time / fade)
         self._steps += 1
         seen = list(run.values.values())
-        at = run.time
         run.step({n: v + left * self._offset[n] for n, v in asked.items()})
         self.inputs = dict(run.sent)
-        self._add(at, seen)
+        self._add(run.at, seen)
 
     def _add(self, at: float, seen: list[float]) -> None:
         """A row: readings, and the commands sent on them."""
-        if self._rows and at <= self._rows[-1][0]:  # the same answer as before
-            at = self._rows[-1][0] + 1e-6
         self._rows.append((at, [*seen, *(self.inputs[n] for n in self.rig.commands)]))
 
     def trajectory(self) -> Trajectory:
         """See :class:`Side`: at the times at which the readings were taken."""
-        self._add(self._run.time, list(self._run.values.values()))
+        self._add(max(self._run.time, self._run.at + STEP), list(self._run.values.values()))
         t = np.array([row[0] for row in self._rows])
         data = np.array([row[1] for row in self._rows])
         columns = {v.name: data[:, i] for i, v in enumerate(self.variables)}
@@ -117,12 +117,40 @@ def player(
     return law, float(motion.duration)
 
 
+def start_of(rig: Rig, motion: Any) -> dict[str, float]:
+    """Commands under which the model rests where a motion begins; its first ones where it does not
+    begin at rest, or where there is no model that says so.
+    """
+    motion = getattr(motion, "trajectory", motion)
+    first = {n: float(motion[n][0]) for n in motion.named("input") if n in rig.commands}
+    plant = rig.plant
+    if plant is None or any(v.name not in motion for v in (*plant.states, *plant.inputs)):
+        return first
+    from scipy.optimize import least_squares
+
+    names = [v.name for v in plant.inputs]
+    places = [names.index(n) for n in first]
+    x, u = (np.array([motion[v.name][0] for v in kind]) for kind in (plant.states, plant.inputs))
+    p, nominal = plant.vector("parameter"), plant.vector("state", attribute="nominal")
+    low, high = (np.array([getattr(rig.commands[n], a) for n in first]) for a in ("low", "high"))
+
+    def rates(part: Any) -> Any:
+        u[places] = low + part * (high - low)
+        return np.asarray(plant.function(x, u, p)[0], dtype=float).ravel() / nominal
+
+    begin = np.clip((u[places] - low) / (high - low), 0.0, 1.0)
+    found = least_squares(rates, begin, bounds=(0.0, 1.0), xtol=1e-12, ftol=1e-12)
+    if np.max(np.abs(found.fun)) > RESTING:
+        return first
+    return dict(zip(first, (low + found.x * (high - low)).tolist(), strict=True))
+
+
 def play(rig: Rig, motion: Trajectory, start: Mapping[str, float] | None = None) -> Trajectory:
-    """Play a motion's inputs as they are, after a soft start to ``start`` (by default to its first
-    ones). What was read and sent.
+    """Play a motion's inputs as they are, after a soft start to ``start`` (by default to those of
+    :func:`start_of`). What was read and sent.
     """
     law, span = player(motion, rig.sample_time, rig.commands)
-    first = start if start is not None else {n: float(v) for n, v in law(0.0, {}).items()}
+    first = start_of(rig, motion) if start is None else start
     side = RigSide(rig, rig.sample_time, first)
     side.bumpless = False
     with side:

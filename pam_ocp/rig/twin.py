@@ -102,7 +102,9 @@ class Twin:
             if name not in known:
                 raise UnknownNameError("reading of the twin", name, known)
         self._readers = readers_of(sensors, known, seed)
-        self._advance, self._look = _functions(self.plant, require_positive("scale", scale))
+        scale = require_positive("scale", scale)
+        functions = self.plant.cached(("twin", scale), lambda: _functions(self.plant, scale))
+        self._advance, self._look = (Buffered(f) for f in functions)
         self._x, self._p = self.plant.vector("state"), self.plant.vector("parameter")
         self._u0 = self.plant.vector("input")
         self._places = {n: [v.name for v in self.plant.inputs].index(n) for n in self.commands}
@@ -257,8 +259,10 @@ class Twin:
         for k in range(count):
             self._x = self._advance(self._x, u, self._p, span / count)[0][:, 0].copy()
             t = self._now + span * (k + 1) / count
-            for name in self._readers:
-                self._readers[name].tell(t, self._true_at(u)[name])
+            if self._readers:
+                true = self._true_at(u)
+                for name, reader in self._readers.items():
+                    reader.tell(t, true[name])
         if not np.all(np.isfinite(self._x)):
             raise InputError(
                 f"the twin of {self.plant.name!r} cannot be integrated in steps of "
@@ -324,7 +328,7 @@ _CHANGES: dict[str, Callable[[Fault, float, float, bool], float]] = {
 }
 
 
-def _functions(plant: Plant, scale: float) -> tuple[Buffered, Buffered]:
+def _functions(plant: Plant, scale: float) -> tuple[ca.Function, ca.Function]:
     """(x, u, p, h) -> x one L-stable step later, and (x, u, p) -> outputs; forces scaled."""
     x, u, p = (
         ca.SX.sym(n, v.numel()) for n, v in zip("xup", (plant.x, plant.u, plant.p), strict=True)
@@ -342,7 +346,7 @@ def _functions(plant: Plant, scale: float) -> tuple[Buffered, Buffered]:
     after = stepped(slopes_at, z, h, "rosenbrock", 1) * nominal
     whole = ca.Function("step", [z, u, p, h], [after])
     step = ca.Function("step", [x, u, p, h], [whole(x / nominal, u, p, h)])
-    return Buffered(step), Buffered(ca.Function("look", [x, u, p], [ca.densify(outputs)]))
+    return step, ca.Function("look", [x, u, p], [ca.densify(outputs)])
 
 
 def _scaled(plant: Plant, scale: float, x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:

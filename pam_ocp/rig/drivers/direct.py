@@ -34,10 +34,12 @@ class TwinDriver:
 
     def write(self, inputs: Mapping[str, float]) -> None:
         """See :class:`Driver`."""
+        self.read()
         self.twin.write(inputs)
 
     def vent(self) -> None:
         """See :class:`Driver`."""
+        self.read()
         self.twin.vent()
 
     def arm(self) -> None:
