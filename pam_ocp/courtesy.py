@@ -73,7 +73,8 @@ if TYPE_CHECKING:
     from .rig.learning import Learned as Learned
     from .rig.learning import learn as learn
     from .rig.side import RigSide as RigSide
-    from .rig.side import play as play
+    from .rig.side import run_on as run_on
+    from .rig.side import side_of_rig as side_of_rig
 
 _HOMES: dict[str, str] = {
     "block": "control.blocks.making",
@@ -91,8 +92,8 @@ _HOMES: dict[str, str] = {
     "html_of": "figures.html",
     "identify": "rig.identification",
     "learn": "rig.learning",
-    "play": "rig.side",
-    "RigSide": "rig.side",
+    "run_on": "rig.side",
+    "side_of_rig": "rig.side",
     "machine_plant": "export.machine",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",

@@ -13,7 +13,7 @@ from .. import courtesy
 from ..core.errors import InputError, UnknownNameError, require_instance, require_positive
 from ..core.interrupts import undisturbed
 from ..core.variables import Variable
-from ..plants.plant import Given, Plant, by_name
+from ..plants.plant import Given, Plant
 from .channels import Command, Reading, channels_of, usual_channels
 from .clock import Clock, RealClock
 from .drivers.driver import Driver
@@ -286,7 +286,7 @@ class Rig:
         """For :func:`pam_ocp.closed_loop`, which calls it. start : inputs to be reached softly
         before the run begins, by name or those of an operating point.
         """
-        return courtesy.RigSide(self, sample_time, start)
+        return courtesy.side_of_rig(self, sample_time, start)
 
     def run(
         self,
@@ -299,18 +299,7 @@ class Rig:
 
         Returns what was read and sent; see :func:`pam_ocp.closed_loop` for controllers.
         """
-        if not callable(inputs):
-            return courtesy.play(self, inputs, None if start is None else by_name("start", start))
-        if duration is None:
-            raise InputError("duration: give it, where the inputs are a function")
-        law = inputs
-        return courtesy.closed_loop(
-            lambda t, seen: law(t),
-            self,
-            duration=duration,
-            start=start,
-            sample_time=self.sample_time,
-        ).trajectory
+        return courtesy.run_on(self, inputs, duration, start)
 
     def about(self) -> dict[str, Any]:
         """Channels with their calibrations, and the guard: what stands beside records."""

@@ -139,8 +139,8 @@ class Running:
             self._record.row(self.at, row)
 
     def _mark(self) -> None:
-        """When the readings were taken, for the row to come; where they are those of the row before,
-        when the commands were sent.
+        """For the row to come: when the readings were taken, or, where they are those of the row
+        before, when the commands were sent.
         """
         sent = max(self.rig.clock.now() - self.zero, self.at + STEP)
         self.at = self.time if self.time > self.at else sent

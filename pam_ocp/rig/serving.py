@@ -103,6 +103,8 @@ def _udp(twin: Twin, host: str, port: int) -> Served:
                 data, who = line.recvfrom(LONGEST)
                 if answer := server.answer(data):
                     line.sendto(answer, who)
+            else:
+                twin.tick()
         line.close()
 
     return Served({"kind": "udp", "host": host, "port": line.getsockname()[1]}, work)
@@ -123,6 +125,8 @@ def _serial(twin: Twin) -> Served:
                 for asked in cut(os.read(inner, 4096)):
                     if answer := server.answer(asked):
                         os.write(inner, answer)
+            else:
+                twin.tick()
         os.close(inner)
         os.close(outer)
 
@@ -205,7 +209,10 @@ def _modbus(twin: Twin, host: str, port: int) -> Served:
     def work(own: Served) -> None:
         open_ends: dict[socket.socket, bytes] = {}
         while not own.ended.is_set():
-            for end in select.select([listening, *open_ends], [], [], LOOK)[0]:
+            ready = select.select([listening, *open_ends], [], [], LOOK)[0]
+            if not ready:
+                twin.tick()
+            for end in ready:
                 if end is listening:
                     new = listening.accept()[0]
                     new.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..control.loop import closed_loop
 from ..control.sides import Side
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
@@ -20,8 +21,10 @@ from .running import STEP, Running
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["RigSide", "play", "player", "start_of"]
+__all__ = ["RigSide", "play", "player", "run_on", "side_of_rig", "start_of"]
 
+WITHIN = 16
+"""Moments of a sample at which the inputs of a motion are averaged."""
 RESTING = 0.05
 """Rates per second, in units of nominal, below which a motion begins at rest."""
 
@@ -107,8 +110,9 @@ def player(
         raise RigError(f"the motion holds none of the commands {', '.join(commands)}")
     t0, end = float(motion.t[0]), float(motion.t[-1])
     count = max(1, round((end - t0) / sample_time))
-    middles = np.minimum(t0 + sample_time * (np.arange(count) + 0.5), end)
-    rows = motion.at(middles).array(names)
+    inside = (np.arange(count * WITHIN) + 0.5) / WITHIN
+    fine = motion.at(np.minimum(t0 + sample_time * inside, end)).array(names)
+    rows = fine.reshape(count, WITHIN, len(names)).mean(axis=1)  # a switch keeps its impulse
 
     def law(t: float, seen: Any) -> dict[str, float]:
         row = rows[min(max(round(t / sample_time), 0), count - 1)]
@@ -159,3 +163,18 @@ def play(rig: Rig, motion: Trajectory, start: Mapping[str, float] | None = None)
             side.inputs = {**side.inputs, **law(t, {})}
             side.step(t)
         return side.trajectory()
+
+
+def run_on(rig: Rig, inputs: Any, duration: float | None, start: Given | None) -> Trajectory:
+    """See :meth:`Rig.run`."""
+    if not callable(inputs):
+        return play(rig, inputs, None if start is None else by_name("start", start))
+    if duration is None:
+        raise InputError("duration: give it, where the inputs are a function")
+    law, h = player(inputs, rig.sample_time, rig.commands)[0], rig.sample_time
+    return closed_loop(law, rig, duration=duration, start=start, sample_time=h).trajectory
+
+
+def side_of_rig(rig: Rig, sample_time: float, start: Given | None) -> RigSide:
+    """See :meth:`Rig.side`."""
+    return RigSide(rig, sample_time, start)

@@ -191,6 +191,11 @@ class Twin:
             if not self._fault("cable", self._now - self._began):
                 self.armed, self.vented_at, self._heard = True, None, self._now
 
+    def tick(self) -> None:
+        """Nobody asks for anything: go on with time all the same."""
+        with self._lock:
+            self._go_on()
+
     @property
     def values(self) -> dict[str, float]:
         """True states and outputs now [SI]."""

@@ -1,5 +1,6 @@
 """Devices and bad lines for the tests of rigs."""
 
+import contextlib
 import os
 import random
 import select
@@ -43,6 +44,9 @@ class Counting:
 
     def vent(self):
         self.vents += 1
+
+    def tick(self):
+        pass
 
     def arm(self):
         self.armed = True
@@ -101,10 +105,8 @@ class Between:
         due = [w for w in self._waiting if w[0] <= now]
         self._waiting = [w for w in self._waiting if w[0] > now]
         for _, part, send in due:
-            try:
+            with contextlib.suppress(OSError):
                 send(part)
-            except OSError:
-                pass
 
 
 class BadUdp(Between):

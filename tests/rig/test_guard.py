@@ -137,10 +137,10 @@ def test_nothing_is_sent_before_it_is_armed(made):
 
 
 def test_a_rig_with_a_fault_is_not_armed(made):
-    rig, twin = made([Fault("nan", "x")])
+    rig, _ = made([Fault("nan", "x")])
     with pytest.raises(pam.rig.RigError, match="x is no number"):
         rig.arm()
-    rig, twin = made([Fault("cable")])
+    rig, _ = made([Fault("cable")])
     with pytest.raises(pam.rig.RigError, match="nothing valid"):
         rig.arm()
     assert not rig.armed

@@ -34,7 +34,7 @@ def test_a_controller_with_an_estimator_runs_on_the_rig_as_on_the_plant(made, pl
 
 def test_an_mpc_runs_on_the_rig(made, plant):
     start, goal = plant.equilibrium(x=0.03), 0.035
-    rig, twin = made()
+    rig, _ = made()
     mpc = pam.Mpc(plant, horizon=10, sample_time=0.02, track={"x": 1.0})
     known = pam.KalmanFilter(
         plant, sample_time=0.02, measured={"x": 1e-5, "muscle.pressure": 200.0}
@@ -214,7 +214,7 @@ def slide(seed):
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_learning_brings_the_error_of_a_sine_down_to_a_fifth(seed):
-    rig, twin, model = slide(seed)
+    rig, _, model = slide(seed)
     law = pam.control.PositionController(
         model, sine(0.0, 0.01, 1.0), pam.control.PID.placed(3.0), sample_time=0.005, stiffness=2.5e4
     )
@@ -230,7 +230,7 @@ def test_learning_brings_the_error_of_a_sine_down_to_a_fifth(seed):
 
 
 def test_a_plan_is_replayed_on_the_rig(made, plant):
-    rig, twin = made(noise=False)
+    rig, _ = made(noise=False)
     plan = pam.plan(plant, [{"x": 0.02}, {"x": 0.04}], duration=0.6)
     rig.arm()
     run = rig.run(plan)
