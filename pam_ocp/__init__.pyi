@@ -8,6 +8,7 @@ from . import muscles as muscles
 from . import operating as operating
 from . import planning as planning
 from . import plants as plants
+from . import rig as rig
 from . import simulation as simulation
 from . import studies as studies
 from . import vibration as vibration
@@ -85,6 +86,7 @@ from .plants.plant import Plant as Plant
 from .plants.regulated import PositionFeedback as PositionFeedback
 from .plants.regulated import RegulatedLoad as RegulatedLoad
 from .plants.slide import AntagonisticSlide as AntagonisticSlide
+from .rig.rig import Rig as Rig
 from .simulation.many import simulate_many as simulate_many
 from .simulation.simulator import simulate as simulate
 from .studies.loads import load_study as load_study

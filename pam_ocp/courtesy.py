@@ -66,6 +66,15 @@ if TYPE_CHECKING:
     from .operating.resting_point import equilibrium as equilibrium
     from .planning.arcs_named import arcs_along as arcs_along
     from .planning.saved_plan import save_plan as save_plan
+    from .rig.homing import Homing as Homing
+    from .rig.homing import home as home
+    from .rig.identification import Identified as Identified
+    from .rig.identification import identify as identify
+    from .rig.learning import Learned as Learned
+    from .rig.learning import learn as learn
+    from .rig.side import RigSide as RigSide
+    from .rig.side import run_on as run_on
+    from .rig.side import side_of_rig as side_of_rig
 
 _HOMES: dict[str, str] = {
     "block": "control.blocks.making",
@@ -79,7 +88,12 @@ _HOMES: dict[str, str] = {
     "plot_table": "figures.tables",
     "report_of": "figures.tables",
     "save_result": "figures.tables",
+    "home": "rig.homing",
     "html_of": "figures.html",
+    "identify": "rig.identification",
+    "learn": "rig.learning",
+    "run_on": "rig.side",
+    "side_of_rig": "rig.side",
     "machine_plant": "export.machine",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",

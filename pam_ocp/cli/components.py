@@ -75,6 +75,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         SUPPLIES,
         TUBES,
     )
+    from ..rig.drivers.driver import DRIVERS
     from ..studies.steps.step import STEPS
 
     return (
@@ -101,6 +102,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         (ESTIMATORS, "`kind` of an `[estimator]` of `pam-ocp mpc`"),
         (BLOCKS, "what `pam.control.block` makes of, by class"),
         (QP_SOLVERS, "`solver` of a `[controller]`, besides ipopt"),
+        (DRIVERS, "of a rig's file: `driver = { kind = ... }`; `pam.rig.driver`"),
         (STEPS, "`kind` of a `[steps.NAME]` of a study; its keys"),
     )
 

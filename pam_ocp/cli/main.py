@@ -32,6 +32,7 @@ from .output import escaping, finish, logged
 from .plan import add_plan
 from .reading import add_look
 from .report import add_report
+from .rig import add_rig, add_twin
 from .simulate import add_compare, add_simulate
 from .static import add_campaign, add_fit, add_fit_forces, add_fit_holds
 from .study import add_study, add_tour
@@ -160,6 +161,8 @@ def _parser() -> argparse.ArgumentParser:
         add_report,
         add_plan,
         add_mpc,
+        add_rig,
+        add_twin,
         add_completion,
         add_bench,
     ):

@@ -25,7 +25,7 @@ from ..simulation.instruments import Instrument
 from .controller import Controller, Estimate, Measured, Observer, Tracking
 from .mpc_statistics import MpcStatistics
 from .references import Source, source
-from .sides import Actuators, PlantSide, Sensors, Side, side_of
+from .sides import Actuators, HasSide, PlantSide, Sensors, Side, side_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,7 +130,7 @@ class ClosedLoop:
 @verb
 def closed_loop(
     controller: Law,
-    side: Plant | str | os.PathLike[str],
+    side: Plant | HasSide | str | os.PathLike[str],
     reference: Mapping[str, Any] | None = None,
     *,
     duration: float,
@@ -157,7 +157,7 @@ def closed_loop(
         function (t, measured) -> inputs. Called at each sample; its inputs are held until the next
         and kept within the side's range (the result shows them as they act).
     side : a Plant, or the path of an FMU (Co-Simulation by FMPy), which may differ from the
-        controller's model.
+        controller's model; or a :class:`pam_ocp.Rig`, on which it then runs in real time.
     reference : {name: number, function of time [s], or {"stops": [...], "dwell": ...}} for
         controllers that are told what to reach (Mpc; lqr for what it integrates); others have
         theirs. ``preview`` False: of it they know only the present value.
@@ -166,12 +166,13 @@ def closed_loop(
     estimator : a KalmanFilter, a MovingHorizonEstimator, or what ``kalman`` gives, with the same
         sample time. The controller is given its states and unknowns, and what is measured besides.
         Without one it is given all states and outputs.
-    start : initial states and inputs by name, or an operating point; by default the side's own.
+    start : initial states and inputs by name, or an operating point; by default the side's own. A
+        rig is brought to its inputs softly.
     parameters : of the real side, where they differ from its own; the controller is not told.
     disturbances : {input of the side: number, function of time, or (value, from when on [s])}, held
         over each sample; the controller is not told.
     noise : {measured name: standard deviation [SI]}, normal and white, from ``seed``. By default
-        what the estimator expects, or none.
+        what the estimator expects, or none; none of a rig, which has its own.
     sensors : {measured name: Instrument}: bias, drift, steps, filter, sample and hold, delay. Its
         noise takes the place of what the estimator expects; ``noise`` comes on top.
     delay : samples between measuring and acting (computing time); before the first, start values.
@@ -198,7 +199,8 @@ def closed_loop(
     True
     """
     _require_controller(controller, plant)
-    sample_time = _sample_time(controller, estimator, sample_time)
+    own = getattr(side, "sample_time", None) if isinstance(side, HasSide) else None
+    sample_time = _sample_time(controller, estimator, sample_time, own)
     samples = round(require_positive("duration", duration, "s") / sample_time)
     require_count("parts", parts)
     waits = require_count("delay", getattr(controller, "delay", 0) if delay is None else delay, 0)
@@ -251,11 +253,13 @@ def _require_controller(controller: Any, plant: Any) -> None:
         raise InputError(f"plant is a {type(plant).__name__}: give the Plant that the FMU is of")
 
 
-def _sample_time(controller: Any, estimator: Any, given: float | None) -> float:
+def _sample_time(
+    controller: Any, estimator: Any, given: float | None, usual: float | None = None
+) -> float:
     """The loop's. InputError where somebody in it predicts over another one."""
     own = getattr(controller, "sample_time", None)
     other = getattr(estimator, "sample_time", None)
-    first = next((t for t in (given, own, other) if t is not None), SAMPLE_TIME)
+    first = next((t for t in (given, own, other) if t is not None), usual or SAMPLE_TIME)
     chosen = require_positive("sample_time", first, "s")
     predicts = {"estimator": other, "controller": None if callable(controller) else own}
     for who, time in predicts.items():
@@ -361,7 +365,7 @@ class _Run:
         for name in self.known[0].deviation if self.known else ():
             noise[name] = max(float(np.mean([e.deviation[name] for e in self.known])), 0.0)
         statistics = getattr(self.controller, "statistics", None)
-        names = self.expected[0] if self.expected else ()
+        names = [n for n in (self.expected[0] if self.expected else ()) if n in motion]
         return judge_loop(
             motion,
             wanted=wanted,

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ from ..simulation.simulator import evaluated
 from .controller import Observer
 from .references import Source, source
 
-__all__ = ["Actuators", "FmuSide", "PlantSide", "Sensors", "Side", "side_of"]
+__all__ = ["Actuators", "FmuSide", "HasSide", "PlantSide", "Sensors", "Side", "side_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -51,6 +51,8 @@ class Side(ABC):
     name: str
     variables: tuple[Variable, ...]
     inputs: dict[str, float]
+    measured = False
+    """Whether its values are measurements already, to which no noise is added."""
 
     def __init__(self) -> None:
         self._held_open = ExitStack()
@@ -98,8 +100,16 @@ class Side(ABC):
         )
 
 
+@runtime_checkable
+class HasSide(Protocol):
+    """What makes a side of its own: a rig."""
+
+    def side(self, sample_time: float, start: Given | None = None) -> Side:
+        """The side of one run. start : what it is to begin at, as far as that can be done."""
+
+
 def side_of(
-    real: Plant | str | os.PathLike[str],
+    real: Plant | HasSide | str | os.PathLike[str],
     model: Plant | None,
     sample_time: float,
     parts: int,
@@ -108,12 +118,18 @@ def side_of(
     start: Given | None,
     rtol: float,
 ) -> Side:
-    """The side that a user named: a Plant, or the path of an FMU.
+    """The side that a user named: a Plant, the path of an FMU, or what makes its own (a rig).
 
     model : plant that says of an FMU's variables what they are (None: its own description does).
     parameters, start : that differ from its own. Raises InputError for what cannot be meant.
     """
-    require_instance("side", real, (Plant, str, os.PathLike), "give a Plant, or the path of an FMU")
+    remedy = "give a Plant, the path of an FMU, or a Rig"
+    require_instance("side", real, (Plant, HasSide, str, os.PathLike), remedy)
+    if isinstance(real, HasSide):
+        if parameters or parts != 1:
+            what = "parameters" if parameters else "parts"
+            raise InputError(f"{what}: what is real has none to be set; leave {what} out")
+        return real.side(sample_time, start)
     sampling = (sample_time, parts, rtol)
     if isinstance(real, Plant):
         return PlantSide(real, parameters, start, sampling)
@@ -369,7 +385,7 @@ class Sensors:
         for name in expected:
             if name not in self.names:
                 raise UnknownNameError("measured variable of the real side", name, self.names)
-        given = expected if noise is None else noise
+        given = noise if noise is not None else {} if side.measured else expected
         self.noise = {
             alias.get(n, n): require_positive(f"noise[{n!r}]", s, zero=True)
             for n, s in given.items()

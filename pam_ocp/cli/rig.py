@@ -1,0 +1,270 @@
+"""``pam-ocp rig`` and ``pam-ocp twin``: rigs on benches, and twins of them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import InputError
+from ..core.quantities import known_keys, quantity
+from .options import add_allow_code, pairs, require_places, written
+from .output import add_json, tell, wrote
+from .plants import PLANT, add_plant_options, plant_named
+
+if TYPE_CHECKING:
+    from ..rig.rig import Rig
+
+__all__ = ["add_rig", "add_twin"]
+
+RIG = """\
+  pam-ocp rig check bench.toml                     # read for a second; nothing moves
+  pam-ocp rig home bench.toml --arm                # zeros, range, slack, leaks
+  pam-ocp rig identify bench.toml --free mass damping --arm
+  pam-ocp rig run bench.toml --motion plan.npz --out run.npz --arm
+  pam-ocp rig vent bench.toml                      # let the air out, from anywhere
+
+A rig's file (docs/rig.md) has tables [driver], [readings], [commands], [guard] and [plant].
+Nothing moves without --arm: look that nobody is near. No software makes a rig safe; an emergency
+stop is hardware. Exit code: 0 done, 1 vented by the guard or found wanting, 2 bad input.
+"""
+TWIN = """\
+  pam-ocp twin plant.toml --modbus 5020 --scale 1.2 --noise x='10 um'
+  pam-ocp twin bench.toml --serial --faults faults.toml
+
+PLANT may be a rig's file: then its channels are served. A file of faults has tables
+[[fault]] with kind, channel, value, at, until; and, besides, [plant] with what differs from the
+plant's file (such as losses), and [sensors.NAME] with noise, delay, resolution, bias, ...
+"""
+
+
+def add_rig(commands: Any) -> None:
+    """The command ``rig``."""
+    rig = commands.add_parser(
+        "rig",
+        help="check, home, identify, run or vent a rig on a bench",
+        description="Work with a rig (or its twin) that a file describes.",
+        epilog=RIG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    rig.add_argument("what", choices=("check", "home", "identify", "run", "vent"))
+    rig.add_argument("file", metavar="FILE.toml", help="the rig")
+    rig.add_argument("--arm", action="store_true", help="it may move (home, identify, run)")
+    rig.add_argument("--level", metavar="P", help="home: highest commands, such as '3 bar'")
+    rig.add_argument("--free", nargs="+", default=[], metavar="NAME", help="identify: parameters")
+    rig.add_argument("--rounds", type=int, default=3, metavar="N", help="identify: at most so many")
+    rig.add_argument("--duration", metavar="S", help="of an excitation, a check, or a run")
+    rig.add_argument(
+        "--motion", type=Path, metavar="FILE", help="run: a trajectory or plan with the inputs"
+    )
+    rig.add_argument(
+        "--out", type=Path, metavar="FILE", help="run, identify: what was read, or the fit"
+    )
+    add_allow_code(rig)
+    add_json(rig)
+    rig.set_defaults(run=_rig)
+
+
+def _rig(options: argparse.Namespace) -> int:
+    from ..rig.guard import RigError
+    from ..rig.rig_file import load_rig
+
+    require_places(options.out)
+    moves = options.what in ("home", "identify", "run")
+    if moves and not options.arm:
+        raise InputError(
+            f"rig {options.what} moves the rig: look that nobody is near, and give --arm"
+        )
+    if options.what == "run" and options.motion is None:
+        raise InputError("rig run: give --motion FILE, a plan or a trajectory with the inputs")
+    if options.what == "identify" and not options.free:
+        raise InputError("rig identify: give --free NAME ..., the parameters to fit")
+    work = {"check": _check, "home": _home, "identify": _identify, "run": _play, "vent": _vent}
+    try:
+        with load_rig(options.file, allow_code=options.allow_code) as rig:
+            if moves:
+                rig.arm()
+            return work[options.what](rig, options)
+    except RigError as error:
+        tell(options, f"vented, or not begun: {error}", {"vented": str(error)})
+        return 1
+
+
+def _seconds(options: argparse.Namespace, usual: float) -> float:
+    return usual if options.duration is None else quantity("--duration", options.duration, "s")
+
+
+def _check(rig: Rig, options: argparse.Namespace) -> int:
+    seen = rig.check(_seconds(options, 1.0))
+    clock = seen.pop("time")
+    rows = [f"{'reading':<24}{'mean':>14}{'deviation':>12}{'lowest':>14}{'highest':>14}"]
+    for name, v in seen.items():
+        its = rig.readings[name].variable(rig.plant)
+        shown = [its.shown(v[k]) for k in ("mean", "deviation", "lowest", "highest")]
+        rows.append(f"{name:<24}{shown[0]:>14}{shown[1]:>12}{shown[2]:>14}{shown[3]:>14}")
+    rows.append(
+        f"{clock['rate']:.4g} answers per second, {clock['missing']:g} stayed out, the oldest was "
+        f"{1e3 * clock['oldest']:.3g} ms old"
+    )
+    tell(options, "\n".join(rows), {"readings": seen, "answers": clock})
+    return 1 if clock["missing"] else 0
+
+
+def _home(rig: Rig, options: argparse.Namespace) -> int:
+    found = rig.home(level=options.level)
+    tell(
+        options,
+        found.report(),
+        lambda: {
+            n: getattr(found, n)
+            for n in ("noise", "zeros", "rest", "ranges", "slack", "hysteresis", "leak", "doubts")
+        },
+    )
+    return 0 if found.ok else 1
+
+
+def _identify(rig: Rig, options: argparse.Namespace) -> int:
+    found = rig.identify(options.free, duration=_seconds(options, 4.0), rounds=options.rounds)
+    tell(options, found.report(), lambda: {"values": found.fit.values, "ended": found.ended})
+    if options.out:
+        wrote(options, found.fit.save(options.out))
+    return 0 if found.adequate else 1
+
+
+def _play(rig: Rig, options: argparse.Namespace) -> int:
+    from ..core.trajectory import Trajectory
+
+    run = rig.run(Trajectory.load(options.motion))
+    last = {v.name: float(run[v.name][-1]) for v in run.variables}
+    lines = [f"{n:<24}{run.variable(n).shown(v)}" for n, v in last.items()]
+    tell(options, "\n".join([f"{run.duration:g} s, vented; at the end:", *lines]), {"last": last})
+    if options.out:
+        wrote(options, written(run, options.out))
+    return 0
+
+
+def _vent(rig: Rig, options: argparse.Namespace) -> int:
+    done = rig.vent("asked for")
+    words = "vented" if done else "the rig does not answer: use the emergency stop"
+    tell(options, words, {"vented": done})
+    return 0 if done else 1
+
+
+def add_twin(commands: Any) -> None:
+    """The command ``twin``."""
+    twin = commands.add_parser(
+        "twin",
+        help="a plant behind a transport, as if it were a rig",
+        description="Serve a plant in real time behind Modbus TCP, a serial line (a "
+        "pseudo-terminal), UDP or OPC UA, with noise, delay and faults, until Ctrl-C.",
+        epilog=TWIN,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    twin.add_argument("plant", metavar="PLANT", help=PLANT)
+    add_plant_options(twin)
+    way = twin.add_mutually_exclusive_group(required=True)
+    for kind in ("modbus", "udp", "opcua"):
+        way.add_argument(f"--{kind}", type=int, metavar="PORT", help="0: any that is free")
+    way.add_argument("--serial", action="store_true", help="a pseudo-terminal (not on Windows)")
+    twin.add_argument("--host", default="127.0.0.1", metavar="HOST")
+    twin.add_argument(
+        "--scale", type=float, default=1.0, metavar="R", help="of the muscles' forces"
+    )
+    twin.add_argument(
+        "--noise",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="of a reading (may be repeated)",
+    )
+    twin.add_argument("--delay", default="0 s", metavar="S", help="of commands, such as '5 ms'")
+    twin.add_argument("--timeout", metavar="S", help="without a command it vents by itself")
+    twin.add_argument("--faults", type=Path, metavar="FILE.toml")
+    twin.add_argument("--duration", metavar="S", help="end after so long (default: Ctrl-C)")
+    add_json(twin)
+    twin.set_defaults(run=_twin)
+
+
+def _twin(options: argparse.Namespace) -> int:
+    from ..rig.serving import serve
+    from ..rig.twin import Twin
+
+    given = _faults(options.faults)
+    plant, channels = _plant(options, given.pop("plant", {}))
+    twin = Twin(
+        plant,
+        *channels,
+        scale=options.scale,
+        delay=quantity("--delay", options.delay, "s"),
+        timeout=None if options.timeout is None else quantity("--timeout", options.timeout, "s"),
+        faults=given.pop("fault", []),
+        sensors=_sensors(options, given.pop("sensors", {})),
+    )
+    kind = next(
+        (k for k in ("modbus", "udp", "opcua") if getattr(options, k) is not None), "serial"
+    )
+    port = getattr(options, kind) if kind != "serial" else 0
+    with serve(twin, kind, port=port, host=options.host) as served:
+        inside = ", ".join(f"{n} = {_toml(v)}" for n, v in served.address.items())
+        tell(options, f"driver = {{ {inside} }}", {"driver": served.address})
+        if getattr(options, "json", False):
+            import json
+
+            print(json.dumps(served.address), flush=True)
+            del options.said
+        span = None if options.duration is None else quantity("--duration", options.duration, "s")
+        served.wait(span)
+    return 0
+
+
+def _toml(value: Any) -> str:
+    return (
+        str(value).lower()
+        if isinstance(value, bool)
+        else f'"{value}"'
+        if isinstance(value, str)
+        else str(value)
+    )
+
+
+def _faults(path: Path | None) -> dict[str, Any]:
+    from ..core.files import read_toml
+
+    if path is None:
+        return {}
+    content = read_toml(path)
+    known_keys(str(path), content, ("fault", "plant", "sensors"))
+    return dict(content)
+
+
+def _plant(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[Any, tuple[Any, Any]]:
+    """(plant, (readings, commands)) of a name, a plant's file or a rig's file."""
+    from ..core.files import read_toml
+    from ..plants.plant_file import plant_of
+
+    content = read_toml(options.plant) if options.plant.endswith(".toml") else {}
+    said, path = content.get("plant"), Path(options.plant)
+    if isinstance(said, str):
+        said = read_toml(path.parent / said).get("plant")
+    if isinstance(said, dict):
+        plant = plant_of({**said, **changes}, "plant", path.parent, allow_code=options.allow_code)
+    elif changes:
+        raise InputError("--faults: its [plant] changes a plant's file; give PLANT as FILE.toml")
+    else:
+        plant = plant_named(options.plant, options.muscle, options.allow_code)
+    plant = plant.with_values(pairs("--set", options.set))
+    return plant, (content.get("readings"), content.get("commands"))
+
+
+def _sensors(options: argparse.Namespace, given: Any) -> dict[str, Any]:
+    from dataclasses import replace
+
+    from ..simulation.instruments import Instrument
+
+    found = {}
+    for name, said in given.items():
+        known_keys(f"sensors.{name}", said, Instrument.__dataclass_fields__)
+        found[name] = Instrument(**said)
+    for name, noise in pairs("--noise", options.noise).items():
+        found[name] = replace(found.get(name, Instrument()), noise=noise)  # type: ignore[arg-type]
+    return found

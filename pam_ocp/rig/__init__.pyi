@@ -1,0 +1,20 @@
+# Names of pam_ocp.rig, loaded at their first use.
+from .channels import Command as Command
+from .channels import Reading as Reading
+from .clock import RealClock as RealClock
+from .clock import SimulatedClock as SimulatedClock
+from .drivers.driver import Driver as Driver
+from .drivers.driver import DriverError as DriverError
+from .faults import Fault as Fault
+from .guard import Guard as Guard
+from .guard import RigError as RigError
+from .homing import Homing as Homing
+from .identification import Identified as Identified
+from .learning import Learned as Learned
+from .records import RecordWriter as RecordWriter
+from .records import read_run as read_run
+from .rig import Rig as Rig
+from .rig_file import driver as driver
+from .rig_file import load_rig as load_rig
+from .serving import serve as serve
+from .twin import Twin as Twin

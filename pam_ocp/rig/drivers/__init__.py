@@ -1,0 +1,1 @@
+"""Drivers: one way to a rig each, in a file of its own."""

@@ -1,0 +1,196 @@
+"""Lines with a check sum: the protocol of the serial and the UDP driver, both ends of it.
+
+A line is ASCII and ends in a line feed::
+
+    >SEQ CODE NUMBERS*CRC        from the host
+    <SEQ TIME NUMBERS*CRC        the answer
+
+SEQ : 32 bits, rising; the answer repeats it, and a device acts on newer lines only (V always).
+CODE : R reads, W sends the commands in the order of the channels, V vents and stays so until A
+arms. TIME : the device's clock in microseconds; behind it the readings in the order of the
+channels. CRC : CRC-32 (zlib) of all before the asterisk, eight hexadecimal digits. Numbers are
+decimal, ``nan`` is one.
+"""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from ..channels import Command, Reading
+from .driver import Clocked, DriverError
+
+__all__ = ["LineDriver", "LineServer", "framed", "unframed"]
+
+LONGEST = 1024
+"""Bytes of a line; what is longer is noise."""
+MOD = 1 << 32
+
+
+def framed(body: str) -> bytes:
+    """A line with its check sum.
+
+    Examples
+    --------
+    >>> from pam_ocp.rig.drivers.lines import framed, unframed
+    >>> unframed(framed(">1 R"))
+    '>1 R'
+    """
+    data = body.encode("ascii")
+    return data + b"*%08X\n" % zlib.crc32(data)
+
+
+def unframed(line: bytes) -> str | None:
+    """What stands in a line; None where its check sum does not say so."""
+    data, star, check = line.rstrip(b"\r\n").rpartition(b"*")
+    if star and len(check) == 8 and check == b"%08X" % zlib.crc32(data):
+        return data.decode("ascii", "replace")
+    return None
+
+
+class LineDriver(Clocked):
+    """Asks by lines and takes whole, fitting answers alone. A subclass sends and receives bytes."""
+
+    def __init__(self, timeout: float, tries: int) -> None:
+        super().__init__()
+        self.timeout, self.tries = timeout, tries
+        self._sequence = int(time.time() * 1e3) % MOD  # newer than that of a run before
+        self._readings: list[str] = []
+        self._commands: list[str] = []
+
+    def open(self, readings: Mapping[str, Reading], commands: Mapping[str, Command]) -> None:
+        """The channels, whose order is that of the numbers in a line."""
+        self._readings = [n for n, r in readings.items() if not r.slope_of]
+        self._commands = list(commands)
+
+    def send(self, data: bytes) -> None:
+        """Send a line. Raises OSError."""
+        raise NotImplementedError
+
+    def receive(self, until: float) -> bytes:
+        """The next line, or b"" when ``until`` (``time.monotonic()``) is over. Raises OSError."""
+        raise NotImplementedError
+
+    def exchange(self, code: str, numbers: Sequence[float] = ()) -> dict[str, float]:
+        """The readings of an answer. Raises DriverError when none came in time."""
+        text = " ".join([code, *(repr(float(n)) for n in numbers)])
+        cause: object = "no answer"
+        for _ in range(self.tries):
+            self._sequence = (self._sequence + 1) % MOD
+            try:
+                self.send(framed(f">{self._sequence} {text}"))
+                until = time.monotonic() + self.timeout
+                while line := self.receive(until):
+                    if (found := self._taken(line)) is not None:
+                        return found
+            except OSError as error:
+                cause = error
+        self.counts["missing"] += 1
+        raise DriverError(
+            f"no valid answer within {self.tries} x {1e3 * self.timeout:g} ms ({cause})"
+        )
+
+    def _taken(self, line: bytes) -> dict[str, float] | None:
+        """The readings in a line, if it answers what was asked."""
+        received = self.now()
+        body = unframed(line)
+        fields = [] if body is None else body.split(" ")
+        try:
+            sequence, device, *values = (float(f) for f in [fields[0].lstrip("<"), *fields[1:]])
+        except (IndexError, ValueError):
+            self.counts["damaged"] += 1
+            return None
+        if not fields[0].startswith("<") or len(values) != len(self._readings):
+            self.counts["damaged"] += 1
+            return None
+        if sequence != self._sequence:
+            self.counts["late"] += 1
+            return None
+        self.counts["answers"] += 1
+        found = dict(zip(self._readings, values, strict=True))
+        return {**found, "time": self._stamp(1e-6 * device, received)}
+
+    # ---- a Driver -------------------------------------------------------------------------------
+    def read(self) -> dict[str, float]:
+        """See :class:`Driver`."""
+        return self.exchange("R")
+
+    def write(self, inputs: Mapping[str, float]) -> None:
+        """See :class:`Driver`."""
+        self.exchange("W", [inputs[n] for n in self._commands])
+
+    def vent(self) -> None:
+        """See :class:`Driver`."""
+        self.exchange("V")
+
+    def arm(self) -> None:
+        """Let the device act again."""
+        self.exchange("A")
+
+    @staticmethod
+    def alarm() -> bytes:
+        """The line by which anybody vents."""
+        return b"\n" + framed(">0 V")
+
+
+class Device(Protocol):
+    """What stands behind a server: a twin."""
+
+    def now(self) -> float: ...
+    def read(self) -> dict[str, float] | None: ...
+    def write(self, inputs: Mapping[str, float]) -> None: ...
+    def vent(self) -> None: ...
+    def arm(self) -> None: ...
+
+
+class LineServer:
+    """The other end: answers lines on behalf of a device (a twin)."""
+
+    def __init__(self, device: Any, readings: Sequence[str], commands: Sequence[str]) -> None:
+        self.device, self.readings, self.commands = device, readings, commands
+        self._last: int | None = None
+
+    def answer(self, line: bytes) -> bytes:
+        """The answer to a line; b"" where there is none to be given."""
+        body = unframed(line)
+        fields = [] if body is None else body.split(" ")
+        try:
+            sequence, code = int(fields[0].lstrip(">")), fields[1]
+            numbers = [float(f) for f in fields[2:]]
+        except (IndexError, ValueError):
+            return b""
+        if not fields[0].startswith(">") or not self._act(sequence, code, numbers):
+            return b""
+        seen = self.device.read()
+        if seen is None:
+            return b""
+        told = " ".join(repr(float(seen[n])) for n in self.readings)
+        return framed(f"<{sequence} {round(1e6 * seen['time'])} {told}".rstrip())
+
+    def _act(self, sequence: int, code: str, numbers: list[float]) -> bool:
+        if code == "V":
+            self.device.vent()
+            return True
+        if self._last is not None and not 0 < (sequence - self._last) % MOD < MOD // 2:
+            return False  # old, or sent twice
+        self._last = sequence
+        if code == "A":
+            self.device.arm()
+        elif code == "W" and len(numbers) == len(self.commands):
+            self.device.write(dict(zip(self.commands, numbers, strict=True)))
+        return code in ("A", "R") or (code == "W" and len(numbers) == len(self.commands))
+
+
+class Cut:
+    """Bytes into lines."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def __call__(self, data: bytes) -> list[bytes]:
+        """Lines that are whole now, each with its line feed."""
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest = rest[-LONGEST:]
+        return [line + b"\n" for line in lines if line]

@@ -1,0 +1,226 @@
+"""Drivers against servers of their own kind, over lines that drop, double, delay and damage."""
+
+import socket
+import struct
+import sys
+import time
+import zlib
+
+import numpy as np
+import pytest
+from rig_tools import Bad, BadSerial, BadTcp, BadUdp, Counting
+
+import pam_ocp as pam
+from pam_ocp.rig.drivers.driver import DeviceClock
+from pam_ocp.rig.drivers.lines import LineServer, framed, unframed
+from pam_ocp.rig.drivers.modbus import packed, unpacked
+
+SECONDS = 1.5
+posix = pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo-terminals")
+
+
+def opened(kind, device, **address):
+    driver = pam.rig.driver(kind, **address)
+    driver.open(device.readings, device.commands)
+    return driver
+
+
+def talk(driver, device, seconds=SECONDS):
+    """Reads and writes for a while: (answers, failures, longest call [s])."""
+    good, failed, longest, last = 0, 0, 0.0, 0.0
+    end, k = time.monotonic() + seconds, 0
+    while time.monotonic() < end:
+        k += 1
+        begin = time.monotonic()
+        try:
+            if k % 2:
+                seen = driver.read()
+                assert seen["b"] == 1.0 - 2.0 * seen["a"]
+                assert seen["a"] == int(seen["a"])
+                assert seen["a"] > last  # neither doubled nor old
+                last = seen["a"]
+            else:
+                driver.write({"u": float(k), "w": 3.0 * k})
+            good += 1
+        except pam.rig.DriverError:
+            failed += 1
+        longest = max(longest, time.monotonic() - begin)
+    assert all(sent["w"] == 3.0 * sent["u"] for sent in device.written)
+    numbers = [sent["u"] for sent in device.written]
+    assert numbers == sorted(numbers)
+    return good, failed, longest
+
+
+def judged(bad, good, failed):
+    assert all(bad.done.values()), bad.done
+    assert good > 3 * failed > 0 or failed == 0
+    assert good > 30
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_udp_takes_no_wrong_value_from_a_bad_line(seed):
+    device, bad = Counting(), Bad(seed)
+    with pam.rig.serve(device, "udp") as served, BadUdp(served.address["port"], bad) as between:
+        driver = opened("udp", device, host="127.0.0.1", port=between.port, timeout=0.02)
+        good, failed, longest = talk(driver, device)
+        driver.close()
+    judged(bad, good, failed)
+    assert driver.counts["damaged"] + driver.counts["late"] > 0
+    assert longest < 1.0
+
+
+@posix
+def test_a_serial_line_takes_no_wrong_value_from_a_bad_one():
+    pytest.importorskip("serial")
+    device, bad = Counting(), Bad(3)
+    with (
+        pam.rig.serve(device, "serial") as served,
+        BadSerial(served.address["port"], bad) as between,
+    ):
+        driver = opened("serial", device, port=between.path, timeout=0.02)
+        good, failed, longest = talk(driver, device)
+        driver.close()
+    judged(bad, good, failed)
+    assert longest < 1.0
+
+
+def test_modbus_takes_no_wrong_value_from_a_bad_line():
+    pytest.importorskip("pymodbus")
+    device, bad = Counting(), Bad(4, share=0.02)
+    with pam.rig.serve(device, "modbus") as served, BadTcp(served.address["port"], bad) as between:
+        address = {**served.address, "port": between.port, "timeout": 0.03}
+        driver = opened(address.pop("kind"), device, **address)
+        good, failed, longest = talk(driver, device)
+        driver.close()
+    judged(bad, good, failed)
+    assert longest < 1.0
+
+
+def test_opc_ua_reads_and_writes_the_nodes_of_a_server():
+    pytest.importorskip("asyncua")
+    device = Counting()
+    with pam.rig.serve(device, "opcua") as served:
+        driver = opened(device=device, **served.address)
+        driver.arm()
+        end = time.monotonic() + 10.0
+        driver.write({"u": 5.0, "w": 15.0})
+        while (not device.written or device.written[-1]["u"] != 5.0) and time.monotonic() < end:
+            time.sleep(0.01)
+        seen = driver.read()
+        assert abs(seen["time"] - time.monotonic()) < 5.0
+        driver.vent()
+        before = device.vents
+        while device.vents == before and time.monotonic() < end:
+            time.sleep(0.01)
+        driver.close()
+    assert device.armed
+    assert device.written[-1] == {"u": 5.0, "w": 15.0}
+    assert device.vents > before
+    assert seen["a"] >= 1.0
+
+
+def test_opc_ua_says_when_the_server_is_gone():
+    pytest.importorskip("asyncua")
+    with pytest.raises(pam.InputError, match="does not answer"):
+        pam.rig.driver("opcua", url="opc.tcp://127.0.0.1:9", timeout="0.1 s")
+
+
+def test_a_line_is_that_of_the_documentation():
+    body = ">7 W 0.5 2.0"
+    assert framed(body) == f"{body}*{zlib.crc32(body.encode()):08X}\n".encode()
+    assert unframed(framed(body)) == body
+    for place in range(len(framed(body)) - 1):
+        damaged = bytearray(framed(body))
+        damaged[place] ^= 4
+        assert unframed(bytes(damaged)) is None
+
+
+def test_a_device_acts_once_on_a_line_and_vents_always():
+    device = Counting()
+    server = LineServer(device, ["a", "b"], ["u", "w"])
+    assert server.answer(framed(">10 W 1.0 3.0"))
+    assert not server.answer(framed(">10 W 1.0 3.0"))
+    assert not server.answer(framed(">9 W 2.0 6.0"))
+    assert not server.answer(framed(">11 W 2.0"))
+    assert server.answer(framed(">0 V"))
+    assert device.written == [{"u": 1.0, "w": 3.0}]
+    assert device.vents == 1
+
+
+def test_registers_are_those_of_ieee_754_high_word_first():
+    assert packed(1.5, "float32") == list(struct.unpack(">HH", struct.pack(">f", 1.5)))
+    assert unpacked(packed(-7.0, "int16"), "int16") == -7.0
+    assert packed(70000.0, "uint16") == [65535]
+    assert packed(-1.0, "int32") == [0xFFFF, 0xFFFF]
+
+
+def test_modbus_speaks_with_the_server_of_pymodbus():
+    """A server that is not ours, without check sums, clock and vent coil."""
+    pytest.importorskip("pymodbus")
+    import asyncio
+    import threading
+
+    server_module = pytest.importorskip("pymodbus.server")
+    data = pytest.importorskip("pymodbus.simulator")
+    if not hasattr(data, "SimDevice"):
+        pytest.skip("pymodbus before 3.12")
+    registers = packed(1.25, "float32") + packed(-3.0, "float32")
+    simple = [
+        data.SimData(0, values=[*[0] * 2, *registers, *[0] * 4], datatype=data.DataType.REGISTERS)
+    ]
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    loop, made, ready = asyncio.new_event_loop(), [], threading.Event()
+
+    def work():
+        async def serve():
+            made.append(
+                server_module.ModbusTcpServer(
+                    data.SimDevice(1, simdata=simple), address=("127.0.0.1", port)
+                )
+            )
+            await made[0].serve_forever(background=True)
+            ready.set()
+
+        loop.run_until_complete(serve())
+        loop.run_forever()
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    assert ready.wait(10.0)
+    device = Counting()
+    driver = opened("modbus", device, host="127.0.0.1", port=port, timeout=1.0)
+    try:
+        seen = driver.read()
+        assert (seen["a"], seen["b"]) == (1.25, -3.0)
+        driver.write({"u": 2.5, "w": 7.5})
+    finally:
+        driver.close()
+        asyncio.run_coroutine_threadsafe(made[0].shutdown(), loop).result(10.0)
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join(10.0)
+
+
+def test_the_stamp_of_a_device_that_stands_still_grows_old():
+    clock = DeviceClock()
+    stamps = [clock(1.0 + k * 0.01, 100.0 + k * 0.01 + 0.002 * (k % 3)) for k in range(50)]
+    assert np.allclose(stamps, 100.0 + 0.01 * np.arange(50), atol=1e-4)
+    assert 101.0 - clock(1.49, 101.0) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "words"),
+    [
+        ("modbos", {}, "modbus"),
+        ("udp", {"host": "127.0.0.1"}, "port"),
+        ("udp", {"host": "127.0.0.1", "port": 70000}, "65535"),
+        ("serial", {"port": "/dev/nothing"}, "cannot be opened"),
+        ("modbus", {"host": "127.0.0.1", "timeout": "5 mm"}, "timeout"),
+        ("udp", {"host": "127.0.0.1", "port": 1, "baud": 1}, "baud"),
+    ],
+)
+def test_what_a_driver_cannot_be_is_said_in_a_sentence(kind, arguments, words):
+    if kind in ("serial", "modbus"):
+        pytest.importorskip({"serial": "serial", "modbus": "pymodbus"}[kind])
+    with pytest.raises(pam.InputError, match=words):
+        pam.rig.driver(kind, **arguments)

@@ -1,0 +1,283 @@
+"""The guard: what goes wrong on a twin, and that the air is out soon after."""
+
+import itertools
+import math
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+import pytest
+from rig_tools import child
+
+import pam_ocp as pam
+from pam_ocp.rig.guard import Watch
+from pam_ocp.rig.watchdog import Watchdog
+
+Fault = pam.rig.Fault
+AT = 1.0
+"""On the twin's clock, in the middle of a run [s]."""
+FAULTS = [
+    Fault("nan", "x", at=AT),
+    Fault("nan", "muscle.pressure", at=AT),
+    Fault("stuck", "x", at=AT),
+    Fault("stuck", "muscle.pressure", at=AT),
+    Fault("spike", "x", 0.02, at=AT),
+    Fault("spike", "muscle.pressure", 3e5, at=AT),
+    Fault("bias", "x", 0.05, at=AT),
+    Fault("bias", "muscle.pressure", -3.5e5, at=AT),
+    Fault("gain", "x", -1.0, at=AT),
+    Fault("gain", "muscle.pressure", 3.0, at=AT),
+    Fault("drift", "x", 5.0, at=AT),
+    Fault("stale", at=AT),
+    Fault("cable", at=AT, until=AT + 0.036),
+    Fault("cable", at=AT),
+    Fault("supply", at=AT),
+]
+
+
+def holding(t, seen):
+    return {"muscle.command": 3e5 + 2e4 * math.sin(10 * t)}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f"{f.kind}-{f.channel or 'rig'}")
+@pytest.mark.parametrize("phase", [0.0, 0.0017])
+def test_a_fault_is_answered_by_venting_within_50_ms(made, tmp_path, fault, phase):
+    from dataclasses import replace
+
+    at = fault.at + phase
+    wanted = [replace(fault, at=at, until=fault.until + phase)]
+    alone = "45 ms" if fault == Fault("cable", at=AT) else None  # then only the device can vent
+    rig, twin = made(wanted, record=tmp_path, timeout=alone)
+    rig.arm()
+    with pytest.raises(pam.rig.RigError) as error:
+        pam.closed_loop(holding, rig, duration=5.0)
+    assert not twin.armed
+    assert twin.acting["muscle.command"] == 0.0
+    assert at < twin.vented_at <= at + 0.050
+    assert not rig.armed
+    assert rig.reason in str(error.value)
+    run = pam.rig.read_run(tmp_path / "run_0001.csv")
+    assert abs(run.t[-2] - twin.vented_at) < 0.1  # whole up to the fault
+    with pytest.raises(pam.rig.RigError, match="arm"):
+        rig.run(lambda t: {"muscle.command": 3e5}, 0.1)
+
+
+def test_a_valve_that_follows_no_more_is_found(made):
+    rig, twin = made([Fault("valve", "muscle.command", at=1.0)])
+    rig.arm()
+    with pytest.raises(pam.rig.RigError, match=r"away from muscle.command.*supply, valve"):
+        pam.closed_loop(lambda t, s: {"muscle.command": 2e5 + 1.9e5 * (t > 1.0)}, rig, duration=3.0)
+    assert not twin.armed
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        lambda t: {"muscle.command": math.nan},
+        lambda t: {"muscle.command": math.inf},
+        lambda t: {"muscle.comand": 1.0},
+        lambda t: 1 / 0,
+        lambda t: None,
+    ],
+)
+def test_a_controller_that_fails_leaves_the_rig_vented(made, answer):
+    rig, twin = made()
+    rig.arm()
+    with pytest.raises((pam.PamError, ZeroDivisionError)):
+        pam.closed_loop(
+            lambda t, s: {"muscle.command": 3e5} if t < 0.5 else answer(t), rig, duration=2.0
+        )
+    assert not twin.armed
+    assert twin.vented_at <= 0.5 + 0.050
+    assert not rig.armed
+
+
+def test_commands_keep_ranges_and_rates_whatever_is_asked(plant):
+    command = pam.rig.Command("u", "Pa", low=0.0, high=6e5, rate=1e6)
+    watch = Watch(pam.rig.Guard(), {}, {"u": command})
+    rng, sent = np.random.default_rng(0), {"u": 0.0}
+    for asked in rng.normal(0, 1e7, 200):
+        now = watch.limited({"u": asked}, sent, 0.005)
+        assert 0.0 <= now["u"] <= 6e5
+        assert abs(now["u"] - sent["u"]) <= 5e3 + 1e-9
+        sent = now
+
+
+def test_a_run_begins_softly_without_a_bump_and_ends_vented(made, plant):
+    point = plant.equilibrium(x=0.04)
+    rig, twin = made()
+    rig.arm()
+    loop = pam.closed_loop(
+        lambda t, s: {"muscle.command": point.u[0] + 5e4}, rig, duration=1.0, start=point
+    )
+    sent = twin.motion()["muscle.command"]
+    high = plant.variable("muscle.command").max
+    assert np.max(np.abs(np.diff(sent[: np.argmax(sent)]))) < 1.1 * max(0.005 * high, 5e4 * 0.05)
+    assert abs(loop["x"][0] - 0.04) < 1e-3
+    assert abs(loop["muscle.command"][-2] - point.u[0] - 5e4) < 10.0
+    assert not twin.armed
+    assert rig.armed
+
+
+def test_nothing_is_sent_before_it_is_armed(made):
+    rig, twin = made()
+    for action in (
+        lambda: rig.run(lambda t: {"muscle.command": 3e5}, 0.1),
+        lambda: rig.home(),
+        lambda: rig.identify(["mass"], duration=0.5),
+        lambda: pam.closed_loop(holding, rig, duration=0.1),
+    ):
+        with pytest.raises(pam.rig.RigError, match="not armed"):
+            action()
+    rig.check(0.1)
+    assert not twin.armed
+    assert not np.any(twin.motion()["muscle.command"])
+
+
+def test_a_rig_with_a_fault_is_not_armed(made):
+    rig, _ = made([Fault("nan", "x")])
+    with pytest.raises(pam.rig.RigError, match="x is no number"):
+        rig.arm()
+    rig, _ = made([Fault("cable")])
+    with pytest.raises(pam.rig.RigError, match="nothing valid"):
+        rig.arm()
+    assert not rig.armed
+
+
+def test_a_twin_vents_by_itself_where_no_command_comes(plant):
+    clock = pam.rig.SimulatedClock()
+    twin = pam.rig.Twin(plant, clock=clock, timeout="40 ms")
+    twin.arm()
+    twin.write({"muscle.command": 3e5})
+    clock.wait(0.039)
+    assert twin.acting["muscle.command"] == 3e5
+    clock.wait(0.1)
+    assert twin.acting["muscle.command"] == 0.0
+    assert twin.vented_at == pytest.approx(0.04, abs=1e-9)
+
+
+# ---- the watchdog, in the time of the world -----------------------------------------------------
+LOOP = """
+import sys, time
+import pam_ocp as pam
+plant = pam.HangingLoad(pam.muscle("DMSP-20-300"), mass=10.0, damping=100.0)
+guard = pam.rig.Guard(max_age=1.0, late=1.0, heartbeat=0.15)
+rig = pam.Rig(pam.rig.driver("udp", host="127.0.0.1", port=int(sys.argv[1]), timeout=0.2),
+              plant=plant, guard=guard, record=sys.argv[2])
+rig.arm()
+def law(t, seen):
+    if t > 0.1:
+        print("running", flush=True)
+    if t > 0.3 and sys.argv[3] == "hang":
+        time.sleep(30)
+    if t > 0.3 and sys.argv[3] == "exit":
+        import os
+        os._exit(1)
+    return {"muscle.command": 3e5}
+pam.closed_loop(law, rig, duration=60.0)
+"""
+SIGNALS = {"kill": "SIGKILL", "stop": "SIGSTOP", "term": "SIGTERM", "ctrl-c": "SIGINT"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("way", ["kill", "stop", "ctrl-c", "hang"])
+def test_a_loop_that_ends_or_hangs_is_followed_by_venting(plant, tmp_path, way):
+    twin = pam.rig.Twin(plant)
+    with pam.rig.serve(twin, "udp") as served:
+        loop = child(LOOP, served.address["port"], tmp_path, way)
+        try:
+            assert loop.stdout.readline() == "running\n", loop.stderr.read()
+            assert twin.armed
+            if way in SIGNALS:
+                time.sleep(0.2)
+                loop.send_signal(getattr(signal, SIGNALS[way]))
+            end = time.monotonic() + 20.0
+            while twin.armed and time.monotonic() < end:
+                time.sleep(0.005)
+            assert not twin.armed
+            assert twin.acting["muscle.command"] == 0.0
+        finally:
+            loop.kill()
+            loop.wait()
+        time.sleep(0.3)
+        assert not twin.armed  # and stays so
+    run = pam.rig.read_run(tmp_path / "run_0001.csv")
+    assert run.duration > 0.05
+    assert np.max(run["muscle.command"]) > 1e5
+    end = time.monotonic() + 10.0
+    while _watchdogs() and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not _watchdogs()
+
+
+def _watchdogs():
+    """Watchdogs that nobody waits for any more (their parent is gone)."""
+    found = []
+    for name in filter(str.isdigit, os.listdir("/proc") if os.path.isdir("/proc") else []):
+        try:
+            with open(f"/proc/{name}/cmdline", "rb") as file:
+                ours = b"watchdog_server.py" in file.read()
+            with open(f"/proc/{name}/stat") as file:
+                orphan = file.read().rpartition(")")[2].split()[1] == "1"
+        except OSError:
+            continue
+        if ours and orphan:
+            found.append(name)
+    return found
+
+
+def test_a_watchdog_that_is_killed_ends_the_run(plant):
+    twin = pam.rig.Twin(plant)
+    with pam.rig.serve(twin, "udp") as served:
+        guard = pam.rig.Guard(max_age=1.0, late=1.0, heartbeat=0.5)
+        driver = pam.rig.driver(**served.address, timeout=0.2)
+        with pam.Rig(driver, plant=plant, guard=guard) as rig:
+            rig.arm()
+            looks = itertools.count()
+
+            def law(t, seen):
+                if next(looks) == 20:
+                    rig._watchdog._process.kill()
+                return {"muscle.command": 3e5}
+
+            with pytest.raises(pam.rig.RigError, match="watchdog's process has ended"):
+                pam.closed_loop(law, rig, duration=20.0)
+            assert not twin.armed
+
+
+def test_a_watchdog_that_reaches_nobody_keeps_the_rig_unarmed():
+    from pam_ocp.rig.drivers.driver import Emergency
+
+    with pytest.raises(pam.rig.RigError, match="cannot reach"):
+        Watchdog(Emergency("tcp", "127.0.0.1", 9), 0.1)
+
+
+def test_a_driver_without_emergency_needs_a_word_that_there_is_no_watchdog(plant):
+    class Own:
+        def __init__(self):
+            self.sent, self.vents = {}, 0
+
+        def read(self):
+            return {"x": 0.01, "muscle.pressure": 0.0, "time": time.monotonic()}
+
+        def write(self, inputs):
+            self.sent = dict(inputs)
+
+        def vent(self):
+            self.vents += 1
+
+        def close(self):
+            pass
+
+    own = Own()
+    with pytest.raises(pam.rig.RigError, match="watchdog=False"):
+        pam.Rig(own, plant=plant).arm()
+    guard = pam.rig.Guard(max_age=2.0, late=2.0)
+    with pam.Rig(own, plant=plant, guard=guard, watchdog=False) as rig:
+        rig.arm()
+        rig.run(lambda t: {"muscle.command": 1e5}, 0.05)
+        assert own.sent["muscle.command"] > 0.0
+        vents = own.vents
+    assert own.vents > vents >= 3
