@@ -65,7 +65,7 @@ def told(*words: str) -> str:
 # ---- muscles and statics -------------------------------------------------------------------------
 def any_muscle(rng: Draw, name: str | None = None) -> pam.Muscle:
     """Of the whole catalogue."""
-    name = name or str(rng.choice(pam.muscle_names()))
+    name = name or str(rng.choice(pam.muscles.muscle_names()))
     try:
         return pam.muscle(name)
     except pam.InputError:  # its set leaves the length open

@@ -45,7 +45,7 @@ FEEDS: dict[str, Callable[[], Any]] = {
 def muscles() -> dict[str, Any]:
     """All of the catalogue; 0.25 m long where it gives no length."""
     found = {}
-    for name in pam.muscle_names():
+    for name in pam.muscles.muscle_names():
         try:
             found[name] = pam.muscle(name)
         except pam.InputError:

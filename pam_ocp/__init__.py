@@ -65,6 +65,7 @@ _MOVED: dict[str, str] = {
     "PositionController": "control",
     "PressureLoop": "control",
     "RecordComparison": "simulation",
+    "muscle_names": "muscles",
     "Regulator": "feeds",
     "RobustPlan": "planning",
     "SignalDesign": "experiments",

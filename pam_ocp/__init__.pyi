@@ -56,7 +56,6 @@ from .judge.statement import Stop as Stop
 from .muscles import gas as gas
 from .muscles import laws as laws
 from .muscles.catalogue import muscle as muscle
-from .muscles.catalogue import muscle_names as muscle_names
 from .muscles.muscle_file import load_muscle as load_muscle
 from .muscles.muscle_file import save_muscle as save_muscle
 from .muscles.pneumatic_muscle import Muscle as Muscle

@@ -46,7 +46,7 @@ def muscle_names() -> list[str]:
 
     Examples
     --------
-    >>> "DMSP-20-300" in pam.muscle_names()
+    >>> "DMSP-20-300" in pam.muscles.muscle_names()
     True
     """
     return [name for name, entry in _catalogue().items() if isinstance(entry, dict)]

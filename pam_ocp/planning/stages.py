@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Sized
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from .solvers.ipopt_options import Start
-    from .solvers.solver import Outcome
     from .transcription.transcription import Program
 
 __all__ = ["Stage", "as_data", "recorded", "stage", "table", "written"]
@@ -37,6 +36,21 @@ class Stage:
     intervals: int
     unknowns: int
     objective: float
+
+
+class _Outcome(Protocol):
+    """What a solver made of a program."""
+
+    @property
+    def w(self) -> Sized: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def success(self) -> bool: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def objective(self) -> float: ...
 
 
 @dataclass
@@ -77,7 +91,7 @@ def stage(name: str, reason: str) -> Iterator[None]:
         RECORD.reset(before)
 
 
-def written(program: Program, start: Start, outcome: Outcome, seconds: float) -> None:
+def written(program: Program, start: Start, outcome: _Outcome, seconds: float) -> None:
     """Enter a solve."""
     record = RECORD.get() or _Record([])
     entry = Stage(

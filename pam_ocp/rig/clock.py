@@ -21,7 +21,16 @@ class Clock(Protocol):
 
 
 class RealClock:
-    """``time.monotonic()``."""
+    """``time.monotonic()``.
+
+    Examples
+    --------
+    >>> clock = pam.rig.RealClock()
+    >>> begin = clock.now()
+    >>> clock.wait(begin + 0.001)
+    >>> clock.now() >= begin + 0.001
+    True
+    """
 
     real = True
 

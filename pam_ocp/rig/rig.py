@@ -57,7 +57,7 @@ class Rig:
     >>> rig = pam.Rig(pam.rig.driver("twin", twin=twin), plant=plant, clock=clock)
     >>> rig.arm()
     >>> loop = pam.closed_loop(lambda t, seen: {"muscle.command": 3e5}, rig, duration=1.0)
-    >>> loop["x"][-1] > 0.03, rig.armed
+    >>> bool(loop["x"][-1] > 0.03), rig.armed
     (True, True)
     """
 

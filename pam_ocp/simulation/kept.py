@@ -64,6 +64,13 @@ class KeptNumbers:
     """Numbers of many simulations, a row a case; ``numbers["x_end"]`` is one of them for all cases.
 
     A case that failed, and a number that is not there (a level that is never crossed), is NaN.
+
+    Examples
+    --------
+    >>> cases = pam.simulation.sweep(mass=[5.0, 10.0])
+    >>> many = pam.simulate_many(plant, cases, keep={"x_end": "x.final"}, duration=0.1)
+    >>> many["x_end"].shape
+    (2,)
     """
 
     names: tuple[str, ...]

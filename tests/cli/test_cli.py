@@ -160,7 +160,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
 def test_muscles_lists_the_catalogue(capsys):
     code, out, _ = run(capsys, "muscles")
     assert code == 0
-    assert all(name in out for name in pam.muscle_names())
+    assert all(name in out for name in pam.muscles.muscle_names())
     assert "14-27 %" in out
 
 

@@ -85,7 +85,7 @@ def test_what_is_small_but_sane_or_was_computed_is_not_doubted() -> None:
 def test_no_muscle_of_the_catalogue_and_no_arrangement_is_doubted() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", pam.UnitWarning)
-        for name in pam.muscle_names():
+        for name in pam.muscles.muscle_names():
             pam.HangingLoad(pam.muscle(name, rest_length=0.25))
         for feed in (
             pam.feeds.Regulator(),

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 def laws():
     """A muscle of every law of the library and of every way to make one's own, taut at 5-15 %."""
     by_law = {}
-    for name in pam.muscle_names():
+    for name in pam.muscles.muscle_names():
         known = "rest_length" in catalogue_entry(name)
         muscle = pam.muscle(name, rest_length=None if known else 0.25)
         by_law.setdefault(muscle.law.name, muscle)

@@ -347,7 +347,7 @@ def test_tables_that_are_right_are_not_doubted():
     for name, length in (("DMSP-20-300_static.csv", 0.3), ("DMSP-10-250_static.csv", 0.25)):
         assert not heard(pam.read_table, name, rest_length=length)[1]
     assert not heard(pam.read_table, table())[1]
-    for name in pam.muscle_names():
+    for name in pam.muscles.muscle_names():
         muscle = pam.muscle(name, rest_length=0.25)
         p, kappa = (a.ravel() for a in np.meshgrid(np.arange(1, 7) * 1e5, [0.0, 0.05, 0.1, 0.15]))
         force = np.array([float(muscle.force(*one)) for one in zip(p, kappa, strict=True)])

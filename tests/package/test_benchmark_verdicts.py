@@ -308,7 +308,7 @@ def registered(registry, but=()):
 
 def test_all_muscles_losses_and_loads_are_drawn(study):
     tasks, draw = study.random_tasks, np.random.default_rng(3)
-    assert {tasks.any_muscle(draw).name for _ in range(200)} == set(pam.muscle_names())
+    assert {tasks.any_muscle(draw).name for _ in range(200)} == set(pam.muscles.muscle_names())
     drawn = {w for _ in range(200) for w in tasks.losses(draw, 5e5, 500.0)[2].split(", ")}
     assert drawn == {*tasks.LOSSES, ""}
     losses = {type(tasks.one_loss(draw, kind, 5e5, 500.0)[0]) for kind in tasks.LOSSES}
