@@ -8,6 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
+from rig_fixtures import made, plant  # noqa: F401 - fixtures
 from rig_tools import Bad, BadSerial, BadTcp, BadUdp, Counting
 
 import pam_ocp as pam

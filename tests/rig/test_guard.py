@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from rig_fixtures import made, plant  # noqa: F401 - fixtures
 from rig_tools import child
 
 import pam_ocp as pam

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from rig_fixtures import made, plant  # noqa: F401 - fixtures
 
 import pam_ocp as pam
 from pam_ocp.control.references import sine

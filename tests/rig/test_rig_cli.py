@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from rig_fixtures import made, plant  # noqa: F401 - fixtures
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
