@@ -235,24 +235,37 @@ def in_use(folder: Path) -> Iterator[None]:
     if sys.platform == "win32":
         yield
         return
+    handle = _locked(folder)
     try:
-        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError as error:
-        raise _refused(folder, error) from None
-    try:
+        os.truncate(handle, 0)
+        os.pwrite(handle, f"process {os.getpid()} on {platform.node()}".encode(), 0)
+        yield
+    finally:
+        with suppress(OSError):
+            os.unlink(folder / _LOCK)
+        os.close(handle)
+
+
+def _locked(folder: Path) -> int:
+    """The open file whose lock is ours."""
+    while sys.platform != "win32":
+        try:
+            handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise _refused(folder, error) from None
         try:
             # a record lock: children by fork do not have it, so it ends with this process
             fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
             who = os.pread(handle, 200, 0).decode(errors="replace").strip()
+            os.close(handle)
             raise InputError(
                 f"{spelled(folder)}: another process is at work in this folder ({who}); wait for "
                 "it, end it, or give another folder"
             ) from None
-        except OSError:
-            pass
-        os.truncate(handle, 0)
-        os.pwrite(handle, f"process {os.getpid()} on {platform.node()}".encode(), 0)
-        yield
-    finally:
-        os.close(handle)
+        except OSError:  # a file system without locks
+            return handle
+        if os.fstat(handle).st_nlink:
+            return handle
+        os.close(handle)  # its last holder took it away before we had it
+    return -1

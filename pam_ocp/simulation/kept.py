@@ -68,9 +68,9 @@ class KeptNumbers:
     Examples
     --------
     >>> cases = pam.simulation.sweep(mass=[5.0, 10.0])
-    >>> many = pam.simulate_many(plant, cases, keep={"x_end": "x.final"}, duration=0.1)
-    >>> many["x_end"].shape
-    (2,)
+    >>> many = pam.simulate_many(plant, cases, keep={"low": "min(x)"}, duration=0.1)
+    >>> many.names, len(many["low"]), many["mass"].tolist()
+    (('low',), 2, [5.0, 10.0])
     """
 
     names: tuple[str, ...]
@@ -205,7 +205,8 @@ def keep_numbers(
     told = digest_of(
         [simulation.plant.__getstate__(), dict(simulation.common), _said_of(work), dict(until)]
     )
-    taken = _Taken(list(work.keep), rows and folder is None, drawn is not None)
+    here = folder is None  # else they are read from there, those of earlier runs too
+    taken = _Taken(list(work.keep), here and rows, here and drawn is not None)
     if folder is not None:
         arrow()
     place = (

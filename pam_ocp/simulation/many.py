@@ -196,8 +196,8 @@ def simulate_many(
     keep : {name: what to keep of each motion}, in place of the motions: words such as "x.final",
         "max(muscle1.force)", "crossing(x, '10 mm')" (docs/many.md has all of them), or a function
         of a Trajectory that gives a number. One row a case, with the parameters that it names.
-    rows : with ``keep``: False keeps no rows, only their statistics (and, of SobolCases, what their
-        indices need).
+    rows : with ``keep``, in memory: False keeps no rows, only their statistics (and, of SobolCases,
+        what their indices need).
     until : {name of a number: half width of the 95 % interval of its mean} at which to stop early;
         looked at after every 250 cases, so it is the same place in every run.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,

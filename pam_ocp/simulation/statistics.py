@@ -175,7 +175,7 @@ class SobolCases:
 
         names, d = list(self.ranges), len(self.ranges)
         low, high = np.array(list(self.ranges.values())).T
-        engine = qmc.Sobol(2 * d, scramble=True, rng=np.random.default_rng(self.seed))
+        engine = qmc.Sobol(2 * d, scramble=True, seed=np.random.default_rng(self.seed))
         for begin in range(0, self.base, BLOCK):
             points = engine.random(min(BLOCK, self.base - begin))
             a, b = low + points[:, :d] * (high - low), low + points[:, d:] * (high - low)
