@@ -57,6 +57,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
     """(registry, where its names are given), in the order of the page."""
     from ..control.kinds import BLOCKS, CONTROLLERS, ESTIMATORS
     from ..control.mpc.sqp import QP_SOLVERS
+    from ..export.worlds.registry import WORLDS
     from ..judge.costs import COSTS
     from ..muscles.gas import GASES, HEATS, RUBBERS, VOLUMES
     from ..muscles.law import LAWS
@@ -103,6 +104,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         (BLOCKS, "what `pam.control.block` makes of, by class"),
         (QP_SOLVERS, "`solver` of a `[controller]`, besides ipopt"),
         (DRIVERS, "of a rig's file: `driver = { kind = ... }`; `pam.rig.driver`"),
+        (WORLDS, "`world` of `pam.export`, where a file's ending does not tell it"),
         (STEPS, "`kind` of a `[steps.NAME]` of a study; its keys"),
     )
 

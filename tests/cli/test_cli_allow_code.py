@@ -13,6 +13,7 @@ def load(muscle, **parts):
 """
 TABLE = '[plant]\narrangement = "mine.py:load"\nmuscle = "DMSP-20-300"\n'
 STUDY = '[steps.a]\nkind = "plant"\narrangement = "mine.py:load"\nmuscle = "DMSP-20-300"\n'
+RIG = 'driver = { kind = "udp", host = "127.0.0.1", port = 9 }\n'
 NAMED = 'plant = "mine.py:load"\n'
 STOPS = '[[stops]]\nx = "-10 mm"\n[[stops]]\nx = "10 mm"\n'
 COMMANDS = {
@@ -24,6 +25,8 @@ COMMANDS = {
     "ladder": [TABLE],
     "mpc": [TABLE, NAMED],
     "study": [STUDY],
+    "rig": [RIG + TABLE],
+    "twin": [RIG + TABLE],
     "fit-plant": ['free = ["mass"]\n' + TABLE, 'free = ["mass"]\n' + NAMED],
 }
 
@@ -48,6 +51,10 @@ def test_code_named_in_a_file_runs_with_consent_only(command, content, tmp_path,
         words += ["holds.csv", "--estimate", "mass"]
     if command == "study":
         words += ["--out", str(tmp_path / "out"), "--cache", str(tmp_path / "cache")]
+    if command == "rig":
+        words = ["rig", "check", str(file)]
+    if command == "twin":
+        words += ["--udp", "9755"]
     assert main(words) == 2
     said = capsys.readouterr().err
     assert "would run the Python file" in said

@@ -402,7 +402,7 @@ def test_a_reader_that_is_not_installed_is_named(name, content, package, tmp_pat
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)
     (tmp_path / name).write_bytes(content + bytes(40))
-    with pytest.raises(InputError, match=r"pip install pam_ocp\[files\]"):
+    with pytest.raises(InputError, match=r"pip install 'pam_ocp\[files\]'"):
         pam.read_record(tmp_path / name)
 
 

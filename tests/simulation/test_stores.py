@@ -21,6 +21,7 @@ SHORT = {"t": np.linspace(0.0, 0.02, 3), "executor": 0}
 @pytest.fixture
 def memory():
     fs = fsspec.filesystem("memory")
+    fs.store.clear()  # it lasts as long as the process
     yield fs
     fs.store.clear()
 

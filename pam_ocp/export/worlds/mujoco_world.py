@@ -139,11 +139,16 @@ def export_mjcf(
     return Path(path)
 
 
-WORLDS.register("mujoco")(
-    lambda muscles, path=None, **options: (
-        to_mujoco(muscles) if path is None else export_mjcf(muscles, path, **options)
-    )
-)
+@WORLDS.register("mujoco")
+def _muscles_of(
+    muscles: MujocoMuscle | Sequence[MujocoMuscle],
+    path: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> Any:
+    """Muscles as actuators of MuJoCo: callbacks, or with a path the elements of a model's file."""
+    return to_mujoco(muscles) if path is None else export_mjcf(muscles, path, **options)
+
+
 ENDINGS[".xml"] = "mujoco"
 
 

@@ -122,7 +122,7 @@ class Outcome:
             float(arrays["f"][0]),
             str(stats["return_status"]),
             bool(stats["success"]),
-            int(stats["iter_count"]),
+            int(stats["iter_count"]) if log else 0,  # of what IPOPT refuses it is any number
             seconds,
             arrays["lam_g"],
             arrays["lam_x"],

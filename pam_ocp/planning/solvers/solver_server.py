@@ -50,8 +50,6 @@ def main() -> None:
         result = solvers[name](**arguments)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         stats = solvers[name].stats()
-        if not stats.get("iterations"):  # of a program that IPOPT refuses it is any number
-            stats["iter_count"] = 0
         keys = ("return_status", "success", "iter_count", "iterations")
         pickle.dump((arrays, {k: stats.get(k) for k in keys}), answers)
         answers.flush()
