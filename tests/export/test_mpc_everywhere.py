@@ -34,7 +34,7 @@ def controller(plant: pam.Plant) -> Any:
     measured = {place: 1e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
     mpc = pam.control.Mpc(
         plant,
-        horizon=10,
+        horizon=15,
         sample_time=STEP,
         track={place: 1.0},
         rate={v.name: 3.0 for v in plant.inputs},
