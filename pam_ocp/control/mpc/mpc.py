@@ -31,7 +31,7 @@ from ...core.stop import locked
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...numerics.buffered import Buffered
-from ...planning.solvers.narrowing import rounded
+from ...planning.smoothing import smoothed
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulator import evaluated
@@ -168,7 +168,7 @@ class Mpc:
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
-        self.model = rounded(inversion.inner, KINKS)
+        self.model = smoothed(inversion.inner, KINKS)
         """The plant as the program sees it: with openings in place of the commands of valves, and
         the kinks of friction and hysteresis rounded off over wider widths.
         """

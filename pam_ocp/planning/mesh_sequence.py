@@ -1,0 +1,228 @@
+"""Which mesh follows which: from coarse to the one asked for, and on where one estimate asks for
+more.
+
+The estimate counts, in this order, what a mesh lacks: the dynamics at large (sum of the intervals'
+errors against a tight integration, above ``resolved``), the objective (what its inputs keep it
+from, by the gradients of the Lagrangian: Pontryagin's switching function), then the plan's
+tolerance, of dynamics (simulation error as in A. A. Haman, A. V. Rao, AIAA J. Guid. Control Dyn.
+2024) and of limits between points. Where errors are smooth degrees are raised, else intervals are
+split (ph: M. A. Patterson, W. W. Hager, A. V. Rao, Optim. Control Appl. Methods 36 (2015) 398-421).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .candidate import Candidate
+from .problem.problem import Problem
+from .settings import Settings
+from .smoothing import is_nonsmooth
+from .transcription.mesh import (
+    Interval,
+    Mesh,
+    coarsened,
+    doubled,
+    doubled_at_most,
+    halved,
+    held,
+    merged,
+    watched,
+)
+
+__all__ = ["MeshSequence", "scale"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+RATIO = 0.5, 0.8
+"""What a mesh leaves of the gain of the one before: at least (small first steps seem to gain
+quickly) and at most (a geometric row then sums to four times its last change).
+"""
+UNSEEN = 2.0
+"""Times as much may be gained as first-order gradients show."""
+FLOOR = 1e-2
+"""Objectives below it (in units of their terms) are judged as if they were this large."""
+
+
+class MeshSequence:
+    """Meshes for one problem, to a tolerance (None: the one that was asked for, alone).
+
+    merges : whether many intervals are reached from few.
+    """
+
+    def __init__(
+        self,
+        asked: Mesh,
+        problem: Problem,
+        settings: Settings,
+        tolerance: float | None,
+        merges: bool = True,
+    ) -> None:
+        self.asked, self.problem, self.settings = asked, problem, settings
+        self.nonsmooth = is_nonsmooth(problem)
+        self.tolerance = np.inf if tolerance is None else settings.aim * tolerance
+        self.wanted = np.inf if tolerance is None else tolerance
+        self.legs = len(problem.legs)
+        self.economical = problem.objective.economical
+        self.ladder = self._ladder(merges)
+
+    def aims_at(self, tolerance: float) -> None:
+        """Another tolerance of the plan."""
+        self.tolerance, self.wanted = tolerance, max(tolerance, self.wanted)
+
+    def _ladder(self, merges: bool) -> list[Mesh]:
+        """Meshes up to the one that was asked for."""
+        s, found = self.settings, [self.asked]
+        each = len(self.asked.intervals) // self.legs
+        if self.economical:
+            while True:
+                coarse = coarsened(found[0])
+                if coarse == found[0] or len(coarse.intervals) < s.coarsest * self.legs:
+                    return found
+                found.insert(0, coarse)
+        if merges and each >= s.many and self.asked.form.scheme != "shooting":
+            found.insert(0, merged(self.asked, -(-each // s.few)))
+        return found
+
+    def is_coarse(self, mesh: Mesh) -> bool:
+        """Whether a mesh is one on the way to the one that was asked for."""
+        return mesh in self.ladder[:-1]
+
+    def begin(self, mesh: Mesh) -> None:
+        """Let the sequence begin with this mesh."""
+        finer = [m for m in self.ladder if len(m.intervals) > len(mesh.intervals)]
+        self.ladder = [mesh, *(finer or ([] if mesh == self.asked else [self.asked]))]
+
+    @property
+    def resolving(self) -> bool:
+        """Whether finer meshes leave the inputs as they are: then the way is resolved, too."""
+        form = self.asked.form
+        return form.control == "constant" and form.scheme != "shooting"
+
+    def after(self, c: Candidate) -> list[tuple[Mesh, str]]:
+        """Meshes that may do better and why, the most promising first; none where this one does."""
+        if self.is_coarse(c.mesh):
+            following = self.ladder[self.ladder.index(c.mesh) + 1]
+            return [(following, "towards the mesh asked for"), (doubled(c.mesh), "between")]
+        if not np.isfinite(self.wanted):
+            return []
+        for find in (self._unresolved, self._dear, self._inexact):
+            meshes = find(c)
+            if meshes:
+                return [(mesh, why) for mesh, why in meshes if mesh != c.mesh]
+        return []
+
+    def _refined(self, c: Candidate, errors: Sequence[float], allowed: float) -> Mesh:
+        return doubled_at_most(c.mesh, errors, allowed, self.nonsmooth, self.settings.points)
+
+    def _unresolved(self, c: Candidate) -> list[tuple[Mesh, str]]:
+        """The dynamics at large, on the way and wherever costs are still to be looked at."""
+        total, allowed = sum(c.errors), self.settings.resolved
+        if total <= allowed or not self.resolving or not (c.place < 1.0 or self.economical):
+            return []
+        finer = self._refined(c, c.errors, allowed / len(c.errors))
+        return [(finer, f"dynamics unresolved by {total:.1g}")]
+
+    # ---- the objective --------------------------------------------------------------------------
+    def is_dear(self, c: Candidate) -> bool:
+        """Whether finer meshes may lower the objective by more than the plan's tolerance."""
+        if not self.economical or c.place < 1.0 or not np.isfinite(self.wanted):
+            return False
+        few = len(c.mesh.intervals) <= self.settings.finest * self.legs
+        return few and not self.gap(c) <= self.wanted
+
+    def _dear(self, c: Candidate) -> list[tuple[Mesh, str]]:
+        if not self.is_dear(c):
+            return []
+        mesh = self._split(c.mesh, c.gains)
+        return [(mesh, f"objective may fall by {100 * self.gap(c):.2g} %")]
+
+    def gap(self, c: Candidate) -> float:
+        """What finer meshes may gain, as a part of the objective: by the gradients, or by a
+        geometric row of the changes so far (Richardson), whichever is less.
+        """
+        left, pace = self._left(c), self._pace(c)
+        before = float("nan") if c.coarser is None else self._left(c.coarser)
+        ratio = self._ratio(left, before)
+        row = pace * ratio / (1 - ratio)
+        known = [v for v in (UNSEEN * left, row) if np.isfinite(v)]
+        if abs(c.objective) < FLOOR:  # work and air are never negative
+            known.append(abs(c.objective) / FLOOR)
+        return min(known) if known else float("inf")
+
+    def _left(self, c: Candidate) -> float:
+        gained = c.gains
+        return float("nan") if gained is None else float(gained.sum()) / scale(c)
+
+    @staticmethod
+    def change(c: Candidate) -> float:
+        """Of the objective from the mesh before, as a part of it."""
+        if c.coarser is None or c.coarser.place != c.place:
+            return float("nan")
+        return abs(c.objective - c.coarser.objective) / scale(c)
+
+    def _pace(self, c: Candidate) -> float:
+        """The last change of the objective, or what those before it let expect where that is more:
+        a change that is less is luck.
+        """
+        change = self.change(c)
+        if c.coarser is None or np.isnan(change):
+            return change
+        ratio = self._ratio(self._left(c), self._left(c.coarser))
+        return float(np.fmax(change, ratio * self._pace(c.coarser)))
+
+    @staticmethod
+    def _ratio(left: float, before: float) -> float:
+        ratio = left / before if before > 0 else float("nan")
+        return float(np.clip(ratio, *RATIO)) if np.isfinite(ratio) else RATIO[0]
+
+    def _split(self, mesh: Mesh, gained: Array | None) -> Mesh:
+        """Those intervals split in two that keep back ``marked`` of what is to be gained; all where
+        nothing is known of it.
+        """
+        if gained is None or not np.isfinite(gained).all() or not gained.sum() > 0:
+            return doubled(mesh)
+        order = np.argsort(gained)[::-1]
+        part = self.settings.marked * gained.sum()
+        chosen = set(order[: 1 + int(np.searchsorted(np.cumsum(gained[order]), part))].tolist())
+        intervals: list[Interval] = []
+        for k, interval in enumerate(mesh.intervals):
+            own = replace(interval, watched=())
+            intervals += own.split(2, interval.degree) if k in chosen else [own]
+        return Mesh(tuple(intervals), mesh.form)
+
+    # ---- the plan's tolerance -------------------------------------------------------------------
+    def _inexact(self, c: Candidate) -> list[tuple[Mesh, str]]:
+        if c.place < 1.0 or c.check.miss <= self.tolerance:
+            return []
+        s, mesh, check = self.settings, c.mesh, c.check
+        if mesh.form.control == "polynomial" and c.rounds >= s.polynomial_rounds:
+            return [(held(self.asked), "polynomial inputs do not meet the tolerance")]
+        if c.rounds >= s.rounds:
+            return []
+        beyond = check.replay.beyond
+        why = f"tolerance missed by {check.miss:.1g}"
+        by_limits = [(watched(mesh, beyond, self.tolerance), why)] if beyond else []
+        everywhere = [(halved(mesh), why)]
+        if mesh.form.control == "constant":
+            everywhere.insert(0, (halved(mesh, joined=True), why))
+        if check.dynamic <= self.tolerance:
+            worst = [max(each.values(), default=0.0) for each in beyond]
+            # where checks between the points make the program unsolvable, shorter intervals may do
+            finer = self._refined(c, worst, self.tolerance)
+            return [*by_limits, (finer, why), *everywhere]
+        total, worst_of_all = sum(c.errors), check.dynamic
+        # errors of intervals add up, and may grow along the motion; waypoints may see more of them
+        known = np.isfinite(worst_of_all) and total > 0
+        grown = max(1.0, worst_of_all / total) if known else 1.0
+        finer = self._refined(c, c.errors, self.tolerance / len(c.errors) / grown)
+        return [(finer, why), *by_limits, *everywhere]
+
+
+def scale(c: Candidate) -> float:
+    """What parts of an objective are parts of."""
+    return max(abs(c.objective), FLOOR)
