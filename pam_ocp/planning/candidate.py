@@ -66,7 +66,7 @@ class Candidate:
         """That it was led along, from the one that was asked for."""
         found: list[Mesh] = [self.mesh]
         c = self.coarser
-        while c is not None and c.mesh != asked:
+        while c is not None and found[0] != asked:
             if c.mesh != found[0]:
                 found.insert(0, c.mesh)
             c = c.coarser

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .candidate import Candidate
+from .problem.objective import is_nonnegative
 from .problem.problem import Problem
 from .settings import Settings
 from .smoothing import is_nonsmooth
@@ -68,6 +69,7 @@ class MeshSequence:
         self.wanted = np.inf if tolerance is None else tolerance
         self.legs = len(problem.legs)
         self.economical = problem.objective.economical
+        self._bounded = self.economical and is_nonnegative(problem)
         self.ladder = self._ladder(merges)
 
     def aims_at(self, tolerance: float) -> None:
@@ -91,11 +93,6 @@ class MeshSequence:
     def is_coarse(self, mesh: Mesh) -> bool:
         """Whether a mesh is one on the way to the one that was asked for."""
         return mesh in self.ladder[:-1]
-
-    def begin(self, mesh: Mesh) -> None:
-        """Let the sequence begin with this mesh."""
-        finer = [m for m in self.ladder if len(m.intervals) > len(mesh.intervals)]
-        self.ladder = [mesh, *(finer or ([] if mesh == self.asked else [self.asked]))]
 
     @property
     def resolving(self) -> bool:
@@ -138,7 +135,7 @@ class MeshSequence:
     def _dear(self, c: Candidate) -> list[tuple[Mesh, str]]:
         if not self.is_dear(c):
             return []
-        mesh = self._split(c.mesh, c.gains)
+        mesh = self.split(c.mesh, c.gains, self.settings)
         return [(mesh, f"objective may fall by {100 * self.gap(c):.2g} %")]
 
     def gap(self, c: Candidate) -> float:
@@ -150,8 +147,8 @@ class MeshSequence:
         ratio = self._ratio(left, before)
         row = pace * ratio / (1 - ratio)
         known = [v for v in (UNSEEN * left, row) if np.isfinite(v)]
-        if abs(c.objective) < FLOOR:  # work and air are never negative
-            known.append(abs(c.objective) / FLOOR)
+        if self._bounded:  # no more can be gained than there is
+            known.append(c.objective / scale(c))
         return min(known) if known else float("inf")
 
     def _left(self, c: Candidate) -> float:
@@ -180,14 +177,15 @@ class MeshSequence:
         ratio = left / before if before > 0 else float("nan")
         return float(np.clip(ratio, *RATIO)) if np.isfinite(ratio) else RATIO[0]
 
-    def _split(self, mesh: Mesh, gained: Array | None) -> Mesh:
+    @staticmethod
+    def split(mesh: Mesh, gained: Array | None, settings: Settings) -> Mesh:
         """Those intervals split in two that keep back ``marked`` of what is to be gained; all where
         nothing is known of it.
         """
         if gained is None or not np.isfinite(gained).all() or not gained.sum() > 0:
             return doubled(mesh)
         order = np.argsort(gained)[::-1]
-        part = self.settings.marked * gained.sum()
+        part = settings.marked * gained.sum()
         chosen = set(order[: 1 + int(np.searchsorted(np.cumsum(gained[order]), part))].tolist())
         intervals: list[Interval] = []
         for k, interval in enumerate(mesh.intervals):

@@ -320,7 +320,7 @@ class Planner:
             require_count("starts", starts, 1, MOST)
         program = self._with(values, changed)
         statement = replace(self._statement, **changed)
-        engine = Engine(program, self._solver, self._backend, stages)
+        engine = Engine(program, self._solver, self._backend, stages, SETTINGS)
         search = Search(engine, statement, starts, tolerance)
         near, last = (guess._near(program), guess._solved) if guess is not None else (None, None)
         try:

@@ -31,7 +31,7 @@ from .smoothing import is_nonsmooth, smoothed_at
 from .solvers.diagnosis import Conflict, elastic, resolving
 from .solvers.ipopt_options import Start
 from .solvers.side_by_side import solved_side_by_side
-from .solvers.solver import Ipopt
+from .solvers.solver import Ipopt, Outcome
 from .stages import stage
 from .starts import Ends, number_of_starts, tasks
 from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
@@ -49,7 +49,7 @@ GIVEN, LAST = -1, 99
 """Numbers of the candidates from a given plan, and from openings: before and behind all starts."""
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
-PARTS = 2, 4
+PARTS = 4, 2
 """Intervals in one of meshes that are tried where the first led to nothing: few unknowns, and
 numerical damping.
 """
@@ -66,9 +66,15 @@ class Found:
     """Whether a point meets all constraints, from which no solution was found."""
     cut: bool = False
     """Whether a time limit ended the search."""
-    figures: dict[str, Any] = field(default_factory=dict)
+    outcomes: list[Outcome] = field(default_factory=list)
+    """Of the starts."""
     first: Solved | None = None
     """The solution on the mesh that was asked for."""
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Of the starts, where there were several."""
+        return Ends(tuple(self.outcomes)).figures() if len(self.outcomes) > 1 else {}
 
 
 class Search:
@@ -118,7 +124,8 @@ class Search:
             self.continuation.led(replace(before, rounds=0))
         except TimeIsUp:
             self.found.cut = True
-        return self.found.best is not before
+        best: Candidate = self.found.best or before
+        return best.check.miss < before.check.miss
 
     def _searched(self, near: Solved | None, last: Solved | None, finer: Sequence[Program]) -> None:
         if last is not None and self.starts in (None, 1) and self._reused(last, finer):
@@ -131,12 +138,12 @@ class Search:
             if count and not self._worth(c, count):
                 continue
             self._led(c)
-        if self.found.best is not None:
+        if candidates and self.found.best is not None:
             return
-        for c in self._fallbacks():
-            self._led(c)
-            if self.found.best is not None:
+        for count, c in enumerate(self._fallbacks()):
+            if count and not self._worth(c, count):
                 return
+            self._led(c)
 
     def _led(self, c: Candidate) -> None:
         """To the end: by arcs where these were asked for, with held inputs in place of polynomials
@@ -160,8 +167,10 @@ class Search:
             return now.check
 
         self._take(c)
-        arcs = ArcSearch(c.solved, self.meshes.tolerance, self.engine, taken)
-        return arcs.solved() is not None
+        met = ArcSearch(c.solved, self.meshes.tolerance, self.engine, taken).solved()
+        if met is not None:
+            self.found.best = replace(c, solved=met.found, coarser=c)
+        return met is not None
 
     def _take(self, c: Candidate) -> None:
         """Keep a candidate that is the best so far: verified, then with the least objective."""
@@ -234,9 +243,13 @@ class Search:
         opened = None
         if not known and (count > 1 or self._costly):
             opened = self._from_openings()
-        if opened is None:
-            return self._several(max(count, 1))
-        return [opened] if self._costly else [*self._several(max(count - 1, 1)), opened]
+        if opened is not None and self._costly:
+            return [opened]
+        found = self._several(max(count - (opened is not None), 1))
+        if opened is not None:
+            found.append(opened)
+            self.found.outcomes.append(opened.solved.outcome)
+        return found
 
     def _several(self, count: int) -> list[Candidate]:
         """Solutions from different starts on the first mesh."""
@@ -257,8 +270,7 @@ class Search:
                 except TimeIsUp:
                     if not outcomes[0].success:
                         raise
-        if count > 1:
-            self.found.figures.update(Ends(tuple(outcomes)).figures())
+        self.found.outcomes = outcomes
         if not any(outcome.success for outcome in outcomes):
             self.found.failure = engine.solved(program, outcomes[0])
         return [
@@ -348,20 +360,22 @@ class Search:
 
     # ---- where no start leads anywhere ----------------------------------------------------------
     def _fallbacks(self) -> Iterator[Candidate]:
-        """From other guesses and coarser meshes, last from a point that meets all constraints."""
-        asked = self.engine.first.mesh
-        tried: list[Mesh] = []
-        coarser = () if self.tolerance is None else (merged(asked, n) for n in PARTS)
-        for mesh in (self.meshes.ladder[0], asked, *coarser):
-            if mesh not in tried:
-                tried.append(mesh)
-                self.meshes.begin(mesh)
-                yield from self._guessed(mesh)
+        """From other guesses and by way of coarser meshes; where all that leads to nothing, from a
+        point that meets all constraints.
+        """
+        asked, usual = self.engine.first.mesh, tuple(self.meshes.ladder)
+        ways = [usual, (asked,)]
+        if self.tolerance is not None:
+            ways.append((*(merged(asked, count) for count in PARTS), asked))
+        for way in dict.fromkeys(tuple(dict.fromkeys(meshes)) for meshes in ways):
+            self.meshes.ladder = list(way)
+            yield from self._guessed(way[0])
+        if self.found.best is not None:
+            return
         feasible = self._diagnosed()
         if feasible is not None:
-            yield from self._from_guesses(
-                asked, [("a point that meets all constraints", lambda: feasible, "adaptive")]
-            )
+            name = "a point that meets all constraints"
+            yield from self._from_guesses(asked, [(name, lambda: feasible, "adaptive")])
 
     def _guessed(self, mesh: Mesh, most: int | None = None) -> Iterator[Candidate]:
         """Solutions on a mesh from guesses that take longer to make; ``most``: from the first."""
@@ -382,7 +396,7 @@ class Search:
             guess = make()
             if guess is None:
                 continue
-            program, why = engine.program(mesh), ("starts", name)
+            program, why = engine.program(mesh), ("other guesses", name)
             found = engine.solve(program, self.place, guess, start, why)
             if found.outcome.success:
                 yield Candidate(found, self.place)
@@ -400,7 +414,7 @@ class Search:
             return None
         engine = self.engine.of(regularised(problem, self.settings.regularisation), mesh)
         guess = by_stops(problem, mesh, balanced=wants_balance(problem))
-        why = ("starts", "a small cost of the inputs")
+        why = ("other guesses", "a small cost of the inputs")
         found = engine.solve(engine.first, 1.0, guess, "cold", why)
         return found.outcome.w if found.outcome.success else None
 

@@ -326,12 +326,12 @@ def test_polynomial_inputs_end_verified_too(recwarn):
 
 # ---- Ctrl-C --------------------------------------------------------------------------------------
 def test_ctrl_c_ends_a_solve_and_nothing_is_tried_after_it(slide, monkeypatch):
-    from pam_ocp.planning import run
+    from pam_ocp.planning import search
 
     def never(*_):
         raise AssertionError("a diagnosis after Ctrl-C")
 
-    monkeypatch.setattr(run, "elastic", never)
+    monkeypatch.setattr(search, "elastic", never)
     seen = []
 
     def press(iteration, objective, violation):
