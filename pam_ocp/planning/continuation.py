@@ -73,14 +73,16 @@ class Continuation:
         return c if c.place >= 1.0 else None
 
     def _finer(self, c: Candidate, meshes: list[tuple[Mesh, str]]) -> Candidate | None:
-        """On the first of some meshes that leads to a solution. Costs are at their least on the way
-        to the mesh that was asked for, along the path they need not be.
+        """On the first of some meshes that leads to a solution. Along the path costs need not be at
+        their least, unless that is the only way to a finer mesh.
         """
         on_path = c.place < 1.0 and not self.meshes.is_coarse(c.mesh)
+        starts: tuple[Start, ...] = ("restored", "near") if on_path else ("near",)
         for mesh, why in meshes:
-            finer = self.engine.refined(c, mesh, why, "restored" if on_path else "near")
-            if finer is not None:
-                return finer
+            for start in starts:
+                finer = self.engine.refined(c, mesh, why, start)
+                if finer is not None:
+                    return finer
         return None
 
     def _corrected(self, c: Candidate) -> Candidate:

@@ -193,9 +193,16 @@ class MeshSequence:
             intervals += own.split(2, interval.degree) if k in chosen else [own]
         return Mesh(tuple(intervals), mesh.form)
 
+    def _miscounted(self, c: Candidate) -> bool:
+        """Whether costs, which are counted at the points of the mesh, are others between them."""
+        if not self.economical:
+            return False
+        apart = abs(c.check.replay.objective - c.objective) / scale(c)
+        return bool(np.isfinite(apart) and apart > self.wanted)
+
     # ---- the plan's tolerance -------------------------------------------------------------------
     def _inexact(self, c: Candidate) -> list[tuple[Mesh, str]]:
-        if c.place < 1.0 or c.check.miss <= self.tolerance:
+        if c.place < 1.0 or (c.check.miss <= self.tolerance and not self._miscounted(c)):
             return []
         s, mesh, check = self.settings, c.mesh, c.check
         if mesh.form.control == "polynomial" and c.rounds >= s.polynomial_rounds:
@@ -208,6 +215,8 @@ class MeshSequence:
         everywhere = [(halved(mesh), why)]
         if mesh.form.control == "constant":
             everywhere.insert(0, (halved(mesh, joined=True), why))
+        if check.miss <= self.tolerance:
+            return [(finer, "costs between its points are others") for finer, _ in everywhere]
         if check.dynamic <= self.tolerance:
             worst = [max(each.values(), default=0.0) for each in beyond]
             # where checks between the points make the program unsolvable, shorter intervals may do

@@ -21,7 +21,7 @@ from pam_ocp.planning.transcription.mesh import doubled
 MUSCLE = pam.muscle("DMSP-20-200N")
 
 
-def positive_work(plant, plan, samples=20001):
+def positive_work(plant, plan, samples=100001):
     """Integral of the positive powers out of the muscles, by hand, along the plan's replay [J]."""
     motion = pam.simulate(
         plant, plan.trajectory, t=np.linspace(0.0, plan.duration, samples), rtol=1e-10
@@ -385,7 +385,7 @@ def test_a_motion_that_costs_nothing_has_converged_whatever_its_gradients_say(mo
     # the motion itself: nothing, beside the energy at hand
     assert abs(plan.objective) < 1e-4 * 10.0 * 9.81 * 0.02
     assert abs(plan.statistics["objective_gap"]) < 1e-3
-    assert plan.statistics["intervals"] == 50
+    assert plan.statistics["intervals"] <= 100
 
 
 @pytest.mark.slow
@@ -401,16 +401,18 @@ def test_where_many_motions_cost_nothing_one_of_them_is_found_and_settles():
     assert plan.statistics["objective_gap"] < 1e-3
 
 
-def test_work_between_the_points_of_a_mesh_is_told():
+def test_work_between_the_points_of_a_mesh_is_seen_and_saved():
     # on so few intervals the tendon rings, and its muscle works between the points
     plant = pam.SeriesLoad(MUSCLE, 15.0, 1.4e5)
     wish = {"duration": 1.4, "minimise": "work", "method": pam.Collocation(25, 3)}
-    plan = pam.plan(plant, [{"x": 0.03}, {"x": 0.012}], **wish)
-    work = positive_work(plant, plan)
-    assert work - plan.statistics["objective_on_mesh"] > 1e-3
-    assert plan.objective == pytest.approx(work, rel=2e-3)
-    assert plan.statistics["objective_replayed"] == pytest.approx(work, rel=0.05)
-    assert "along the replay the objective is" in str(plan)
+    stops = [{"x": 0.03}, {"x": 0.012}]
+    rough, plan = (pam.plan(plant, stops, **wish, tolerance=t) for t in (None, 1e-3))
+    work = positive_work(plant, rough)
+    assert work - rough.statistics["objective_on_mesh"] > 1e-3
+    assert rough.objective == pytest.approx(work, rel=2e-3)
+    assert plan.verified
+    assert positive_work(plant, plan) < 1e-5
+    assert plan.statistics["objective_replayed"] < 1e-5
 
 
 def test_the_term_that_chooses_among_flat_optima_is_small_whatever_the_units_of_inputs():
