@@ -40,7 +40,8 @@ class Candidate:
     """A solved program at a place of the smoothing path (1: the user's own problem).
 
     number : of the start that it comes from. coarser : the candidate on the mesh before, for
-    estimates of what finer meshes may gain. rounds : of refinement at the end of the path.
+    estimates of what finer meshes may gain. rounds : of refinement at the end of the path. gap :
+    such an estimate, where it is known from the same motion in other inputs.
     """
 
     solved: Solved
@@ -48,6 +49,7 @@ class Candidate:
     number: int = 0
     coarser: Candidate | None = field(default=None, repr=False)
     rounds: int = 0
+    gap: float | None = None
 
     @property
     def mesh(self) -> Mesh:
@@ -178,7 +180,7 @@ class Engine:
         rounds = c.rounds + (c.place == 1.0)
         if not found.outcome.success:
             return None
-        return replace(c, solved=found, coarser=c, rounds=rounds)
+        return replace(c, solved=found, coarser=c, rounds=rounds, gap=None)
 
     def corrected(self, c: Candidate, start: Start) -> Candidate | None:
         """A candidate whose intervals run as the plant does, from its multipliers: one step of

@@ -25,13 +25,17 @@ __all__ = ["Continuation"]
 
 class Continuation:
     """Leads candidates to the end; ``taken`` is called with each that solves the user's own
-    problem.
+    problem, ``is_enough`` says whether what was taken will do.
     """
 
     def __init__(
-        self, engine: Engine, meshes: MeshSequence, taken: Callable[[Candidate], None]
+        self,
+        engine: Engine,
+        meshes: MeshSequence,
+        taken: Callable[[Candidate], None],
+        is_enough: Callable[[], bool],
     ) -> None:
-        self.engine, self.meshes, self.taken = engine, meshes, taken
+        self.engine, self.meshes, self.taken, self.is_enough = engine, meshes, taken, is_enough
         self.nonsmooth = is_nonsmooth(engine.first.problem)
         self.settings = engine.settings
 
@@ -48,7 +52,7 @@ class Continuation:
         """The last candidate at the end of the path; None where it is blocked before."""
         s, step = self.settings, self.settings.step
         most, blocked, reentered = self.engine.work + s.work, False, False
-        while self.engine.work <= most:
+        while self.engine.work <= most and not self.is_enough():
             if c.place == 1.0 and (blocked or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
                 c = self._corrected(c)

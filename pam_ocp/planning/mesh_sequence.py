@@ -142,6 +142,8 @@ class MeshSequence:
         """What finer meshes may gain, as a part of the objective: by the gradients, or by a
         geometric row of the changes so far (Richardson), whichever is less.
         """
+        if c.gap is not None:
+            return c.gap
         left, pace = self._left(c), self._pace(c)
         before = float("nan") if c.coarser is None else self._left(c.coarser)
         ratio = self._ratio(left, before)

@@ -96,7 +96,7 @@ class Search:
         )
         self.nonsmooth = is_nonsmooth(self.problem)
         self.place = 0.0 if self.nonsmooth else 1.0
-        self.continuation = Continuation(engine, self.meshes, self._take)
+        self.continuation = Continuation(engine, self.meshes, self._take, self._is_enough)
         self.found = Found()
 
     def best(
@@ -194,6 +194,10 @@ class Search:
             better = miss < before
         if better:
             self.found.best = c
+
+    def _is_enough(self) -> bool:
+        """Whether a plan is found and work is spent: what is left to gain is told with it."""
+        return self.met and self.engine.work > self.settings.work
 
     @property
     def met(self) -> bool:
@@ -339,24 +343,26 @@ class Search:
             return None
         with stage("valve openings", "in place of commands, which have dead zones"):
             engine, told = self.engine.of(opened.problem), self.statement
+            inner = Search(engine, told, self.starts if costly else 1, self.tolerance)
             if costly:
-                c = Search(engine, told, self.starts, self.tolerance).best().best
+                c = inner.best().best
             else:
-                inner = Search(engine, told, 1, None)
                 c = next(iter(inner._several(1)), None) or next(
                     inner._guessed(engine.first.mesh, 1), None
                 )
         if c is None:
             return None
         program = self.engine.program(c.mesh)
+        if costly:
+            c = replace(c, gap=inner.meshes.gap(c), number=LAST, rounds=0)
         sent, same = opened.in_commands(program, c.solved) if costly else None, None
         if sent is not None:
-            same = replace(c, solved=sent, number=LAST, rounds=0)
+            same = replace(c, solved=sent)
             self._take(same)
         guess = opened.guess(self.problem, c.mesh, c.solved.solution)
         why = ("valve openings", "back to commands")
         found = self.engine.solve(program, c.place, guess, "near", why)
-        return replace(c, solved=found, number=LAST, rounds=0) if found.outcome.success else same
+        return replace(c, solved=found, number=LAST) if found.outcome.success else same
 
     # ---- where no start leads anywhere ----------------------------------------------------------
     def _fallbacks(self) -> Iterator[Candidate]:

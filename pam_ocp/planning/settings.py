@@ -66,8 +66,8 @@ class Settings:
     """Part of the objective that the usual start may lie above the best on the first mesh, to be
     led to the end as well."""
     work: float = 4e6
-    """Iterations times unknowns for one candidate: half a minute or so (measured: 5e-6 to 2e-5 s
-    each)."""
+    """Iterations times unknowns for one candidate, and of a search that has found a plan: half a
+    minute or so (measured: 5e-6 to 2e-5 s each)."""
     regularisation: float = 1e-3
     """Cost of the squared inputs, in nominals and times the weight of the time, that leads to the
     quickest motion of an over-actuated plant (measured: an arm with four muscles takes 130
