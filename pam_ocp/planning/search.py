@@ -1,12 +1,11 @@
-"""The search for a plan: starts on the first mesh of the sequence, the best of them led to the end.
+"""The search for a plan: starts on the first mesh of the sequence, led to the end one by one.
 
 The first verified candidate is kept; others replace it only where they are verified and better. So
-whatever ends the search, there is the best motion so far.
+whatever ends the search, there is the best motion so far, and more starts are never worse.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -33,7 +32,7 @@ from .solvers.ipopt_options import Start
 from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome
 from .stages import stage
-from .starts import Ends, number_of_starts, tasks
+from .starts import Ends, Task, number_of_starts, tasks
 from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
 from .transcription.leading import by_leading
 from .transcription.mesh import Mesh, merged
@@ -98,6 +97,9 @@ class Search:
         self.place = 0.0 if self.nonsmooth else 1.0
         self.continuation = Continuation(engine, self.meshes, self._take, self._is_enough)
         self.found = Found()
+        self._began: list[float] = []
+        """Objectives of the candidates that were led, on the first mesh."""
+        self._first_seconds = 0.0
 
     def best(
         self, near: Solved | None = None, last: Solved | None = None, finer: Sequence[Program] = ()
@@ -131,19 +133,32 @@ class Search:
         if last is not None and self.starts in (None, 1) and self._reused(last, finer):
             return
         given = None if near is None else self._from_near(near)
-        candidates = [] if given is None else [given]
+        if given is not None:
+            self._led(given)
         if given is None or (self.starts or 1) > 1:
-            candidates += self._candidates(near is not None)
-        for count, c in enumerate(self._ordered(candidates)):
-            if count and not self._worth(c, count):
-                continue
-            self._led(c)
-        if candidates and self.found.best is not None:
+            for candidates in self._batches(near is not None):
+                self._lead(candidates)
+                if self._is_enough():
+                    return
+        if self.met or (self.tolerance is None and self.found.best is not None):
             return
         for count, c in enumerate(self._fallbacks()):
-            if count and not self._worth(c, count):
+            if self.met or count >= self.settings.candidates:
                 return
             self._led(c)
+
+    def _lead(self, candidates: list[Candidate]) -> None:
+        """To the end: of those that tie the earliest start first, and only what began better than
+        all that were led before, where one of these is verified.
+        """
+        for c in self._sorted(candidates):
+            if self.met or self.tolerance is None:
+                worth = all(c.objective < before - self._tie(before) for before in self._began)
+            else:
+                worth = len(self._began) < self.settings.candidates
+            if worth and not self._is_enough():
+                self._began.append(c.objective)
+                self._led(c)
 
     def _led(self, c: Candidate) -> None:
         """To the end: by arcs where these were asked for, with held inputs in place of polynomials
@@ -206,40 +221,18 @@ class Search:
         return best is not None and best.check.miss <= self.meshes.tolerance
 
     # ---- candidates -----------------------------------------------------------------------------
-    def _ordered(self, candidates: list[Candidate]) -> list[Candidate]:
-        """The best first; of those that tie the earlier start. Of coarse meshes two are brought to
-        the mesh that was asked for: what is best there need not be so in the end.
-        """
-        candidates = self._sorted(candidates)
-        if len(candidates) < 2 or not self.meshes.is_coarse(candidates[0].mesh):
-            return candidates
-        others = [c for c in candidates[1:] if not self._same(c, candidates[0])][:1]
-        raised = [self.continuation.raised(c) for c in (candidates[0], *others)]
-        coarse = [c for c in raised if self.meshes.is_coarse(c.mesh)]
-        return self._sorted([c for c in raised if c not in coarse]) + coarse
-
     def _sorted(self, candidates: list[Candidate]) -> list[Candidate]:
         least = min((c.objective for c in candidates), default=0.0)
-        tie = self.settings.tie * max(abs(least), 1e-9)
-        return sorted(candidates, key=lambda c: (max(c.objective - least, tie), c.number))
+        return sorted(
+            candidates, key=lambda c: (max(c.objective - least, self._tie(least)), c.number)
+        )
 
-    def _same(self, one: Candidate, other: Candidate) -> bool:
-        apart = abs(one.objective - other.objective)
-        return apart <= self.settings.tie * max(abs(other.objective), 1e-9)
+    def _tie(self, objective: float) -> float:
+        return self.settings.tie * max(abs(objective), 1e-9)
 
-    def _worth(self, c: Candidate, count: int) -> bool:
-        """Whether a further candidate is led to the end: where none is verified, and the usual
-        start where it ended elsewhere, so that more starts are never worse than one.
-        """
-        best = self.found.best
-        if best is None or not self.met:
-            return count < self.settings.candidates
-        if c.number > 0 or best.number == c.number:
-            return False
-        return c.objective <= best.objective + self.settings.near_best * abs(best.objective)
-
-    def _candidates(self, known: bool) -> list[Candidate]:
-        """From openings, and from several starts on the first mesh of the sequence.
+    def _batches(self, known: bool) -> Iterator[list[Candidate]]:
+        """From openings, from the usual guess, from other starts, on the first mesh of the
+        sequence: each batch is led before the next one is solved, so that there is a plan early.
 
         known : whether a plan is given as well.
         """
@@ -247,39 +240,38 @@ class Search:
         opened = None
         if not known and (count > 1 or self._costly):
             opened = self._from_openings()
-        if opened is not None and self._costly:
-            return [opened]
-        found = self._several(max(count - (opened is not None), 1))
         if opened is not None:
-            found.append(opened)
             self.found.outcomes.append(opened.solved.outcome)
-        return found
+            yield [opened]
+            if self._costly:
+                return
+        first, *others = self._tasks(max(count - (opened is not None), 1))
+        yield self._solved([first], 0)
+        if others:
+            yield self._solved(others, 1)
 
-    def _several(self, count: int) -> list[Candidate]:
-        """Solutions from different starts on the first mesh."""
-        engine, mesh = self.engine, self.meshes.ladder[0]
-        own = engine.program(mesh)
+    def _tasks(self, count: int) -> list[Task]:
+        mesh = self.meshes.ladder[0]
+        program = smoothed_at(self.engine.program(mesh), self.place)
+        return tasks(program.problem, mesh, count)
+
+    def _solved(self, starts: list[Task], number: int) -> list[Candidate]:
+        """Solutions from these starts on the first mesh; ``number`` of the first of them."""
+        engine = self.engine
+        own = engine.program(self.meshes.ladder[0])
         program, solver = smoothed_at(own, self.place), engine.solver_of(own)
-        first, *others = tasks(program.problem, mesh, count)
-        begin = time.perf_counter()
-        with stage("starts", f"{count} of them" if count > 1 else "the usual guess"):
-            outcomes = [solver(program, first.guess, first.start)]
-            spent = time.perf_counter() - begin
-            if others and not outcomes[0].stopped:
-                try:
-                    if isinstance(solver, Ipopt):
-                        outcomes += solved_side_by_side(solver, program, others, spent)
-                    else:
-                        outcomes += [solver(program, task.guess, task.start) for task in others]
-                except TimeIsUp:
-                    if not outcomes[0].success:
-                        raise
-        self.found.outcomes = outcomes
-        if not any(outcome.success for outcome in outcomes):
+        with stage("starts", f"{len(starts)} others" if number else "the usual guess"):
+            if isinstance(solver, Ipopt) and len(starts) > 1:
+                outcomes = solved_side_by_side(solver, program, starts, self._first_seconds)
+            else:
+                outcomes = [solver(program, task.guess, task.start) for task in starts]
+        self._first_seconds = outcomes[0].seconds
+        self.found.outcomes += outcomes
+        if self.found.failure is None and not outcomes[0].success:
             self.found.failure = engine.solved(program, outcomes[0])
         return [
             Candidate(engine.solved(program, outcome), self.place, i)
-            for i, outcome in enumerate(outcomes)
+            for i, outcome in enumerate(outcomes, number)
             if outcome.success
         ]
 
@@ -347,7 +339,7 @@ class Search:
             if costly:
                 c = inner.best().best
             else:
-                c = next(iter(inner._several(1)), None) or next(
+                c = next(iter(inner._solved(inner._tasks(1), 0)), None) or next(
                     inner._guessed(engine.first.mesh, 1), None
                 )
         if c is None:

@@ -62,9 +62,6 @@ class Settings:
     """Of different starts that are led to the end, at most, until one is verified."""
     tie: float = 1e-4
     """Relative difference of two objectives up to which they count as one optimum."""
-    near_best: float = 0.02
-    """Part of the objective that the usual start may lie above the best on the first mesh, to be
-    led to the end as well."""
     work: float = 4e6
     """Iterations times unknowns for one candidate, and of a search that has found a plan: half a
     minute or so (measured: 5e-6 to 2e-5 s each)."""

@@ -476,7 +476,7 @@ def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
         plant, [{"x": 0.05}, {"x": 0.075}], bounds=bounds, method=pam.Collocation(15, 3)
     )
     search = search_of(planner)
-    near, (first, *_) = search._from_openings(), search._several(1)
+    near, (first, *_) = search._from_openings(), search._solved(search._tasks(1), 0)
     assert near.objective < 1.01 * first.objective
     low, high = (bounds or {"muscle.command": (-1.0, 1.0)})["muscle.command"]
     solution = near.solved.solution
