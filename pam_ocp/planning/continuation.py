@@ -52,10 +52,13 @@ class Continuation:
         """The last candidate at the end of the path; None where it is blocked before."""
         s, step = self.settings, self.settings.step
         most, blocked, reentered = self.engine.work + s.work, False, False
-        while self.engine.work <= most and not self.is_enough():
-            if c.place == 1.0 and (blocked or not self.meshes.is_coarse(c.mesh)):
+        while True:
+            spent = self.engine.work > most or self.is_enough()
+            if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
-                c = self._corrected(c)
+                c = c if spent else self._corrected(c)
+            if spent:
+                return c if c.place == 1.0 else None
             meshes = [] if blocked else self.meshes.after(c)
             if meshes:
                 finer = self._finer(c, meshes)
@@ -74,7 +77,6 @@ class Continuation:
             step *= s.shrink
             if step < s.least_step:
                 return None
-        return c if c.place >= 1.0 else None
 
     def _finer(self, c: Candidate, meshes: list[tuple[Mesh, str]]) -> Candidate | None:
         """On the first of some meshes that leads to a solution. Along the path costs need not be at

@@ -67,13 +67,16 @@ class Found:
     """Whether a time limit ended the search."""
     outcomes: list[Outcome] = field(default_factory=list)
     """Of the starts."""
+    opened: tuple[Outcome, ...] = ()
+    """Of the start from valve openings, where there was one."""
     first: Solved | None = None
     """The solution on the mesh that was asked for."""
 
     @property
     def figures(self) -> dict[str, Any]:
         """Of the starts, where there were several."""
-        return Ends(tuple(self.outcomes)).figures() if len(self.outcomes) > 1 else {}
+        ends = (*self.outcomes, *self.opened)
+        return Ends(ends).figures() if len(ends) > 1 else {}
 
 
 class Search:
@@ -241,7 +244,7 @@ class Search:
         if not known and (count > 1 or self._costly):
             opened = self._from_openings()
         if opened is not None:
-            self.found.outcomes.append(opened.solved.outcome)
+            self.found.opened = (opened.solved.outcome,)
             yield [opened]
             if self._costly:
                 return
@@ -260,7 +263,7 @@ class Search:
         engine = self.engine
         own = engine.program(self.meshes.ladder[0])
         program, solver = smoothed_at(own, self.place), engine.solver_of(own)
-        with stage("starts", f"{len(starts)} others" if number else "the usual guess"):
+        with stage("starts", f"{len(starts)} more" if number else "the usual guess"):
             if isinstance(solver, Ipopt) and len(starts) > 1:
                 outcomes = solved_side_by_side(solver, program, starts, self._first_seconds)
             else:
