@@ -13,7 +13,7 @@ class Settings:
     depend on the machine.
 
     "Measured" means: on the reference tasks of ``benchmarks/verdict_study.py``, see
-    docs/benchmarks.md.
+    docs/validation.md.
     """
 
     aim: float = 0.8
@@ -55,7 +55,7 @@ class Settings:
     more_intervals: int = 300
     """That one round may add."""
     several: int = 4
-    """Starts where local optima are many (measured, docs/benchmarks.md "From other starts")."""
+    """Starts where local optima are many (measured, docs/validation.md "Local optima")."""
     brought: int = 3
     """Candidates of different starts that are led to the end, at most."""
     tie: float = 1e-4
