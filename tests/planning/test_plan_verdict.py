@@ -232,7 +232,7 @@ def test_what_is_not_verified_says_so_first_of_all():
     assert not plan.success
     assert not plan.verdict
     assert str(plan).startswith("NOT VERIFIED: its replay deviates by")
-    assert f"{plan.replay_error:.2g} of nominal in" in str(plan.verdict)
+    assert f"{plan.replay_error:.2g} (scaled by nominal values) in" in str(plan.verdict)
     assert plan.trajectory["x"][-1] == pytest.approx(0.05)
     assert plan.verdict.tolerance == 1e-3
 
