@@ -12,7 +12,7 @@ class Settings:
     """Numbers of the search for a plan. Limits count work, never seconds: what is found does not
     depend on the machine.
 
-    "Measured" means: on random tasks (``benchmarks/random_tasks.py``), see docs/benchmarks.md.
+    "Measured" means: on random tasks (``benchmarks/random_tasks.py``), see docs/validation.md.
     """
 
     aim: float = 0.8
@@ -57,7 +57,7 @@ class Settings:
     """Of a mesh, up to which one that is more than twice as fine is solved at once: what is far
     finer has other optima."""
     several: int = 4
-    """Starts where local optima are many (measured, docs/benchmarks.md "From other starts")."""
+    """Starts where local optima are many (measured, docs/validation.md "Local optima")."""
     candidates: int = 3
     """Of different starts that are led to the end, at most, until one is verified."""
     tie: float = 1e-4
