@@ -234,22 +234,26 @@ class Search:
         return self.settings.tie * max(abs(objective), 1e-9)
 
     def _batches(self, known: bool) -> Iterator[list[Candidate]]:
-        """From openings, from the usual guess, from other starts, on the first mesh of the
+        """From the usual guess, from openings, from other starts, on the first mesh of the
         sequence: each batch is led before the next one is solved, so that there is a plan early.
+        With costs of work or air openings alone lead anywhere.
 
         known : whether a plan is given as well.
         """
         count = (self.starts or number_of_starts(self.problem.plant)) - known
-        opened = None
-        if not known and (count > 1 or self._costly):
+        if self._costly and not known:
             opened = self._from_openings()
-        if opened is not None:
-            self.found.opened = (opened.solved.outcome,)
-            yield [opened]
-            if self._costly:
+            if opened is not None:
+                yield [opened]
                 return
-        first, *others = self._tasks(max(count - (opened is not None), 1))
+        first, *others = self._tasks(max(count, 1))
         yield self._solved([first], 0)
+        if others and not known:
+            opened = self._from_openings()
+            if opened is not None:
+                self.found.opened = (opened.solved.outcome,)
+                others.pop()
+                yield [opened]
         if others:
             yield self._solved(others, 1)
 
