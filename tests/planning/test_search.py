@@ -93,7 +93,7 @@ def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch:
     plan = planner()()
     assert plan.verified
     path = places(plan)
-    first = [p for p in path if 0.3 < p < refused[0]][0]
+    first = next(p for p in path if 0.3 < p < refused[0])
     assert first - 0.3 == pytest.approx(SETTINGS.shrink * SETTINGS.step, abs=6e-3)  # as printed
 
 
