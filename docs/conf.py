@@ -17,6 +17,7 @@ sys.path[:0] = [str(HERE.parent), str(HERE)]
 import gallery  # noqa: E402
 
 import pam_ocp  # noqa: E402
+from pam_ocp.cli import components  # noqa: E402
 
 project = "pam_ocp"
 author = "The pam_ocp developers"
@@ -56,6 +57,19 @@ nitpicky = True
 
 gallery.make(HERE / "gallery")
 gallery.index(HERE / "gallery")
+
+
+# -- the list of components, from the registries --------------------------------------------------
+
+
+def write_components() -> None:
+    """components.md, which `pam-ocp components --markdown` prints too."""
+    target, text = HERE / "components.md", components.page()
+    if not target.is_file() or target.read_text("utf-8") != text:
+        target.write_text(text, "utf-8")
+
+
+write_components()
 
 
 # -- the reference: a page for each room, a page for each name ------------------------------------

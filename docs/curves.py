@@ -1,4 +1,4 @@
-"""The curves of docs/model.md: ``python docs/curves.py`` draws them anew, by the package itself."""
+"""The curves of docs/model.md and docs/air.md, drawn by the package: ``python docs/curves.py``."""
 
 from __future__ import annotations
 

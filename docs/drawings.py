@@ -1,4 +1,4 @@
-"""The drawings of docs/model.md: ``python docs/drawings.py`` makes them anew."""
+"""The drawings of docs/model.md and docs/air.md: ``python docs/drawings.py`` makes them anew."""
 
 from __future__ import annotations
 

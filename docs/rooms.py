@@ -129,7 +129,7 @@ def drawn(graph: Mapping[str, set[str]]) -> str:
             if not any(other in reachable(graph, via) for via in graph[room] - {other})
         }
         lines += [f"    {room} --> {other}" for other in sorted(direct)]
-    lines += ["```", "", "| room | imports |", "|---|---|"]
+    lines += ["```", "", "| subpackage | imports |", "|---|---|"]
     for level in floors(graph):
         lines += [f"| {room} | {', '.join(sorted(graph[room])) or '-'} |" for room in level]
     return "\n".join(lines)

@@ -78,7 +78,7 @@ class TrajectoryFeedback(ByBlock):
     """u = u(t) - K(t) (x - x(t)) - Ki(t) integral(y - y(t)): a Controller along a motion.
 
     t : (n,) [s]; K : (n, inputs, states), Ki : (n, inputs, integrated), SI units; P : (n, N, N),
-    the solution of the Riccati equation in units of nominal (cost to go = z' P z, z in nominals).
+    the solution of the Riccati equation scaled by nominals (cost to go = z' P z, z in nominals).
     For a plant fed by valves u stands for the openings (``inputs``); commands are sent.
     """
 
@@ -174,8 +174,8 @@ def tvlqr(
     -P' = A'P + P A - P B R^-1 B'P + Q, P(end) = ``final``, solved backwards by SciPy along exact
     A(t), B(t); K = R^-1 B'P.
 
-    weights, effort, integral : see :class:`Weighting`, in units of nominal.
-    final : P at the end (in units of nominal); by default that of the stationary LQR there, so that
+    weights, effort, integral : see :class:`Weighting`, scaled by nominals.
+    final : P at the end (scaled by nominals); by default that of the stationary LQR there, so that
         the plant can be held where the motion ends.
     A plant fed by valves is controlled by its openings, which leave no stretch without influence;
     the motion holds its commands, as a plan does.
@@ -330,7 +330,7 @@ def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
 def _along(
     weighting: Weighting, along: LinearAlong, outputs: list[str]
 ) -> tuple[Array, Array, Array, Array]:
-    """A(t), B(t) with integrals and Q(t), in units of nominal (weighted outputs bend Q), and R."""
+    """A(t), B(t) with integrals and Q(t), scaled by nominals (weighted outputs bend Q), and R."""
     rows = [
         weighting.scaled(a, b, c, outputs)
         for a, b, c in zip(along.A, along.B, along.C, strict=True)

@@ -160,7 +160,7 @@ class BodeCloud:
     """Frequency responses of many plants of one kind.
 
     frequency : (n,) [Hz]. nominal : (n,) complex, responses : (cases, n) complex, SI.
-    points : the points of rest of the cases.
+    points : the equilibria of the cases.
     """
 
     source: str
@@ -190,7 +190,7 @@ def bode_cloud(
     hertz: tuple[float, float] = (0.1, 100.0),
     count: int = 200,
 ) -> BodeCloud:
-    """Responses from an input to a state or output, each case at its own point of rest.
+    """Responses from an input to a state or output, each case at its own equilibrium.
 
     cases : [{"parameters": {...}}], from :func:`pam_ocp.simulation.draws` over a fit's covariance,
     say.
@@ -250,7 +250,7 @@ def gramian(a: Array, b: Array, horizon: float) -> Array:
 
 @dataclass(frozen=True)
 class Stroke:
-    """Measures at points of rest along one variable, in units of nominal.
+    """Measures at equilibria along one variable, scaled by nominals.
 
     reach : (n,) how far the position can be moved within the horizon by inputs of unit energy
         (integral of (u/nominal)^2 = 1 s). weakest : the same in the direction of the states that is
@@ -355,7 +355,7 @@ def mode_map(
     within: Mapping[str, tuple[float, float]] | None = None,
     executor: Place = None,
 ) -> ModeMap:
-    """Modes at the points of rest over two conditions.
+    """Modes at the equilibria over two conditions.
 
     ``mode_map(hanging, {"muscle.command": p, "x": x}, free=["gravity"])`` keeps the mass and lets a
     constant force hold it at every (p, x). conditions, free : see :func:`equilibrium`.

@@ -59,7 +59,7 @@ class HysteresisCompensation:
     compensate : False leaves the memories as they start, for comparison; all else stays.
     stiffness : of a pair, to be held [N/m or N.m/rad], where the reference says none; by default
         that of the plant at its start values.
-    rounding : time [s] over which corners of the reference are rounded off, by a triangular kernel
+    rounding : time [s] over which corners of the reference are smoothed, by a triangular kernel
         of half this width to either side; a corner would ask for an infinite acceleration.
     pressure_time : time constant [s] in which pressures come back to those wanted.
 

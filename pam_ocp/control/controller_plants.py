@@ -140,7 +140,7 @@ def state_feedback_controller(
 
     Parameters
     ----------
-    feedback : from :func:`pam_ocp.lqr`, about a point of rest.
+    feedback : from :func:`pam_ocp.lqr`, about an equilibrium.
     follow : take x0 and u0 from outside, as the inputs ``reference.<state>`` and
         ``feedforward.<command>``, to follow a motion near the point; by default they are the
         tunable parameters ``point.<state>`` and ``feedforward.<command>``.

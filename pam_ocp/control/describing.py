@@ -29,7 +29,7 @@ STEADY = 1e-9
 """A motion repeats itself when a period changes no state by more than this part of its nominal."""
 ITERATIONS = 30
 MOST = 5.0
-"""Longest Newton step towards the periodic motion, in units of nominal."""
+"""Longest Newton step towards the periodic motion, scaled by nominals."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _positive(name: str, values: ArrayLike) -> Array:
 
 
 class _Period:
-    """The map of one period, dx/dtau = T f(x, u0 + A sin(2 pi tau)), in units of nominal."""
+    """The map of one period, dx/dtau = T f(x, u0 + A sin(2 pi tau)), scaled by nominals."""
 
     def __init__(
         self, plant: Plant, source: str, output: str, u: Array, samples: int, rtol: float

@@ -27,7 +27,7 @@ Kind = Literal["reach", "track", "stiffness"]
 RK4_STEPS = 40
 """Steps of rk4 within a sample, beyond which Rodas5P makes two."""
 PARTS = 10
-"""Steps within the longest that rk4 stands: for an error of about 1e-6 of nominal."""
+"""Steps within the longest that rk4 stands: for an error of about 1e-6 (scaled by nominals)."""
 SLOW = 5.0
 """Speed at which a target counts as reached, in tolerances of nominal speeds."""
 
@@ -210,7 +210,7 @@ class _System:
         return moved
 
     def off(self, x: Array, y: Array, target: Array, t: Array) -> Array:
-        """How far the values are from the wanted ones, in units of nominal (n, values)."""
+        """How far the values are from the wanted ones, scaled by nominals (n, values)."""
         at, nominal = self.places
         values = np.concatenate([x, y], axis=-1)[:, at]
         missing: Array = (self.wanted(target, t) - values) / nominal

@@ -1,7 +1,7 @@
 """Controllers and estimators by the name that a problem file gives as their ``kind``.
 
 Each is called with the model (a Plant) and its own arguments by name; those of a controller about a
-point of rest hold ``at``, which is the rest that a run starts from unless a file says another.
+equilibrium hold ``at``, which is the rest that a run starts from unless a file says another.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class Weighting:
             require_instance(name, given, Mapping, words, none=name == "weights")
 
     def checked(self) -> tuple[dict[str, float], Array]:
-        """{weighted state or output: weight} and R, in units of nominal."""
+        """{weighted state or output: weight} and R, scaled by nominals."""
         given = self.weights
         if given is None:
             moved = self.plant.load_positions.items()  # a spool is to move as it likes
@@ -117,7 +117,7 @@ class Weighting:
     def scaled(
         self, a: Array, b: Array, c: Array, all_outputs: list[str]
     ) -> tuple[Array, Array, Array, Array]:
-        """A, B, Q, R in units of nominal, with the integrals of the errors as last states.
+        """A, B, Q, R scaled by nominals, with the integrals of the errors as last states.
 
         c : rows of ``all_outputs`` over the states.
         """
@@ -137,7 +137,7 @@ class Weighting:
         return a, b, q, r
 
     def unscaled(self, k: Array) -> tuple[Array, Array]:
-        """Gains (over states, over integrals) in SI, of gains in units of nominal."""
+        """Gains (over states, over integrals) in SI, of gains scaled by nominals."""
         n = len(self.plant.states)
         effort = self.scales(self.inputs)[:, None]
         return (
@@ -188,7 +188,7 @@ def require_quick(
     """InputError where the feedback, its inputs held over a sample, does not stabilise; a warning
     where all motions of the plant are over within a sample, so that it never acts on one.
 
-    loop : A, B and the gains, in units of nominal. sampled : whether they were designed for held
+    loop : A, B and the gains, scaled by nominals. sampled : whether they were designed for held
     inputs; None: that cannot be chosen.
     """
     a, b, k = loop
@@ -232,13 +232,13 @@ def lqr(
     sample_time: float = 1e-3,
     sampled: bool = False,
 ) -> StateFeedback:
-    """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
+    """The linear-quadratic regulator about an equilibrium; with ``integral``, LQI.
 
     A plant fed by valves is controlled by its openings (``plant.in_openings()``), from closed rest
     too; the commands that give them are sent. ``effort`` may name either. Held memories
     (hysteresis) stick to the motion about the point: K has zeros for them.
 
-    at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal;
+    at : the equilibrium; weights, effort, integral : see :class:`Weighting`, scaled by nominals;
         an input that has its full effect sooner (a servo valve that is open, a slew rate) is
         weighed per a fifth of that.
     setpoint : {integrated output: value} to reach, or a function of time giving one.

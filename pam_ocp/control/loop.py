@@ -121,8 +121,8 @@ class ClosedLoop:
             said.append(f"controller: {self.statistics}")
         if self.prediction_error is not None:
             said.append(
-                f"its predictions are within {self.prediction_error:.1e} of nominal of a finer "
-                "integration"
+                f"its predictions are within {self.prediction_error:.1e} (scaled by nominals) of "
+                "a finer integration"
             )
         return "; ".join(said)
 
@@ -183,7 +183,7 @@ def closed_loop(
     rtol : relative tolerance of the side's integrator, per nominal; FMUs are asked for it.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Raises InputError for what cannot be meant, SimulationError when the side cannot go on. Warns
+    Raises InputError for invalid input, SimulationError when the side cannot go on. Warns
     once, in the words of ``loop.verdict``, where the loop did not do what it was asked: set points
     missed by over 1 % of the stroke and 0.2 % of nominal (over the last tenth of the run), limits
     broken, over 20 % of a solver's calls not converged or any failed, predictions over a sample

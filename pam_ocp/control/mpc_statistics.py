@@ -29,7 +29,7 @@ class MpcStep:
     """Iterations of the interior-point method in all quadratic programs (0 where it is not told).
     """
     last_step: float
-    """Change in the last iteration, in units of nominal: the largest of that of the weighted errors
+    """Change in the last iteration, scaled by nominals: the largest of that of the weighted errors
     (root mean square over the horizon), of the inputs applied, and of violations taken away.
     """
     converged: bool

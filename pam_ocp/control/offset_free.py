@@ -37,7 +37,7 @@ class OffsetFree:
         inputs that the feedback chooses.
 
     x_d, u_d is the rest of the linear model under the estimated disturbance at which the held
-    values are met (of least norm in units of nominal, where there is a choice). When all that is
+    values are met (of least norm scaled by nominals, where there is a choice). When all that is
     held is measured, and as many disturbances are estimated as values measured, nothing is left at
     rest, whatever the true disturbance is: a wrong load, friction, a wrong force law (K. R. Muske
     and T. A. Badgwell, Journal of Process Control 12 (2002) 617-632). It follows a change of the
@@ -106,7 +106,7 @@ class OffsetFree:
     def _rest(self, unknown: list[int]) -> tuple[Array, Array]:
         """How the rest (x_d, u_d) moves with the goal, and with the disturbances [SI].
 
-        [A B; C D] (x_d, u_d) = (-B_d d, goal - D_d d), solved in units of nominal.
+        [A B; C D] (x_d, u_d) = (-B_d d, goal - D_d d), scaled by nominals.
         """
         plant, chosen = self.feedback.point.plant, self._chosen
         system = linearize(plant, self.feedback.point, outputs=self._held, stuck=True)

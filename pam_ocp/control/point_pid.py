@@ -1,4 +1,4 @@
-"""PID on a position about a point of rest: the plain loop that most rigs begin with."""
+"""PID on a position about an equilibrium: the plain loop that most rigs begin with."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Array: TypeAlias = NDArray[np.float64]
 class PointPid(ByBlock):
     """u = u0 + weight (P e + I + D), e = wanted - position: a Controller for :func:`closed_loop`.
 
-    plant : the model. at : the point of rest (an OperatingPoint, or conditions of one), at whose
+    plant : the model. at : the equilibrium (an OperatingPoint, or conditions of one), at whose
         position the loop holds until it is told another (``reference`` of ``closed_loop``).
     proportional, integral, derivative : gains [unit of the inputs per unit of position, per s,
         times s]; of a plant fed by valves, whose openings are the inputs, per opening.
@@ -71,7 +71,7 @@ class PointPid(ByBlock):
         require_plant(self.plant)
         if not isinstance(self.at, OperatingPoint | Mapping):
             raise InputError(
-                f"PointPid: at is a {type(self.at).__name__}; give a point of rest, or conditions "
+                f"PointPid: at is a {type(self.at).__name__}; give an equilibrium, or conditions "
                 "by name such as {'x': 0.04}"
             )
         for name in ("proportional", "integral", "derivative"):
@@ -176,7 +176,7 @@ def point_pid(controller: PointPid, name: str = "pid") -> Block:
     Of a plant with valves the other openings are held where they rest.
     """
     point, inversion = controller.point, controller.inversion
-    draft = Draft(name, controller.sample_time, "PID about a point of rest")
+    draft = Draft(name, controller.sample_time, "PID about an equilibrium")
     weights = controller.shares
     chosen = [
         v

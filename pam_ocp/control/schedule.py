@@ -34,7 +34,7 @@ class ScheduledFeedback(ByBlock):
     grid.
 
     place : t -> {axis: value}, where the plant is to be (position and stiffness, say): it chooses
-    the point of rest and the gains. Values beyond the grid are taken at its border. For a plant fed
+    the equilibrium and the gains. Values beyond the grid are taken at its border. For a plant fed
     by valves u stands for the openings; the commands that give them are sent.
     """
 
@@ -91,7 +91,7 @@ def scheduled_lqr(
     integral: Mapping[str, float] | None = None,
     sample_time: float = 1e-3,
 ) -> ScheduledFeedback:
-    """LQR (LQI with ``integral``) at each point of rest of a grid, interpolated by ``place``.
+    """LQR (LQI with ``integral``) at each equilibrium of a grid, interpolated by ``place``.
 
     axes, conditions : see :func:`linearize_grid`, such as positions and stiffnesses.
     place : t [s] -> {axis: value}. weights, effort, integral : see :class:`Weighting`.

@@ -121,7 +121,7 @@ def side_of(
     """The side that a user named: a Plant, the path of an FMU, or what makes its own (a rig).
 
     model : plant that says of an FMU's variables what they are (None: its own description does).
-    parameters, start : that differ from its own. Raises InputError for what cannot be meant.
+    parameters, start : that differ from its own. Raises InputError for invalid input.
     """
     remedy = "give a Plant, the path of an FMU, or a Rig"
     require_instance("side", real, (Plant, HasSide, str, os.PathLike), remedy)

@@ -278,7 +278,7 @@ def acting(draft: Draft, inversion: Inversion | None, chosen: list[Variable]) ->
 def at_rest(
     draft: Draft, name: str, variables: tuple[Variable, ...] | list[Variable], values: np.ndarray
 ) -> Symbol:
-    """Values at a point of rest, each a parameter ``name.VARIABLE``."""
+    """Values at an equilibrium, each a parameter ``name.VARIABLE``."""
     return ca.vertcat(
         *(
             draft.parameter(
@@ -286,7 +286,7 @@ def at_rest(
                 float(value),
                 unit=v.unit,
                 nominal=v.nominal,
-                description=f"{v.name} at the point of rest",
+                description=f"{v.name} at the equilibrium",
             )
             for v, value in zip(variables, values, strict=True)
         )

@@ -160,7 +160,7 @@ class Step:
         return np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
 
     def expression(self, given: Givens, x: ca.SX, u: ca.SX, q: ca.SX, length: Any = None) -> ca.SX:
-        """The state after the step from x; x and u in units of nominal, q in SI."""
+        """The state after the step from x; x and u scaled by nominals, q in SI."""
         plant = given.plant
         scale = plant.vector("state", attribute="nominal")
         state, control = ca.SX.sym("x", len(scale)), ca.SX.sym("u", len(given.controls))

@@ -440,7 +440,7 @@ class Comparison:
 
     @property
     def largest(self) -> float:
-        """The largest difference of all, in units of nominal."""
+        """The largest difference of all, scaled by nominals."""
         return max(d.relative for d in self.deviations)
 
     def __getitem__(self, name: str) -> Deviation:

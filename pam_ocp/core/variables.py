@@ -22,7 +22,7 @@ Causality = Literal["state", "input", "parameter", "output", "constraint"]
 Memory = Literal["", "held", "settling"]
 
 ROUNDING = 1e-6
-"""A value of a state so little outside its range, in units of nominal, is the end of the range."""
+"""A value of a state so little outside its range, scaled by nominals, is the end of the range."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
 

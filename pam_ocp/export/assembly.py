@@ -154,7 +154,7 @@ def _notes(settings: Settings, content: Content) -> list[str]:
     solver = (
         f"fixed steps of {settings.fixed_step:g} s"
         if settings.fixed_step
-        else f"a tolerance of {settings.tolerance:g} in units of nominal"
+        else f"a tolerance of {settings.tolerance:g} scaled by nominals"
     )
     first = content.notes or [
         f"FMI {settings.fmi}, Model Exchange and Co-Simulation. Co-Simulation integrates with "

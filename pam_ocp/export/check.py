@@ -66,7 +66,7 @@ class FmuCheck:
 
     @property
     def largest(self) -> float:
-        """The largest deviation of all, in units of nominal; 0 when nothing was compared."""
+        """The largest deviation of all, scaled by nominals; 0 when nothing was compared."""
         return max((d for mode in self.deviations.values() for d in mode.values()), default=0.0)
 
     def to_dict(self) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def check_fmu(
     3. Simulation in Co-Simulation and Model Exchange, compared with ``against`` at its times; the
        inputs run between the samples as the trajectory says: held, linear or curved, exactly in
        Model Exchange, in Co-Simulation by lines (FMI 2) or pairs of held values (FMI 3) with the
-       same mean and first moment, to an error of about 1e-8 of nominal. Without a trajectory
+       same mean and first moment, to an error of about 1e-8 (scaled). Without a trajectory
        the two modes are compared with each other over ``duration`` [s], at constant inputs.
     4. Start values of the binary are those of the description, and lie in its ranges.
     5. A state saved, serialised and restored in another instance continues to the last bit.

@@ -276,7 +276,7 @@ def _state_findings(fmu: UnpackedFmu) -> list[str]:
 
 
 def _derivative_findings(fmu: UnpackedFmu) -> list[str]:
-    """Directional derivatives against differences, in units of nominal.
+    """Directional derivatives against differences, scaled by nominals.
 
     At a kink the derivative is that of one side: differences are central and to either side.
     """

@@ -43,7 +43,7 @@ BUDGET = 1e6
 AGREED, OVER = 1e-6, 0.05
 """What two ways to step may differ by over so many seconds, in nominals and of the value."""
 ALIKE = 1e-9
-"""What the library and CasADi may differ by, in units of nominal and of the value: rounding."""
+"""What the library and CasADi may differ by, scaled by nominals and of the value: rounding."""
 
 
 class _Simulation(ctypes.Structure):

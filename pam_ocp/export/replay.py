@@ -56,7 +56,7 @@ class _Played:
 
     def lines(self, k: int, parts: int) -> tuple[Array, Array, float]:
         """Means and slopes (per part) of lines with the inputs' mean and first moment, and how far
-        the inputs are from the lines in units of nominal."""
+        the inputs are from the lines scaled by nominals."""
         begin, size = self.times[k], (self.times[k + 1] - self.times[k]) / parts
         nodes, weights = np.polynomial.legendre.leggauss(self.pieces.shape[1] // 2 + 2)
         place, weights = (nodes + 1) / 2, weights / 2

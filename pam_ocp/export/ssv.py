@@ -70,7 +70,7 @@ def write_muscle_ssv(
     """Write what a muscle brings into a plant (rest length, coefficients of its force law) as SSV,
     for the muscles of these names in an FMU; returns the path.
 
-    Raises InputError for names that cannot be meant.
+    Raises InputError for invalid names.
     """
     chosen = require_names("names", names)
     if not chosen:

@@ -95,7 +95,7 @@ def plot_plan(plan: Plan) -> Figure:
     axes[0, 0].set_title(
         ("" if plan.verified else "NOT VERIFIED: ")
         + f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error {plan.replay_error:.1e} "
-        "of nominal",
+        "scaled by nominal values",
         loc="left",
         fontsize="medium",
     )

@@ -122,7 +122,7 @@ def _point(point: OperatingPoint) -> Sheet:
     ]
     return Sheet(
         f"Operating point of {point.plant.name}",
-        f"{point.stability}; residual {point.residual:.1e} of nominal per second",
+        f"{point.stability}; residual {point.residual:.1e} (scaled by nominal values) per second",
         point.stability != "unstable",
         (
             Grid(("name", "value", "unit", "description"), values),
@@ -165,8 +165,14 @@ def _plan(plan: Plan) -> Sheet:
     if plan.replay:
         worst = plan.replay.constraint
         rows += [
-            ("replay", f"deviates by {plan.replay.error:.2e} of nominal in {plan.replay.state}"),
-            ("limits", f"exceeded by {plan.replay.violation:.2e} of nominal {worst}".rstrip()),
+            (
+                "replay",
+                f"deviates by {plan.replay.error:.2e} (scaled by nominals) in {plan.replay.state}",
+            ),
+            (
+                "limits",
+                f"exceeded by {plan.replay.violation:.2e} (scaled by nominals) {worst}".rstrip(),
+            ),
         ]
     return Sheet(
         f"Plan of {plan.plant.name}",

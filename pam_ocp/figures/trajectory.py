@@ -154,7 +154,7 @@ def _pressure_scale(figure: Figure, axes: list[Any], pressures: Any) -> None:
 def plot_comparison(
     reference: Trajectory, other: Trajectory, names: Sequence[str], labels: tuple[str, str]
 ) -> Figure:
-    """Two trajectories over each other, and their difference in units of nominal below."""
+    """Two trajectories over each other, and their difference scaled by nominals below."""
     figure, axes = new_figure(len(names) + 1, size=(8, 2.0 + 1.6 * len(names)), sharex=True)
     there = other if np.array_equal(reference.t, other.t) else other.at(reference.t)
     for i, (ax, name) in enumerate(zip(axes[:, 0], names, strict=False)):

@@ -100,7 +100,7 @@ def _time(plant: Plant, symbols: Symbols) -> ca.SX:
 
 @running_cost("effort", unit="s", slower_is_less=True)
 def _effort(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Integral of the squared inputs, in units of their nominals."""
+    """Integral of the squared inputs, scaled by nominals."""
     return ca.sumsqr(plant.u / plant.vector("input", attribute="nominal"))
 
 

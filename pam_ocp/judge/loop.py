@@ -1,4 +1,4 @@
-"""What a closed loop did, held against what it was asked to do: from its signals alone."""
+"""What a closed loop did, compared with what it was asked to do: from its signals alone."""
 
 from __future__ import annotations
 

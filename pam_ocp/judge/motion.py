@@ -47,7 +47,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something asked for that the motion does not keep. by : in units of nominal.
+    """Something asked for that the motion does not keep. by : scaled by nominals.
 
     Examples
     --------
@@ -80,13 +80,13 @@ class Judgement:
     stopped: str = ""
     """Where the integration could not go on."""
     error: float = float("nan")
-    """Largest deviation of a state from the motion that was claimed, in units of nominal."""
+    """Largest deviation of a state from the motion that was claimed, scaled by nominals."""
     state: str = ""
     """The state that deviates most."""
 
     @property
     def violation(self) -> float:
-        """The worst that counts, in units of nominal."""
+        """The worst that counts, scaled by nominals."""
         return float("inf") if self.stopped else max((f.by for f in self._counted), default=0.0)
 
     @property

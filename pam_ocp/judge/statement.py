@@ -50,7 +50,7 @@ class Stop:
         so, where an input sets the acceleration at once); False makes it a via point. None follows
         the plan's own ``rest``.
     dwell : how long the motion stays [s], or (shortest, longest); all named values are then held.
-    within : how far they may stray during the dwell, in units of their nominals.
+    within : how far they may stray during the dwell, scaled by nominals.
 
     Examples
     --------

@@ -9,7 +9,7 @@ from ..core.shown import shown
 __all__ = ["TOLERANCE", "Verdict"]
 
 TOLERANCE = 1e-3
-"""What a plan is judged by where nothing else is asked for, in units of nominal."""
+"""What a plan is judged by where nothing else is asked for, scaled by nominals."""
 
 
 GROWTH = 1e3
@@ -36,17 +36,17 @@ class Verdict:
     solved: bool
     """Whether the solver converged."""
     error: float
-    """Largest deviation of the replay from the plan at its points, in units of nominal."""
+    """Largest deviation of the replay from the plan at its points, scaled by nominals."""
     state: str
     """The state that deviates most."""
     violation: float
     """Largest violation along the replay of bounds and path constraints (between the points too),
-    of the stops' conditions, the closing of a cycle and budgets, in units of nominal.
+    of the stops' conditions, the closing of a cycle and budgets, scaled by nominals.
     """
     constraint: str
     """What is violated most ("" when nothing is)."""
     tolerance: float
-    """Of the error and of the violation, in units of nominal."""
+    """Of the error and of the violation, scaled by nominals."""
     ended: str = ""
     """What broke off the search for a better plan: then none is verified."""
     local: float = float("nan")
@@ -91,10 +91,14 @@ class Verdict:
         within = f"{self.tolerance:.0e}".replace("e-0", "e-")
         failed = []
         if not self.error <= self.tolerance:
-            failed.append(f"its replay deviates by {self.error:.2g} of nominal in {self.state}")
+            failed.append(
+                f"its replay deviates by {self.error:.2g} (scaled by nominal values) in "
+                f"{self.state}"
+            )
         if not self.violation <= self.tolerance:
             failed.append(
-                f"its replay violates {self.constraint} by {self.violation:.2g} of nominal"
+                f"its replay violates {self.constraint} by {self.violation:.2g} "
+                "(scaled by nominal values)"
             )
         if self.ended:
             failed.insert(0, f"{self.ended} before the search was done")
@@ -105,7 +109,8 @@ class Verdict:
         if self.begins:
             more += f"; it does not begin at rest, as was said ({', '.join(self.begins)})"
         return (
-            f"verified: its replay agrees to {self.error:.1e} of nominal and keeps all limits to "
+            f"verified: its replay agrees to {self.error:.1e} (scaled by nominal values) and keeps "
+            "all limits to "
             f"{self.violation:.1e}, within {within}{more}"
         )
 

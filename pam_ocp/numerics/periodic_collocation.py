@@ -26,13 +26,13 @@ __all__ = ["Orbit", "Periodic", "Row"]
 S = TypeVar("S", bound=System)
 
 COLLAPSED = 1e-5
-"""Below this amplitude, in units of nominal, a closed motion is a point of rest."""
+"""Below this amplitude, scaled by nominals, a closed motion is an equilibrium."""
 
 SHRUNK = 0.05
 """A failed search whose motion has shrunk to this part of the guess was on the way to rest."""
 
 COLLAPSE = (
-    "it collapses to a point of rest; start from a larger oscillation, or choose parameters beyond "
+    "it collapses to an equilibrium; start from a larger oscillation, or choose parameters beyond "
     "the Hopf border"
 )
 
@@ -41,7 +41,7 @@ COLLAPSE = (
 class Orbit:
     """A closed motion in scaled numbers.
 
-    mesh : (n + 1,) from 0 to 1. z : (n, degree, nx) states in units of nominal at the Radau points.
+    mesh : (n + 1,) from 0 to 1. z : (n, degree, nx) states scaled by nominals at the Radau points.
     period [s]; lam : the varying value in units of its nominal.
     """
 
@@ -57,7 +57,7 @@ class Orbit:
 
     @property
     def swing(self) -> float:
-        """The largest distance between two values of a state, in units of nominal."""
+        """The largest distance between two values of a state, scaled by nominals."""
         return float(np.max(np.ptp(self.z, axis=(0, 1))))
 
     def at(self, s: Array, order: int = 0) -> Array:
@@ -127,7 +127,7 @@ class Periodic(Generic[S]):
         names = [v.name for v in (*plant.inputs, *plant.parameters)]
         self.place = np.zeros(len(names))
         self.lam = 0.0
-        """The plant's own value of what varies, in units of nominal (0 when nothing does)."""
+        """The plant's own value of what varies, scaled by nominals (0 when nothing does)."""
         if self.variable is not None:
             # constants and place * lam add up: the varying one stands in place alone
             i = names.index(self.variable.name)
@@ -243,7 +243,7 @@ class Periodic(Generic[S]):
 
     # ---- the mesh -----------------------------------------------------------------------------
     def errors(self, orbit: Orbit) -> Array:
-        """Estimated error of each interval in units of nominal: the defect between the points."""
+        """Estimated error of each interval scaled by nominals: the defect between the points."""
         inner = np.concatenate([[0.0], radau(self.degree)])
         s = fractions(orbit.mesh, (inner[:-1] + inner[1:]) / 2)
         values = self.constants + self.place * orbit.lam

@@ -1,4 +1,4 @@
-"""Points of rest, paths of them, and linear systems there."""
+"""Equilibria, paths of them, and linear systems there."""
 
 from ..core.lazy import from_stub
 

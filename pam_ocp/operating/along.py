@@ -1,4 +1,4 @@
-"""Points of rest along a varying value, and their eigenvalues."""
+"""Equilibria along a varying value, and their eigenvalues."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["StabilityPath", "stability_path"]
 
 @dataclass(frozen=True)
 class StabilityPath:
-    """Points of rest along the values of a parameter or an input, and their eigenvalues.
+    """Equilibria along the values of a parameter or an input, and their eigenvalues.
 
     Examples
     --------
@@ -45,7 +45,7 @@ class StabilityPath:
     eigenvalues: NDArray[np.complex128]
     """(n, states but held memories) [1/s]; a column follows one eigenvalue along the path."""
     scaled: Array
-    """(n, states + inputs) in units of nominal."""
+    """(n, states + inputs) scaled by nominals."""
 
     @property
     def growth(self) -> Array:
@@ -54,7 +54,7 @@ class StabilityPath:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether each point of rest is stable."""
+        """Whether each equilibrium is stable."""
         return np.asarray(self.growth < 0)
 
     @turns
@@ -129,13 +129,13 @@ def stability_path(
 
 
 def _first(rest: VariedRest, value: float) -> Array:
-    """Scaled point of rest at a value, from nothing. Raises EquilibriumError."""
+    """Scaled equilibrium at a value, from nothing. Raises EquilibriumError."""
     point = equilibrium(rest.plant, rest.given(value))
     return np.asarray(np.concatenate([point.x, point.u]) / rest.nominal)
 
 
 def _next(rest: VariedRest, z: Array, value: float) -> Array:
-    """Point of rest at a value, continued from a near one; from nothing where that fails."""
+    """Equilibrium at a value, continued from a near one; from nothing where that fails."""
     try:
         lam = value / rest.variable.nominal
         found, _ = newton(casadi_equations(rest.function, lam, rest.constants), z)

@@ -1,4 +1,4 @@
-"""A branch of points of rest, followed round its folds by its arc length."""
+"""A branch of equilibria, followed round its folds by its arc length."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def equilibrium_branch(
     time_limit: float | None = None,
     **more: Any,
 ) -> EquilibriumPath:
-    """Points of rest while one variable runs from ``start`` towards ``stop``, round folds.
+    """Equilibria while one variable runs from ``start`` towards ``stop``, round folds.
 
     ``equilibrium_branch(plant, "mass", 5.0, 60.0, {"muscle.command": 3e5})``: as
     :func:`equilibrium_path`, but by pseudo-arclength continuation (H. B. Keller, in Applications of
     Bifurcation Theory, Academic Press 1977, 359-384): where the branch turns back, the variable
     runs backwards along it, and stable points become unstable or the other way round.
 
-    step, longest : first and longest step along the branch, in units of nominal of all states,
+    step, longest : first and longest step along the branch, scaled by nominals of all states,
         inputs and the variable together; steps follow the branch's curvature.
     memory : what hysteresis keeps, the same along the branch; see :func:`equilibrium`.
 
@@ -66,7 +66,7 @@ def equilibrium_branch(
     time_limit : [s]; when it is over, the path so far is returned, and ``path.end`` says so
         (OutOfTime before the first point).
 
-    Raises InputError for bad conditions, EquilibriumError when there is no point of rest at
+    Raises InputError for bad conditions, EquilibriumError when there is no equilibrium at
     ``start``.
 
     Examples
@@ -125,7 +125,7 @@ def equilibrium_branch(
 class _Branch:
     """The equations of rest without the condition on the variable: one unknown more than equations.
 
-    A place w holds states, inputs and free variables in units of nominal.
+    A place w holds states, inputs and free variables scaled by nominals.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class _Branch:
         return self.of(w)[0] * self.variable.nominal
 
     def rate(self, w: Array, tangent: Array) -> float:
-        """Change of the variable along the branch, in units of nominal."""
+        """Change of the variable along the branch, scaled by nominals."""
         return float(self.of(w)[1] @ tangent)
 
     def leaves(self, w: Array) -> str:

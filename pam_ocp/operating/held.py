@@ -28,7 +28,7 @@ LONG = 300.0
 PLACES = 41
 """Values of a state, all over its range, at which it is asked whether it would stay."""
 APART = 0.05
-"""Distance from where it came to, in units of nominal, that counts as elsewhere."""
+"""Distance from where it came to, scaled by nominals, that counts as elsewhere."""
 IDLE = 1e-6
 """Rates [nominal/s] at which a plant stays."""
 QUICK, SLOW = 1.0, 0.1

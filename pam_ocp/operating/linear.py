@@ -1,6 +1,6 @@
 """Linearisation: from a plant to python-control, by exact Jacobians.
 
-At a point (continuous or sampled), along a motion (A(t), B(t)), or over a grid of points of rest
+At a point (continuous or sampled), along a motion (A(t), B(t)), or over a grid of equilibria
 (a family to interpolate in).
 """
 
@@ -47,7 +47,7 @@ Array: TypeAlias = NDArray[np.float64]
 NO_SLOPE = 1e-12
 """In units of nominal: smaller slopes move nothing."""
 OFF_REST = 1e-4
-"""Rates [of nominal per second] that are still those of a point of rest."""
+"""Rates [of nominal per second] that are still those of an equilibrium."""
 Matrices: TypeAlias = tuple[Array, Array, Array, Array]
 
 
@@ -68,7 +68,7 @@ def point_of(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Plant, A
 
 
 def inside(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Inversion, OperatingPoint]:
-    """The plant's inversion, and a point of rest of the plant in openings.
+    """The plant's inversion, and an equilibrium of the plant in openings.
 
     at : a point (with commands or openings), or conditions of rest.
     """
@@ -124,7 +124,7 @@ def warn_off_rest(plant: Plant, x: Array, u: Array) -> None:
         f"linearize: {plant.name!r} does not rest at this point: {worst.name} changes by "
         f"{rates[int(np.argmax(sizes))] / worst.display_factor:.4g} {unit}. The linear system "
         "holds for small deviations from the motion through it, as long as that stays near; "
-        "plant.equilibrium(...) gives points of rest",
+        "plant.equilibrium(...) gives equilibria",
         stacklevel=outside(),
     )
 
@@ -232,7 +232,7 @@ def held(a: Array, b: Array, nominal: Array, dt: float) -> tuple[Array, Array]:
     """A and B of x[k+1] = A x[k] + B u[k] for inputs held over dt, exact (matrix exponential)."""
     from scipy.signal import cont2discrete
 
-    # states in units of nominal: Pa beside m would cost the exponential its small entries
+    # states scaled by nominals: Pa beside m would cost the exponential its small entries
     scaled = a * nominal / nominal[:, None], b / nominal[:, None]
     n, m = b.shape
     discrete = cont2discrete((*scaled, np.zeros((1, n)), np.zeros((1, m))), dt, method="zoh")
@@ -263,7 +263,7 @@ def linearize(
         moves between the two it follows the opening as if there were no dead zone behind it.
     dt : sampling time [s] for a discrete system x[k+1] = A x[k] + B u[k], exact for inputs held
         over each sample; None for a continuous one.
-    stuck : leave out held memories (hysteresis). In small motion about a point of rest they stick
+    stuck : leave out held memories (hysteresis). In small motion about an equilibrium they stick
         and are springs; as states they bring a pole at zero each that no input reaches, and design
         by Riccati equations wants them out (``lqr`` and ``kalman`` see to it themselves). Transfer
         functions are the same; see :mod:`pam_ocp.operating.stuck`.
@@ -416,7 +416,7 @@ def linearize_along(
 # ---- over a grid --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class LinearGrid:
-    """A family of linear systems over a grid of points of rest: ``family(x=0.002)`` interpolates.
+    """A family of linear systems over a grid of equilibria: ``family(x=0.002)`` interpolates.
 
     axes : {name: (n_i,) rising values}. points : array of OperatingPoint of shape (n_1, n_2, ...).
     A, B, C, D : (n_1, n_2, ..., rows, columns).
@@ -509,7 +509,7 @@ def linearize_grid(
     outputs: Sequence[str] | None = None,
     memory: Memory = "virgin",
 ) -> LinearGrid:
-    """Linear systems at the points of rest over a grid of conditions, to interpolate in.
+    """Linear systems at the equilibria over a grid of conditions, to interpolate in.
 
     axes : {name: at least two rising values} of states, inputs, outputs or parameters, as
         conditions of :func:`equilibrium`: ``{"x": [-0.01, 0, 0.01], "stiffness": [1.8e4, 2.4e4]}``.

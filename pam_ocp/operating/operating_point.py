@@ -42,7 +42,7 @@ class OperatingPoint:
     x: Array
     u: Array
     residual: float = field(default=0.0)
-    """Largest |xdot| in units of nominal per second (0 at an equilibrium) of all that must vanish
+    """Largest scaled |xdot| [1/s] (0 at an equilibrium) of all that must vanish
     at rest: held memories keep any value of their range.
     """
 

@@ -29,7 +29,7 @@ Expressions: TypeAlias = Mapping[str, tuple[ca.SX, float]]
 R = TypeVar("R", bound="Rest")
 
 TOLERANCE = 1e-9
-"""Largest residual of an equilibrium, in units of nominal (per second)."""
+"""Largest scaled residual of an equilibrium [1/s]."""
 
 
 class Rest:
@@ -145,7 +145,7 @@ class Rest:
         return value.ravel()
 
     def equations(self, w: Array) -> tuple[Array, Array]:
-        """(residual, Jacobian) at unknowns in units of nominal."""
+        """(residual, Jacobian) at unknowns scaled by nominals."""
         found = self.function(w * self.nominal, self.p)
         residual, jacobian = (np.asarray(m, dtype=float) for m in found)
         return residual.ravel(), jacobian * self.nominal

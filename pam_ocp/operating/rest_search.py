@@ -1,4 +1,4 @@
-"""The search for points of rest within the bounds, from nothing: IPOPT from several starts."""
+"""The search for equilibria within the bounds, from nothing: IPOPT from several starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Equilibria: the points of rest of a plant under conditions, within the variables' bounds."""
+"""Equilibria of a plant under conditions, within the variables' bounds."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def equilibrium(
     memory: Memory = "virgin",
     **more: Any,
 ) -> OperatingPoint:
-    """The point of rest that meets conditions on states, inputs, outputs (or parameters).
+    """The equilibrium that meets conditions on states, inputs, outputs (or parameters).
 
     ``equilibrium(plant, x=0.0, stiffness=2e4)``; values of parameters replace the plant's. As many
     conditions are needed as the plant has inputs (each condition fixes one freedom of rest);
@@ -196,7 +196,7 @@ def _beyond(search: Search, point: Array, name: str) -> list[str]:
 def _tried(
     search: Search, name: str, value: float, point: Array, high: Array
 ) -> tuple[float, Array] | None:
-    """The value as it will be printed, and the point of rest there; None when there is none.
+    """The value as it will be printed, and the equilibrium there; None when there is none.
 
     A printed value is rounded: where that leads beyond the border of what is possible, it goes a
     little further from the value that was given.

@@ -1,4 +1,4 @@
-"""Several points of rest: all that a search finds, and paths of them along a variable."""
+"""Several equilibria: all that a search finds, and paths of them along a variable."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Array: TypeAlias = NDArray[np.float64]
 STEPS = 4
 """From the virgin point of a band to its end."""
 SAME = 1e-6
-"""Equilibria nearer to each other than this (in units of nominal) are one."""
+"""Equilibria nearer to each other than this (scaled by nominals) are one."""
 
 
 @verb
@@ -41,16 +41,16 @@ def equilibria(
     time_limit: float | None = None,
     **more: Any,
 ) -> Equilibria:
-    """All points of rest under conditions that a search from many starts finds, each once.
+    """All equilibria under conditions that a search from many starts finds, each once.
 
     Arguments as in :func:`equilibrium`; ``starts`` points are spread over the bounds (a state or
     input without bounds: five nominals to either side of its start). Sorted by their states; see
     ``point.stability`` and ``point.poles``. A search by samples: it can miss one with a small
     basin.
 
-    With hysteresis there is a point of rest for all that it may keep, in bands. Without ``memory``
+    With hysteresis there is an equilibrium for all that it may keep, in bands. Without ``memory``
     the virgin point of each band is returned, and ``.bands`` holds their ends; with it (see
-    :func:`equilibrium`) the points of rest with just that memory. Raises InputError for bad
+    :func:`equilibrium`) the equilibria with just that memory. Raises InputError for bad
     conditions, EquilibriumError when there is none.
 
     time_limit : [s]; when it is over, what was found is returned (without bands), and ``.ended``
@@ -84,7 +84,7 @@ def equilibria(
 
 
 def _search_from(search: Search, guess: Array, found: list[Array]) -> None:
-    """Add the point of rest to which a guess leads, unless it is there."""
+    """Add the equilibrium to which a guess leads, unless it is there."""
     for rough in (search.newton(guess, steps=30), search.nearest(guess)):
         point = search.converged(rough)
         if point is None:
@@ -104,7 +104,7 @@ def _band(search: Search, point: OperatingPoint) -> Band:
 
 
 def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> OperatingPoint | None:
-    """The point of rest with another memory, on the way there from a point; None outside bounds."""
+    """The equilibrium with another memory, on the way there from a point; None outside bounds."""
     z = rest.vector(point)
     other = rest
     for share in np.linspace(0, 1, STEPS + 1)[1:]:
@@ -120,7 +120,7 @@ def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> Oper
 @shown
 @dataclass(frozen=True)
 class Band:
-    """The points of rest that differ in what hysteresis keeps, by its ends and its virgin point."""
+    """The equilibria that differ in what hysteresis keeps, by its ends and its virgin point."""
 
     virgin: OperatingPoint
     """Nothing has slid yet."""
@@ -149,7 +149,7 @@ class Band:
 
 @shown
 class Equilibria(list[OperatingPoint]):
-    """Points of rest, a list; with hysteresis ``bands`` tells the band that each one stands for.
+    """Equilibria, a list; with hysteresis ``bands`` tells the band that each one stands for.
 
     ended : why the search was broken off; "" when it was not.
     """
@@ -164,13 +164,13 @@ class Equilibria(list[OperatingPoint]):
         self.bands, self.ended = bands, ended
 
     def _brief(self) -> str:
-        return f"{len(self)} points of rest" + (f" of {self[0].plant.name}" if self else "")
+        return f"{len(self)} equilibria" + (f" of {self[0].plant.name}" if self else "")
 
 
 @shown
 @dataclass(frozen=True)
 class EquilibriumPath:
-    """Points of rest along one variable; ``path["x"]`` gives a value at each of them [SI]."""
+    """Equilibria along one variable; ``path["x"]`` gives a value at each of them [SI]."""
 
     name: str
     values: Array
@@ -202,7 +202,7 @@ def equilibrium_path(
     time_limit: float | None = None,
     **more: Any,
 ) -> EquilibriumPath:
-    """Points of rest while one variable (condition or parameter) runs through values, in order.
+    """Equilibria while one variable (condition or parameter) runs through values, in order.
 
     ``equilibrium_path(plant, "mass", np.linspace(5, 60, 40), {"muscle.command": 3e5})``. Each point
     starts from its neighbour, so the path stays on one branch; it ends where that branch leaves the

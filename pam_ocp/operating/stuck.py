@@ -1,4 +1,4 @@
-"""Small motion about a point of rest with memory: friction elements stick and are springs.
+"""Small motion about an equilibrium with memory: friction elements stick and are springs.
 
 At rest the rate of a held memory z is a slope times a velocity, z' = G v, and the positions' rates
 are q' = T v; so z - M q with M T = G never changes, whatever the inputs do. To first order every
@@ -40,7 +40,7 @@ class Stuck:
 
     @classmethod
     def of(cls, plant: Plant, a: Array, b: Array, inputs: Sequence[str] | None = None) -> Stuck:
-        """Of a plant whose Jacobians at a point of rest are A (nx, nx) and B (nx, inputs).
+        """Of a plant whose Jacobians at an equilibrium are A (nx, nx) and B (nx, inputs).
 
         inputs : those that B has columns for; by default all.
         A memory that is not bound to the motion (of a plant of one's own) stays as it is: slope 0.

@@ -21,11 +21,11 @@ from ..numerics.collocation import HIGHEST_DEGREE
 from .arcs import BY_ARCS, FORM
 from .arcs_found import Chains, Section, Touch, limits_of, merged, sections
 from .arcs_problem import LONGEST, SHORTEST, Divided, by_sections, centred
+from .candidate import Engine
 from .checked import Checked
 from .replay import interval_errors
 from .result import Solved
-from .run import Run
-from .solvers.backend import Backend
+from .transcription.guess import from_solution
 from .transcription.mesh import Interval, Mesh, watched
 from .transcription.solution import pack
 from .transcription.transcription import Program, later, transcribe
@@ -77,17 +77,15 @@ class ArcSearch:
         self,
         first: Solved,
         tolerance: float,
-        backend: Backend,
+        engine: Engine,
         taken: Callable[[Solved], Checked | None],
     ) -> None:
-        self.first, self.tolerance, self.backend, self.taken = first, tolerance, backend, taken
+        self.first, self.tolerance, self.engine, self.taken = first, tolerance, engine, taken
         self.problem = first.program.problem
         self.helped = centred(
             self.problem, first.outcome.objective, float(np.sum(first.solution.durations))
         )
         self.chains = Chains(self.problem)
-        self.iterations = 0
-        """That ``taken`` has not counted."""
         self.spent = 0
         """On programs by arcs."""
 
@@ -117,11 +115,21 @@ class ArcSearch:
         known = near.program.mesh == mesh and mesh.form in (FORM, BY_ARCS)
         if known and near.multiplied:
             return near
-        run = Run(transcribe(self.problem, Mesh(mesh.intervals, FORM)), self.backend)
-        found = run.refined(near)
-        self.iterations += found.outcome.iterations
-        self.spent += found.outcome.iterations
+        found = self._from(transcribe(self.problem, Mesh(mesh.intervals, FORM)), near)
         return found if found.outcome.success else None
+
+    def _from(self, program: Program, near: Solved) -> Solved:
+        """A program from the solution of another; where that fails, from there with the barrier of
+        a cold start.
+        """
+        why = ("arcs", "intervals that end where inputs switch")
+        found = self.engine.onto(program, near, 1.0, why)
+        self.spent += found.outcome.iterations
+        if not found.outcome.ended:
+            guess = from_solution(program.problem, program.mesh, near.solution)
+            found = self.engine.solve(program, 1.0, guess, "cold", why)
+            self.spent += found.outcome.iterations
+        return found
 
     # ---- one structure --------------------------------------------------------------------------
     def _by(self, found: Sequence[Section], guess: Solved) -> tuple[Divided, Checked | None]:
@@ -135,16 +143,12 @@ class ArcSearch:
                 return arcs, best
             if self.spent > BUDGET:
                 break
-            run = Run(program, self.backend)
-            start = replace(near, solution=arcs.there(near.solution))
-            solved = run.refined(start)
-            self.spent += solved.outcome.iterations
+            solved = self._from(program, replace(near, solution=arcs.there(near.solution)))
             if not solved.outcome.success:
                 return arcs, best
             again = _changed(arcs, solved)
             near = self._original(arcs, solved)
             if again is not None:
-                self.iterations += solved.outcome.iterations
                 arcs = self._arcs(again, near)
                 mesh = arcs.mesh(_degrees(arcs.sections))
                 continue

@@ -11,16 +11,17 @@ from ..judge.motion import judge
 from ..judge.statement import Statement
 from ..judge.verdict import TOLERANCE
 from ..simulation.simulator import evaluated
+from .candidate import Candidate
 from .checked import Checked
-from .climb import Climb
-from .correction import Corrected
-from .refine import Refinement
+from .mesh_sequence import scale
 from .result import Plan, Solved, motion_of
+from .search import Search
 from .solvers.diagnosis import Conflict
 from .transcription.mesh import Mesh
 
 __all__ = ["assembled", "trust"]
 
+HELD = "polynomial inputs did not meet the tolerance, so inputs are held constant on each interval"
 BETWEEN = "costs are counted at the points of the mesh, so plan on a finer one"
 
 
@@ -82,31 +83,33 @@ def assembled(
     )
 
 
-def trust(refinement: Refinement, climb: Climb, tolerance: float | None) -> dict[str, Any]:
-    """Figures of how far an economical objective has settled, of whether the mesh's defects were
-    corrected, and what did not go as asked.
+def trust(search: Search, best: Candidate, tolerance: float | None) -> dict[str, Any]:
+    """Figures of how far a minimum-energy objective has converged, of whether the mesh's defects
+    were corrected, and what did not go as asked.
     """
     figures: dict[str, Any] = {}
-    words = [refinement.warning]
-    if climb.rungs and tolerance is not None:
-        best = refinement.best
-        gap, replayed = climb.above(best.found), best.replay.objective
-        figures |= {"objective_change": climb.change, "objective_gap": gap}
+    words = []
+    meshes, mesh = search.meshes, search.engine.first.mesh
+    if (mesh.form.control, best.mesh.form.control) == ("polynomial", "constant"):
+        words.append(HELD)
+    if meshes.economical and tolerance is not None:
+        gap, replayed = meshes.gap(best), best.check.replay.objective
+        figures |= {"objective_change": meshes.change(best), "objective_gap": gap}
         figures["objective_replayed"] = replayed
-        words += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
-        if not climb.inexact(best.found, replayed) <= tolerance:
+        words += [] if gap <= tolerance else [_not_converged(gap, tolerance)]
+        if not abs(replayed - best.objective) / scale(best) <= tolerance:
             words.append(f"along the replay the objective is {replayed:.3g}: {BETWEEN}")
-    if isinstance(refinement.best.found.program, Corrected):
+    if best.is_corrected:
         figures["corrected"] = True
-    if any(words):
-        figures["warning"] = "; ".join(filter(None, words))
+    if words:
+        figures["warning"] = "; ".join(words)
     return figures
 
 
-def _unsettled(gap: float, tolerance: float) -> str:
-    """What is said of an economical objective that finer meshes may yet lower."""
+def _not_converged(gap: float, tolerance: float) -> str:
+    """The note on an objective that finer meshes may yet lower."""
     far = f"{100 * gap:.2g} %" if gap == gap else "an unknown part"
     return (
-        f"the objective has not settled to {tolerance:.0e}: it may lie {far} above its least, "
+        f"the objective has not converged to {tolerance:.0e}: it may lie {far} above its least, "
         "which finer meshes (method=Collocation(intervals)) or a plan as guess may reach"
     ).replace("e-0", "e-")

@@ -31,6 +31,13 @@ class Checked:
         worst = max(self.replay.error, self.replay.violation)
         return float("inf") if np.isnan(worst) else worst
 
+    @property
+    def dynamic(self) -> float:
+        """What a motion that is more exact would mend: the replay's error, and what waypoints,
+        closing and budgets see of it.
+        """
+        return max(self.replay.error, self.replay.missed)
+
     def explained(self, tolerance: float) -> Checked:
         """The same, with what the intervals deviate by where the replay does by more than that."""
         found = self.found

@@ -31,22 +31,19 @@ from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from .arcs import Arcs
 from .assembly import assembled, trust
-from .climb import Climb
+from .candidate import Engine
 from .keywords import SEARCH, PlanKeywords, require_known
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
-from .refine import CLOSER, Refinement
-from .renewal import renewed
-from .result import Plan
-from .run import Run
-from .search import Search
-from .settling import Settling
-from .shortcuts import carried
+from .result import Plan, Solved
+from .reuse import renewed
+from .search import Found, Search
+from .settings import SETTINGS
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import advice, explanation
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
-from .stages import Stage, as_data, recorded, stage
+from .stages import Stage, as_data, recorded
 from .starts import MOST
 from .transcription.mesh import Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
@@ -313,7 +310,7 @@ class Planner:
         starts: int | None,
         changed: Mapping[str, Any],
         time_limit: float | None,
-        stages: Sequence[Stage],
+        stages: list[Stage],
     ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
@@ -323,111 +320,86 @@ class Planner:
             require_count("starts", starts, 1, MOST)
         program = self._with(values, changed)
         statement = replace(self._statement, **changed)
-        run = Run(program, self._backend, self._solver)
-        figures: dict[str, Any] = {}
-        climb = Climb(self._backend)
-        said = statement, climb, figures, stages, begin, tolerance
-        assemble = functools.partial(self._assembled, *said)
-        if tolerance is not None and guess is not None and starts in (None, 1):
-            finer = self._carried(program, guess, tolerance, climb)
-            if finer is not None:
-                return self._result(finer, assemble, tolerance)
-        search = Search(run, statement, climb, starts, tolerance, figures)
+        engine = Engine(program, self._solver, self._backend, stages, SETTINGS)
+        search = Search(engine, statement, starts, tolerance)
+        near, last = (guess._near(program), guess._solved) if guess is not None else (None, None)
         try:
-            found = search.found(guess)
+            found = search.best(near, last, self._finer)
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
             raise _nothing_yet(program.problem.plant, advice(program)) from None
-        outcome, build = found[0].outcome, self._build_seconds
-        figures["iterations"] = outcome.iterations
-        if not outcome.success:
-            figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
-            figures["stages"] = as_data(stages)
-            failed = assembled(found[0], statement, figures, conflicts=run.conflicts)
-            words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
-            raise PlanError(words, failed)
-        settling = Settling(search)
-        refinement = settling.brought(found)
-        if guess is None:
-            refinement = settling.resolved(refinement)
-        return self._result(refinement, assemble, tolerance)
+        if found.best is None:
+            raise self._failure(found, statement, self._figures(search, begin))
+        first = found.first or (guess._coarse if guess is not None else None)
+        assemble = functools.partial(self._assembled, statement, search, begin, tolerance, first)
+        return self._result(search, assemble, tolerance)
 
-    def _carried(
-        self, program: Program, guess: Plan, tolerance: float, climb: Climb
-    ) -> Refinement | None:
-        """On the finer mesh of a neighbour's plan, from its multipliers; None where there is none,
-        or it is not fine enough for these numbers.
-        """
-        near, wanted = guess._solved, (self._backend, tolerance)
-        try:
-            check = carried(program.problem, near, self._finer, wanted, climb)
-        except TimeIsUp:
-            return None
-        if check is None:
-            return None
-        refinement = Refinement(check, tolerance, self._backend)
-        refinement.first = guess._coarse or check.found
-        refinement.meshes.insert(0, program.mesh)
-        refinement.warn()
-        return refinement
+    def _failure(self, found: Found, statement: Statement, figures: Mapping[str, Any]) -> PlanError:
+        """Why there is no plan."""
+        assert found.failure is not None
+        program, outcome = found.failure.program, found.failure.outcome
+        outcome = replace(outcome, advice="" if outcome.stopped else advice(program))
+        failure = replace(found.failure, outcome=outcome)
+        failed = assembled(failure, statement, figures, conflicts=found.conflicts)
+        words = explanation(failed.plant.name, outcome, found.conflicts, found.feasible)
+        return PlanError(words, failed)
 
     def _result(
-        self,
-        refinement: Refinement,
-        assembled: Callable[[Refinement], Plan],
-        tolerance: float | None,
+        self, search: Search, assembled: Callable[[], Plan], tolerance: float | None
     ) -> Plan:
-        """The plan of what refinement came to; refined further where the judge sees more in what is
+        """The plan of what a search came to; refined further where the judge sees more in what is
         left of its errors than the mesh does (a load that is stiff beside its pressures).
         """
-        result = assembled(refinement)
+        result = assembled()
         for _ in range(STRICTER):
             missed = max(result.verdict.error, result.verdict.violation)
-            if result.verified or tolerance is None or not refinement.met() or refinement.cut:
+            if result.verified or tolerance is None or not search.met or search.found.cut:
                 break
             if not tolerance < missed <= NEARLY * tolerance:
                 break
-            wanted = min(CLOSER * tolerance**2 / missed, refinement.best.miss / 2)
-            with stage("mesh", f"the judge finds {missed:.1g}"):
-                closer = Refinement(refinement.best, max(wanted, LEAST), self._backend)
-            if closer.best is refinement.best:
+            best = search.found.best
+            assert best is not None
+            aim = min(SETTINGS.aim * tolerance**2 / missed, best.check.miss / 2)
+            if not search.closer(max(aim, LEAST)):
                 break
-            refinement = refinement.followed_by(closer)
-            result = assembled(refinement)
+            result = assembled()
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
             warnings.warn(message, PlanWarning, stacklevel=outside())
         return result
 
+    def _figures(self, search: Search, begin: float) -> dict[str, Any]:
+        """Of a search, for a plan's statistics."""
+        stages = search.engine.stages
+        figures = {**search.found.figures, "stages": as_data(stages)}
+        if search.found.cut or deadline().over:
+            figures["ended"] = f"{deadline()} was over"
+        figures["iterations"] = sum(s.iterations for s in stages)
+        seconds = {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
+        return figures | seconds
+
     def _assembled(
         self,
         statement: Statement,
-        climb: Climb,
-        figures: Mapping[str, Any],
-        stages: Sequence[Stage],
+        search: Search,
         begin: float,
         tolerance: float | None,
-        refinement: Refinement,
+        first: Solved | None,
     ) -> Plan:
-        """The plan of a refinement, judged."""
-        figures = {**figures, "stages": as_data(stages)}
-        if refinement.cut or deadline().over:
-            figures["ended"] = f"{deadline()} was over"
-        spent = refinement.iterations + climb.iterations
-        figures["iterations"] = figures.get("iterations", 0) + spent
-        figures |= trust(refinement, climb, tolerance)
-        seconds = {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
-        figures |= seconds
-        meshes, first = tuple(refinement.meshes), refinement.first
+        """The plan of the best candidate, judged."""
+        best = search.found.best
+        assert best is not None
+        figures = self._figures(search, begin) | trust(search, best, tolerance)
+        meshes = best.meshes(search.engine.first.mesh)
         with spared(GRACE):  # what there is to show is judged, whatever the time
-            best = refinement.best.explained(tolerance or TOLERANCE)
-            result = assembled(best.found, statement, figures, best, meshes, first, tolerance)
-        program = best.found.program
+            check = best.check.explained(tolerance or TOLERANCE)
+            plan = assembled(check.found, statement, figures, check, meshes, first, tolerance)
+        program = check.found.program
         known = (self._program, *self._finer)
-        if best.found.multiplied and not any(program.nlp is each.nlp for each in known):
+        if check.found.multiplied and not any(program.nlp is each.nlp for each in known):
             self._finer.append(program)
-        return result
+        return plan
 
     def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
         """The program with other numbers."""

@@ -1,236 +1,444 @@
-"""The search for a plan's solution: which starts, by way of which other problems and meshes.
+"""The search for a plan: starts on the first mesh of the sequence, led to the end one by one.
 
-A plan at large is solved on its mesh from several starts. Economical motions are sought on coarser
-meshes first; with valves in openings, with kinks by way of wide roundings.
+The first verified candidate is kept; others replace it only where they are verified and better. So
+whatever ends the search, there is the best motion so far, and more starts are never worse.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..core.errors import OutOfTime
-from ..core.stop import TimeIsUp, deadline, limited
+from ..core.stop import TimeIsUp, spared
 from ..judge.costs import COSTS
 from ..judge.statement import Statement
-from .approach import Approach, resolvable
-from .climb import Climb, ladder
-from .correction import Corrected
-from .landing import landed
-from .opened import Opened, guess_in_openings
-from .refine import CLOSER
-from .result import Plan, Solved
-from .run import Run
-from .shortcuts import by_coarser
-from .solvers.narrowing import has_kinks, widened
+from .arcs import BY_ARCS, guarded
+from .arcs_search import ArcSearch
+from .candidate import Candidate, Engine
+from .checked import Checked
+from .continuation import Continuation
+from .mesh_sequence import MeshSequence
+from .openings import ValveOpenings
+from .problem.objective import regularised
+from .result import Solved
+from .reuse import renewed, same_form
+from .smoothing import is_nonsmooth, smoothed_at
+from .solvers.diagnosis import Conflict, elastic, resolving
+from .solvers.ipopt_options import Start
+from .solvers.side_by_side import solved_side_by_side
+from .solvers.solver import Ipopt, Outcome
 from .stages import stage
-from .starts import Ends, number_of_starts
-from .transcription.mesh import Mesh
-from .transcription.transcription import transcribe
+from .starts import Ends, Task, number_of_starts, tasks
+from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
+from .transcription.leading import by_leading
+from .transcription.mesh import Mesh, merged
+from .transcription.solution import unpack
+from .transcription.transcription import Program, transcribe
 
-__all__ = ["Search"]
+__all__ = ["Found", "Search"]
 
-APPROACHES = 2
-"""Solutions with wide roundings from which the plant's own are approached, at most."""
-LOOSER = 5.0
-"""Tolerances to which motions with wide roundings settle: what is left is gained with the plant's
-own, on finer meshes than the way there needs.
+Array: TypeAlias = NDArray[np.float64]
+Guess: TypeAlias = tuple[str, Callable[[], Array | None], Start]
+
+GIVEN, LAST = -1, 99
+"""Numbers of the candidates from a given plan, and from openings: before and behind all starts."""
+GRACE = 1.0
+"""Seconds for the replay of a solution that was found when the time was up."""
+PARTS = 4, 2
+"""Intervals in one of meshes that are tried where the first led to nothing: few unknowns, and
+numerical damping.
 """
 
 
-@dataclass(frozen=True)
-class Search:
-    """For solutions of one program, the best first.
+@dataclass
+class Found:
+    """What a search has come to: the best candidate, or the failure that stands for all."""
 
-    run : of the program. statement : what it states. climb : for economical motions. starts :
-    how many, None for the usual number. tolerance : of the plan, None for one mesh only. figures :
-    of the plan; where the starts ended is entered.
+    best: Candidate | None = None
+    failure: Solved | None = None
+    conflicts: tuple[Conflict, ...] = ()
+    feasible: bool = False
+    """Whether a point meets all constraints, from which no solution was found."""
+    cut: bool = False
+    """Whether a time limit ended the search."""
+    outcomes: list[Outcome] = field(default_factory=list)
+    """Of the starts."""
+    opened: tuple[Outcome, ...] = ()
+    """Of the start from valve openings, where there was one."""
+    first: Solved | None = None
+    """The solution on the mesh that was asked for."""
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Of the starts, where there were several."""
+        ends = (*self.outcomes, *self.opened)
+        return Ends(ends).figures() if len(ends) > 1 else {}
+
+
+class Search:
+    """For the best motion of one problem.
+
+    statement : what is stated. starts : how many, None for the usual number. tolerance : of the
+    plan, None for one mesh only.
     """
 
-    run: Run
-    statement: Statement
-    climb: Climb
-    starts: int | None
-    tolerance: float | None
-    figures: dict[str, Any]
+    def __init__(
+        self, engine: Engine, statement: Statement, starts: int | None, tolerance: float | None
+    ) -> None:
+        self.engine, self.statement, self.starts = engine, statement, starts
+        self.tolerance = tolerance
+        self.problem, self.settings = engine.first.problem, engine.settings
+        merges = engine.backend.name == "ipopt"  # another is somebody's choice for such meshes
+        self.meshes = MeshSequence(
+            engine.first.mesh, self.problem, self.settings, tolerance, merges
+        )
+        self.nonsmooth = is_nonsmooth(self.problem)
+        self.place = 0.0 if self.nonsmooth else 1.0
+        self.continuation = Continuation(engine, self.meshes, self._take, self._is_enough)
+        self.found = Found()
+        self._began: list[float] = []
+        """Objectives of the candidates that were led, on the first mesh."""
+        self._first_seconds = 0.0
 
-    def found(self, guess: Plan | None) -> list[Solved]:
-        """Solutions; or the one failure that stands for all.
+    def best(
+        self, near: Solved | None = None, last: Solved | None = None, finer: Sequence[Program] = ()
+    ) -> Found:
+        """From a solution that is near, or from the usual starts.
 
-        With a tolerance, a mesh coarser than the one asked for will do where that leads to nothing.
+        last : the neighbour's solution on its last mesh; finer : programs on such meshes that are
+        kept. Raises TimeIsUp where that came before any solution.
         """
-        program = self.run.program
-        meshes = ladder(program.mesh) if program.problem.objective.economical else []
-        if not meshes or guess is not None:
-            return self._searched(self.run, guess, self.tolerance is not None)
-        opened = self._climbed_in_openings(meshes)
-        if opened is not None:
-            return [opened]
-        if has_kinks(program.problem):
-            found = self._climbed_widely(meshes)
-            if found:
-                return found
-        return self._climbed(meshes) or self._searched(self.run, None, self.tolerance is not None)
-
-    # ---- by way of coarser meshes -----------------------------------------------------------
-    def _climbed(self, meshes: list[Mesh]) -> list[Solved]:
-        """The problem as it is; empty where the way is blocked."""
-        coarse: list[Solved] = []
-        partly = self.tolerance is not None
-
-        def search(first: Run) -> list[Solved]:
-            coarse[:] = self._searched(first, None, partly)
-            return coarse
-
         try:
-            return self.climb.reached(search, self.run, meshes, partly)
+            self._searched(near, last, finer)
         except TimeIsUp:
-            found = [each for each in coarse if each.outcome.success]
-            if not found:
+            self.found.cut = True
+            if self.found.best is None:
                 raise
-            return found
+        return self.found
 
-    def _climbed_in_openings(self, meshes: list[Mesh]) -> Solved | None:
-        """Work and air with valves: the climb with openings as inputs until it has settled, and
-        from there to commands; None where there are no openings, or the way is blocked.
+    def closer(self, tolerance: float) -> bool:
+        """Whether the best candidate was led on to another tolerance."""
+        before = self.found.best
+        assert before is not None
+        self.meshes.aims_at(tolerance)
+        try:
+            self.continuation.led(replace(before, rounds=0))
+        except TimeIsUp:
+            self.found.cut = True
+        best: Candidate = self.found.best or before
+        return best.check.miss < before.check.miss
 
-        Work says nothing of a valve that is closed, nor has its dead zone a slope: in commands
-        motions got stuck at up to twice the least work. Of a time limit half is left for commands.
+    def _searched(self, near: Solved | None, last: Solved | None, finer: Sequence[Program]) -> None:
+        if last is not None and self.starts in (None, 1) and self._reused(last, finer):
+            return
+        given = None if near is None else self._from_near(near)
+        if given is not None:
+            self._led(given)
+        if given is None or (self.starts or 1) > 1:
+            for candidates in self._batches(near is not None):
+                self._lead(candidates)
+                if self._is_enough():
+                    return
+        if self.met or (self.tolerance is None and self.found.best is not None):
+            return
+        for count, c in enumerate(self._fallbacks()):
+            if self.met or count >= self.settings.candidates:
+                return
+            self._led(c)
+
+    def _lead(self, candidates: list[Candidate]) -> None:
+        """To the end: of those that tie the earliest start first, and only what began better than
+        all that were led before, where one of these is verified.
         """
-        problem, weights = self.run.program.problem, self.statement.weights
-        air = any(term in COSTS and COSTS[term].from_supply for term in weights)
-        if self.tolerance is None or not (air or "work" in weights):
+        for c in self._sorted(candidates):
+            if self.met or self.tolerance is None:
+                worth = all(c.objective < before - self._tie(before) for before in self._began)
+            else:
+                worth = len(self._began) < self.settings.candidates
+            if worth and not self._is_enough():
+                self._began.append(c.objective)
+                self._led(c)
+
+    def _led(self, c: Candidate) -> None:
+        """To the end: by arcs where these were asked for, with held inputs in place of polynomials
+        that do not meet the tolerance.
+        """
+        if c.mesh.form == BY_ARCS and np.isfinite(self.meshes.tolerance) and not self.nonsmooth:
+            if self._by_arcs(c):
+                return
+            finer = self.engine.refined(c, guarded(c.mesh), "by arcs it is not met")
+            c = replace(finer or c, rounds=0)
+        self.continuation.led(c)
+
+    def _by_arcs(self, c: Candidate) -> bool:
+        """Whether intervals that end where inputs switch met the tolerance."""
+
+        def taken(found: Solved) -> Checked | None:
+            if not found.outcome.success:
+                return None
+            now = replace(c, solved=found, coarser=c)
+            self._take(now)
+            return now.check
+
+        self._take(c)
+        met = ArcSearch(c.solved, self.meshes.tolerance, self.engine, taken).solved()
+        if met is not None:
+            self.found.best = replace(c, solved=met.found, coarser=c)
+        return met is not None
+
+    def _take(self, c: Candidate) -> None:
+        """Keep a candidate that is the best so far: verified, then with the least objective."""
+        if not np.isfinite(self.meshes.tolerance) and self.meshes.is_coarse(c.mesh):
+            return  # another mesh than the one that was asked for, alone
+        try:
+            miss = c.check.miss
+        except TimeIsUp:
+            with spared(GRACE):
+                miss = c.check.miss
+        if self.found.first is None and c.solved.program.nlp is self.engine.first.nlp:
+            self.found.first = c.solved
+        best, limit = self.found.best, self.meshes.tolerance
+        if best is None:
+            self.found.best = c
+            return
+        before = best.check.miss
+        if miss <= limit and before <= limit:
+            better = c.check.replay.objective < best.check.replay.objective
+        else:
+            better = miss < before
+        if better:
+            self.found.best = c
+
+    def _is_enough(self) -> bool:
+        """Whether a plan is found and work is spent: what is left to gain is told with it."""
+        return self.met and self.engine.work > self.settings.work
+
+    @property
+    def met(self) -> bool:
+        """Whether the best candidate meets the tolerance."""
+        best = self.found.best
+        return best is not None and best.check.miss <= self.meshes.tolerance
+
+    # ---- candidates -----------------------------------------------------------------------------
+    def _sorted(self, candidates: list[Candidate]) -> list[Candidate]:
+        least = min((c.objective for c in candidates), default=0.0)
+        return sorted(
+            candidates, key=lambda c: (max(c.objective - least, self._tie(least)), c.number)
+        )
+
+    def _tie(self, objective: float) -> float:
+        return self.settings.tie * max(abs(objective), 1e-9)
+
+    def _batches(self, known: bool) -> Iterator[list[Candidate]]:
+        """From the usual guess, from openings, from other starts, on the first mesh of the
+        sequence: each batch is led before the next one is solved, so that there is a plan early.
+        With costs of work or air openings alone lead anywhere.
+
+        known : whether a plan is given as well.
+        """
+        count = (self.starts or number_of_starts(self.problem.plant)) - known
+        if self._costly and not known:
+            opened = self._from_openings()
+            if opened is not None:
+                yield [opened]
+                return
+        first, *others = self._tasks(max(count, 1))
+        yield self._solved([first], 0)
+        if others and not known:
+            opened = self._from_openings()
+            if opened is not None:
+                self.found.opened = (opened.solved.outcome,)
+                others.pop()
+                yield [opened]
+        if others:
+            yield self._solved(others, 1)
+
+    def _tasks(self, count: int) -> list[Task]:
+        mesh = self.meshes.ladder[0]
+        program = smoothed_at(self.engine.program(mesh), self.place)
+        return tasks(program.problem, mesh, count)
+
+    def _solved(self, starts: list[Task], number: int) -> list[Candidate]:
+        """Solutions from these starts on the first mesh; ``number`` of the first of them."""
+        engine = self.engine
+        own = engine.program(self.meshes.ladder[0])
+        program, solver = smoothed_at(own, self.place), engine.solver_of(own)
+        with stage("starts", f"{len(starts)} more" if number else "the usual guess"):
+            if isinstance(solver, Ipopt) and len(starts) > 1:
+                outcomes = solved_side_by_side(solver, program, starts, self._first_seconds)
+            else:
+                outcomes = [solver(program, task.guess, task.start) for task in starts]
+        self._first_seconds = outcomes[0].seconds
+        self.found.outcomes += outcomes
+        if self.found.failure is None and not outcomes[0].success:
+            self.found.failure = engine.solved(program, outcomes[0])
+        return [
+            Candidate(engine.solved(program, outcome), self.place, i)
+            for i, outcome in enumerate(outcomes, number)
+            if outcome.success
+        ]
+
+    def _from_near(self, near: Solved) -> Candidate | None:
+        """From a solution of this program (warm), or of another; by way of wider smoothing where
+        that does not do.
+        """
+        engine, place, why = self.engine, 1.0, ("guess", "the plan given")
+        if near.program.nlp is engine.first.nlp:
+            outcome = near.outcome
+            found = engine.solve(engine.first, place, outcome.w, "warm", why, outcome)
+        else:
+            found = engine.onto(engine.first, near, place, why)
+        if self.nonsmooth and not found.outcome.ended:
+            place = self.settings.reentry
+            found = engine.onto(engine.first, near, place, why)
+        if not found.outcome.success:
+            self.found.failure = found
             return None
-        opened = Opened.of(problem.plant, self.statement, air)
+        return Candidate(found, place, GIVEN)
+
+    def _reused(self, near: Solved, finer: Sequence[Program]) -> bool:
+        """Whether the finer mesh of a neighbour's plan does for these numbers, too, from its
+        multipliers.
+        """
+        if not near.multiplied or self.meshes.economical or self.tolerance is None:
+            return False
+        ours = any(near.program.nlp is each.nlp for each in finer)
+        if not ours or not same_form(near.program.problem, self.problem):  # arcs have other legs
+            return False
+        program, why = renewed(near.program, self.problem), ("guess", "on its finer mesh")
+        found = self.engine.solve(program, 1.0, near.outcome.w, "warm", why, near.outcome)
+        if not found.outcome.success:
+            return False
+        c = Candidate(found, 1.0, GIVEN)
+        if c.check.miss > self.meshes.tolerance:
+            return False
+        self._take(c)
+        return True
+
+    # ---- valve openings in place of commands ----------------------------------------------------
+    @property
+    def _costly(self) -> bool:
+        """Whether work or air counts, and meshes may be refined: work says nothing of a valve that
+        is closed, nor has its dead zone a slope.
+        """
+        return self.tolerance is not None and ("work" in self.statement.weights or self._of_air)
+
+    @property
+    def _of_air(self) -> bool:
+        return any(t in COSTS and COSTS[t].from_supply for t in self.statement.weights)
+
+    def _from_openings(self) -> Candidate | None:
+        """From the solution with openings as inputs; None where there are none, or it leads to
+        nothing. Where work or air counts that is the plan but for the names of its inputs; else,
+        since terms on inputs count openings there, a start.
+        """
+        costly = self._costly
+        opened = ValveOpenings.of(self.problem.plant, self.statement, costly and self._of_air)
         if opened is None:
             return None
-        left = deadline().remaining()
-        own = replace(self, climb=Climb(self.run.backend))
-        try:
-            half = limited(max(left / 2, 1e-3) if left < np.inf else None)
-            with half, stage("valve openings", "in place of commands, which have dead zones"):
-                return own._back_from(opened, meshes, self.tolerance)
-        except OutOfTime:
+        with stage("valve openings", "in place of commands, which have dead zones"):
+            engine, told = self.engine.of(opened.problem), self.statement
+            inner = Search(engine, told, self.starts if costly else 1, self.tolerance)
+            if costly:
+                c = inner.best().best
+            else:
+                c = next(iter(inner._solved(inner._tasks(1), 0)), None) or next(
+                    inner._guessed(engine.first.mesh, 1), None
+                )
+        if c is None:
             return None
-        finally:
-            self.climb.iterations += own.climb.iterations
+        program = self.engine.program(c.mesh)
+        if costly:
+            c = replace(c, gap=inner.meshes.gap(c), number=LAST, rounds=0)
+        sent, same = opened.in_commands(program, c.solved) if costly else None, None
+        if sent is not None:
+            same = replace(c, solved=sent)
+            self._take(same)
+        guess = opened.guess(self.problem, c.mesh, c.solved.solution)
+        why = ("valve openings", "back to commands")
+        found = self.engine.solve(program, c.place, guess, "near", why)
+        return replace(c, solved=found, number=LAST) if found.outcome.success else same
 
-    def _back_from(self, opened: Opened, meshes: list[Mesh], tolerance: float) -> Solved | None:
-        """From openings to commands: solved there or, where a solver leaves that motion, landed;
-        at once where it was landed in openings.
+    # ---- where no start leads anywhere ----------------------------------------------------------
+    def _fallbacks(self) -> Iterator[Candidate]:
+        """From other guesses and by way of coarser meshes; where all that leads to nothing, from a
+        point that meets all constraints.
         """
-        top = Run(transcribe(opened.problem, self.run.program.mesh), self.run.backend)
-        fine = replace(self, run=top)._settled(meshes, tolerance)
-        if fine is None or not fine.outcome.success:
+        asked, usual = self.engine.first.mesh, tuple(self.meshes.ladder)
+        ways = [usual, (asked,)]
+        if self.tolerance is not None:
+            ways.append((*(merged(asked, count) for count in PARTS), asked))
+        for way in dict.fromkeys(tuple(dict.fromkeys(meshes)) for meshes in ways):
+            self.meshes.ladder = list(way)
+            yield from self._guessed(way[0])
+        if self.found.best is not None:
+            return
+        feasible = self._diagnosed()
+        if feasible is not None:
+            name = "a point that meets all constraints"
+            yield from self._from_guesses(asked, [(name, lambda: feasible, "adaptive")])
+
+    def _guessed(self, mesh: Mesh, most: int | None = None) -> Iterator[Candidate]:
+        """Solutions on a mesh from guesses that take longer to make; ``most``: from the first."""
+        problem, usual = self.problem, wants_balance(self.problem)
+        wide = smoothed_at(self.engine.program(mesh), self.place).problem
+        guesses: list[Guess] = [
+            ("a motion led along the stops", lambda: by_leading(wide, mesh), "near"),
+            ("a small cost of the inputs", lambda: self._regularised(mesh), "near"),
+            ("points of rest between the stops", lambda: by_rests(problem, mesh), "cold"),
+            ("points of rest between the stops", lambda: by_rests(problem, mesh), "adaptive"),
+            ("the stops, balanced", lambda: by_stops(problem, mesh, not usual), "adaptive"),
+        ]
+        yield from self._from_guesses(mesh, guesses[:most])
+
+    def _from_guesses(self, mesh: Mesh, guesses: list[Guess]) -> Iterator[Candidate]:
+        engine = self.engine
+        for name, make, start in guesses:
+            guess = make()
+            if guess is None:
+                continue
+            program, why = engine.program(mesh), ("other guesses", name)
+            found = engine.solve(program, self.place, guess, start, why)
+            if found.outcome.success:
+                yield Candidate(found, self.place)
+            elif self.found.failure is None:
+                self.found.failure = found
+
+    def _regularised(self, mesh: Mesh) -> Array | None:
+        """The solution with a small cost of the inputs; where nothing but the time counts.
+
+        Quickest motions of plants with more inputs than they need are no one motion: along a valley
+        of equal durations a solver goes to and fro. With the cost there is one.
+        """
+        problem, goal = self.problem, self.problem.objective
+        if not goal.only_time or self.nonsmooth or not problem.plant.inputs:
             return None
-        problem, mesh = self.run.program.problem, fine.program.mesh
-        run = Run(transcribe(problem, mesh), self.run.backend.near())
-        if not isinstance(fine.program, Corrected):
-            guess = opened.guess(problem, mesh, fine.solution)
-            found = run.straight(guess) if has_kinks(problem) else run.from_guess(guess, "near")
-            self.climb.iterations += found.outcome.iterations
-            if found.outcome.ended:
-                return found if found.outcome.success else None
-        same = opened.sent(run, fine)
-        return landed(same, CLOSER * tolerance) if same is not None else None
+        engine = self.engine.of(regularised(problem, self.settings.regularisation), mesh)
+        guess = by_stops(problem, mesh, balanced=wants_balance(problem))
+        why = ("other guesses", "a small cost of the inputs")
+        found = engine.solve(engine.first, 1.0, guess, "cold", why)
+        return found.outcome.w if found.outcome.success else None
 
-    def _settled(self, meshes: list[Mesh], tolerance: float) -> Solved | None:
-        """The best solution of the climb, on a mesh where it has settled."""
-        if has_kinks(self.run.program.problem):
-            return next(iter(self._climbed_widely(meshes)), None)
-        near = Run(self.run.program, self.run.backend.near())
-        reached = self.climb.reached(self._from_stops, near, meshes, True)
-        if not reached or not reached[0].outcome.success:
-            return None
-        return self.climb.settled(reached[0], tolerance)
-
-    def _climbed_widely(self, meshes: list[Mesh]) -> list[Solved]:
-        """Motions with kinks: the climb with wide roundings all the way until it has settled, and
-        from there to the plant's own, once; empty where that is blocked.
+    def _diagnosed(self) -> Array | None:
+        """A point that meets all constraints; None where none was found. Conflicts are those that
+        an elastic re-solve converged to, where another guess does not lead to such a point.
         """
-        problem = widened(self.run.program).problem
-        top = Run(transcribe(problem, self.run.program.mesh), self.run.backend.near())
-        tolerance = self.tolerance
-        for each in self.climb.reached(self._from_stops, top, meshes, False):
-            wide = each if tolerance is None else self.climb.settled(each, LOOSER * tolerance)
-            reached = self._from_wide(self.run, wide, tolerance)
-            if reached is not None:
-                return [reached]
-            if wide.outcome.stopped:
-                return [wide]
-        return []
-
-    def _from_stops(self, first: Run) -> list[Solved]:
-        """What such a climb begins with, on the coarsest of its meshes."""
-        return self._searched(first, None, False)
-
-    def _from_wide(self, run: Run, wide: Solved, tolerance: float | None = None) -> Solved | None:
-        """From a solution with wide roundings to the plant's own; None where that is blocked, and
-        no motion near the end of the way is landed to a tolerance.
-        """
-        approach = Approach(run, wide, self.run.backend.near())
-        reached = approach.solved()
-        self.climb.iterations += approach.iterations
-        if reached is None and tolerance is not None:
-            return approach.landed(CLOSER * tolerance)
-        return reached
-
-    # ---- on one mesh ------------------------------------------------------------------------
-    def _searched(self, run: Run, guess: Plan | None, partly: bool) -> list[Solved]:
-        """Solutions from several starts; or the one failure that stands for all."""
-        program = run.program
-        near = guess._near(program) if guess is not None else None
-        usual = 1 if near is not None else number_of_starts(program.problem.plant)
-        count = self.starts or usual
-        if partly and near is None and resolvable(program):
-            return self._approached(run, count)
-        if count == 1:
-            short = by_coarser(run, self.climb) if near is None else None
-            return [short or run.solve(near)]
-        opened = self._opened(run) if near is None else None
-        found, ends = run.several(count if opened is None else count - 1)
-        ours = run.from_another(near) if near is not None else opened
-        if ours is not None:
-            ends, found = Ends((*ends.outcomes, ours.outcome)), [*found, ours]
-        self.figures.update(ends.figures())
-        good = [each for each in found if each.outcome.success]
-        if good:
-            return sorted(good, key=lambda each: each.outcome.objective)
-        stopped = [each for each in found if each.outcome.stopped]
-        return stopped or [run.after(found[0])]
-
-    def _approached(self, run: Run, count: int) -> list[Solved]:
-        """By meshes that resolve kinks, from the best solutions with wide roundings; where none
-        leads on so, on the mesh as it is; or the one failure that stands for all.
-        """
-        opened = self._opened(run, wide=True) if count > 1 else None
-        found, ends = run.several(max(count - (opened is not None), 1), wide=True)
-        if opened is not None:
-            ends, found = Ends((*ends.outcomes, opened.outcome)), [*found, opened]
-        if count > 1:
-            self.figures.update(ends.figures())
-        if any(each.outcome.stopped for each in found):
-            return [each for each in found if each.outcome.stopped]
-        good = [each for each in found if each.outcome.success]
-        if not good and (led := run.led_widely()) is not None:
-            good = [led]
-        for wide in sorted(good, key=lambda each: each.outcome.objective)[:APPROACHES]:
-            reached = self._from_wide(run, wide)
-            if reached is not None:
-                return [reached]
-        narrow = run.narrowed(good) if good else found[0]
-        return [narrow if narrow.outcome.ended else run.after(narrow)]
-
-    def _opened(self, run: Run, wide: bool = False) -> Solved | None:
-        """From the optimum in openings of valves; None where there are none, or it helps nothing.
-
-        wide : with the widest roundings.
-        """
-        program, backend = run.program, self.run.backend
-        with stage("valve openings", "a start without dead zones"):
-            guess = guess_in_openings(program.problem, program.mesh, self.statement, backend, wide)
-        if guess is None:
-            return None
-        return run.wide_from(guess) if wide else run.from_guess(guess, "near")
+        own, options = self.engine.first, self.engine.backend.ipopt_options
+        problem, mesh, found = self.problem, own.mesh, self.found
+        for each in dict.fromkeys((mesh, resolving(mesh))):
+            program, ends = own if each is mesh else transcribe(problem, each), []
+            for balanced in (True, False):
+                ends.append(elastic(program, by_stops(problem, each, balanced=balanced), options))
+                if ends[-1].feasible:
+                    found.feasible = True
+                    if each is mesh:
+                        return ends[-1].w
+                    return from_solution(problem, mesh, unpack(problem, each, ends[-1].w))
+            found.conflicts = next((end.conflicts for end in ends if end.conflicting), ())
+            if found.conflicts:
+                break
+        return None

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from ..plants.plant import Plant
 from .problem.problem import Problem
+from .settings import SETTINGS
 from .solvers.ipopt_options import Start
 from .solvers.solver import Outcome
 from .transcription.guess import by_stops, wants_balance
 from .transcription.mesh import Mesh
 
-__all__ = ["MOST", "SEVERAL", "Ends", "Task", "number_of_starts", "tasks"]
+__all__ = ["MOST", "Ends", "Task", "number_of_starts", "tasks"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -38,8 +39,6 @@ STARTS: tuple[tuple[bool, float, Start], ...] = (
 which they found most on random tasks with valves.
 """
 MOST = len(STARTS)
-SEVERAL = 4
-"""Starts where local optima are many; see docs/benchmarks.md."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ def number_of_starts(plant: Plant) -> int:
     Valves are inputs that act more or less as the state is (a flow by the pressures beside it) or
     as they are themselves; a load on a spring moves by way of another position only.
     """
-    return SEVERAL if _throttled(plant) or _in_series(plant) else 1
+    return SETTINGS.several if _throttled(plant) or _in_series(plant) else 1
 
 
 def _throttled(plant: Plant) -> bool:

@@ -30,9 +30,9 @@ __all__ = [
 ]
 
 WIDEST_SPEED = 0.1
-"""Speed [m/s] below which dry friction is rounded off where planning a motion begins."""
+"""Speed [m/s] below which dry friction is smoothed where planning a motion begins."""
 STIFFNESS_FLOOR = 1.0
-"""Below about this stiffness [N/m] the square root of StiffnessDamping is rounded off."""
+"""Below about this stiffness [N/m] the square root of StiffnessDamping is smoothed."""
 
 
 class Damping(Protocol):
@@ -89,7 +89,7 @@ class StiffnessDamping:
 
     Our reconstruction of the source paper's damping "as nonlinear function of displacement"; k is
     the stiffness at the present pressure and contraction. Where it falls to zero (slack) the root
-    is rounded off below STIFFNESS_FLOOR, so that its slope stays finite.
+    is smoothed below STIFFNESS_FLOOR, so that its slope stays finite.
 
     Examples
     --------
@@ -249,7 +249,7 @@ _WAYS = ("contracting", "relaxing")
 class CoulombFriction:
     """F = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v/v0), Fc = constant + per_pressure p.
 
-    Dry friction, rounded off below the speed v0, so a muscle at rest creeps instead of sticking.
+    Dry friction, smoothed below the speed v0, so a muscle at rest creeps instead of sticking.
     With ``excess`` = (Fs - Fc)/Fc > 0 it falls with speed (Stribeck). It still only resists: it can
     make a driven motion stick and slip, but sustains no vibration of its own.
 
@@ -295,7 +295,7 @@ class CoulombFriction:
                 ("constant", "N", 0.0, 10.0, "dry friction"),
                 ("per_pressure", "N/Pa", 0.0, 1e-4, "dry friction per pressure"),
                 ("excess", "1", 0.0, 1.0, "static over kinetic friction, less 1"),
-                ("speed", "m/s", 1e-9, 1e-3, "speed below which dry friction is rounded off"),
+                ("speed", "m/s", 1e-9, 1e-3, "speed below which dry friction is smoothed"),
                 ("stribeck_speed", "m/s", 1e-9, 1e-2, "speed over which static friction falls"),
             )
         )

@@ -189,7 +189,7 @@ class Damper:
 @LOADS.register(units={"coulomb": ("N", "N.m"), "speed": ("m/s", "rad/s")})
 @dataclass(frozen=True)
 class DryFriction:
-    """F = -F_c tanh(velocity/v0): Coulomb friction of a guide, rounded off below the speed v0.
+    """F = -F_c tanh(velocity/v0): Coulomb friction of a guide, smoothed below the speed v0.
 
     Examples
     --------
@@ -224,7 +224,7 @@ class DryFriction:
             min=1e-9,
             nominal=1e-3,
             widest=WIDEST * self.speed,
-            description=f"speed below which {self.name} is rounded off",
+            description=f"speed below which {self.name} is smoothed",
         )
         return ca.SX(-coulomb * ca.tanh(at.velocity / speed))
 

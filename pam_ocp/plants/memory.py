@@ -24,7 +24,7 @@ from .slip import Limits, PressureScale, passage, require_scale, rounded_speed
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 
 WIDEST_RATE = 0.03
-"""Rate [1/s] below which the speed of a Bouc-Wen state is rounded off where planning a motion
+"""Rate [1/s] below which the speed of a Bouc-Wen state is smoothed where planning a motion
 begins. At rates below it the state follows them as (rate / it)^(1/n): with wider roundings a whole
 motion would run along this root, whose slope at 0 is infinite.
 """

@@ -151,7 +151,7 @@ class Plant(Travelling):
 
     # ---- verbs that read like properties of the plant -------------------------------------------
     def equilibrium(self, conditions: Values | None = None, /, **more: Any) -> OperatingPoint:
-        """The point of rest under conditions; see
+        """The equilibrium under conditions; see
         :func:`pam_ocp.equilibrium`.
         """
         return courtesy.equilibrium(self, conditions, **more)

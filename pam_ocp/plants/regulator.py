@@ -5,10 +5,10 @@ the muscle's pressure p there,
 
     p' = sat((r - p)/lag),  lag that of filling for r > p, of venting for r < p,
 
-with sat the largest rates of filling and venting. Both kinks are rounded off by polynomials: the
+with sat the largest rates of filling and venting. Both kinks are smoothed by polynomials: the
 switch of the lag within ``<name>.switch_width`` of r, the limits of the rate within the part
 ``<name>.slew_rounding`` of them. Outside of that the equations hold to the last digit, and p = r is
-the point of rest whatever these widths are.
+the equilibrium whatever these widths are.
 """
 
 from __future__ import annotations

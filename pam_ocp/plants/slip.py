@@ -17,7 +17,7 @@ from .damping import Motion
 __all__ = ["Limits", "PressureScale", "passage", "require_scale", "rounded_speed"]
 
 REST_RATE = 1e-4
-"""Rate of contraction [1/s] at which its absolute value is rounded off.
+"""Rate of contraction [1/s] at which its absolute value is smoothed.
 
 Faster motion is rate-independent. At rest an element keeps its force, but for the last part
 ``edge`` of what it can hold: smooth derivatives, |z| <= 1 and dissipation in every motion leave no
@@ -34,7 +34,7 @@ LARGEST_SCALE = 1e-4
 def rounded_speed(
     plant: Declares, name: str, key: str, rate: ca.SX, widest: float = WIDEST_RATE
 ) -> ca.SX:
-    """|rate|, rounded off within the parameter ``<name>.<key>_rest_rate``; where planning a motion
+    """|rate|, smoothed within the parameter ``<name>.<key>_rest_rate``; where planning a motion
     begins, within ``widest`` [1/s].
     """
     width = plant.parameter(
@@ -44,7 +44,7 @@ def rounded_speed(
         min=1e-9,
         nominal=1e-3,
         widest=widest,
-        description=f"rate of contraction of {name} at which its absolute value is rounded off",
+        description=f"rate of contraction of {name} at which its absolute value is smoothed",
     )
     # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.
     return ca.SX(ca.sqrt(rate**2 + width**2))

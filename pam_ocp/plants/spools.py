@@ -19,7 +19,7 @@ FARTHEST = 1.5
 EDGE = 0.05
 """Over this last part before it is dragged along, a spool with play begins to slide."""
 REST_RATE = 1e-3
-"""Rate of a spool [1/s] at which its absolute value is rounded off: a travel in a quarter hour."""
+"""Rate of a spool [1/s] at which its absolute value is smoothed: a travel in a quarter hour."""
 WIDEST_RATE = 3.0
 """The same where planning a motion begins [1/s]."""
 

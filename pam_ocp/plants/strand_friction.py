@@ -39,7 +39,7 @@ class StrandFriction:
 
     coefficient : kinetic mu_k. contact_radius : a [m], about half the width of a strand.
     angle : alpha0 of the braid at rest [rad]. diameter : 2 r0 [m]; by default the muscle's.
-    excess : static over kinetic friction, less 1. speed : v0 [m/s], below which it is rounded off.
+    excess : static over kinetic friction, less 1. speed : v0 [m/s], below which it is smoothed.
     stribeck_speed : vs [m/s].
 
     Source: that the hysteresis is essentially strand on strand, pressed by the pressure: B. Tondu,
@@ -101,7 +101,7 @@ class StrandFriction:
                 ("angle", "rad", 1e-3, 1.57, 0.5, "braid angle at rest"),
                 ("diameter", "m", 1e-5, ca.inf, 1e-2, "diameter of the braid at rest"),
                 ("excess", "1", 0.0, ca.inf, 1.0, "static over kinetic friction, less 1"),
-                ("speed", "m/s", 1e-9, ca.inf, 1e-3, "speed below which friction is rounded off"),
+                ("speed", "m/s", 1e-9, ca.inf, 1e-3, "speed below which friction is smoothed"),
                 ("stribeck_speed", "m/s", 1e-9, ca.inf, 1e-2, "speed over which it falls"),
             )
         )

@@ -29,7 +29,7 @@ __all__ = ["Filling", "GasFeed", "OnOffValves", "SpoolValve", "Tube"]
 LOWEST_PRESSURE = -2e4
 """Lower bound of a gas pressure [Pa gauge]: below ambient the membrane collapses."""
 EXERGY_FLOOR = 0.1
-"""Below about this exergy [J] the efficiency is rounded off: nothing drawn, nothing gained is 0."""
+"""Below about this exergy [J] the efficiency is smoothed: nothing drawn, nothing gained is 0."""
 GAS_UNITS = {
     "conductance": "m3/(s.Pa)",
     "exhaust_conductance": "m3/(s.Pa)",

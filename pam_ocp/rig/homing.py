@@ -32,7 +32,7 @@ STILL = 0.02
 @shown
 @dataclass(frozen=True)
 class Homing:
-    """What was found, by name [SI]; ``ok`` where nothing is to be doubted.
+    """What was found, by name [SI]; ``ok`` without warnings.
 
     Examples
     --------
@@ -65,7 +65,7 @@ class Homing:
 
     @property
     def ok(self) -> bool:
-        """Whether there is nothing to be doubted."""
+        """Whether there are no warnings."""
         return not self.doubts
 
     @property
@@ -83,7 +83,7 @@ class Homing:
         lines.append(f"{'command':<24}{'slack up to':>11}{'hysteresis':>12}")
         lines += [f"{n:<24}{self.slack[n]:>11.4g}{self.hysteresis[n]:>12.3g}" for n in self.slack]
         lines += [f"{n} changes by {v:.3g} per second while held" for n, v in self.leak.items()]
-        lines += [f"doubt: {words}" for words in self.doubts] or ["nothing is to be doubted"]
+        lines += [f"warning: {words}" for words in self.doubts] or ["no warnings"]
         return "\n".join(lines)
 
     def __str__(self) -> str:

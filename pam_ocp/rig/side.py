@@ -26,7 +26,7 @@ __all__ = ["RigSide", "play", "player", "run_on", "side_of_rig", "start_of"]
 WITHIN = 16
 """Moments of a sample at which the inputs of a motion are averaged."""
 RESTING = 0.05
-"""Rates per second, in units of nominal, below which a motion begins at rest."""
+"""Rates per second, scaled by nominals, below which a motion begins at rest."""
 
 
 class RigSide(Side):

@@ -54,7 +54,7 @@ class Twin:
     step of the integration [s].
 
     It vents (all commands at their vent values) until :meth:`arm`, and again after :meth:`vent`.
-    Raises InputError for what cannot be meant.
+    Raises InputError for invalid input.
 
     Examples
     --------

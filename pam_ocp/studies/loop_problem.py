@@ -71,7 +71,7 @@ def require_spans(study: dict[str, Any]) -> None:
 
 
 def run_loop(study: Mapping[str, Any]) -> ClosedLoop:
-    """The closed loop that settings describe. Raises InputError for what cannot be meant."""
+    """The closed loop that settings describe. Raises InputError for invalid input."""
     from ..control.loop import closed_loop
 
     with guarded(study):
@@ -264,7 +264,8 @@ def loop_text(study: Mapping[str, Any], loop: ClosedLoop) -> str:
     if loop.statistics is not None:
         lines.append(f"controller: {loop.statistics}")
         lines.append(
-            f"predictions: within {loop.prediction_error:.1e} of nominal of a finer integration"
+            f"predictions: within {loop.prediction_error:.1e} (scaled by nominals) of a finer "
+            "integration"
         )
     lines.append(f"verdict: {loop.verdict}")
     for name in loop.reference.names if loop.reference else ():

@@ -86,7 +86,7 @@ def run_study(
     that it names, the results that it stands on, this package and those below it. A run that ends
     early, even by kill -9, is gone on with by the next one.
 
-    Raises InputError, before anything runs, for a file that cannot be meant. A step that fails ends
+    Raises InputError, before anything runs, for an invalid file. A step that fails ends
     what stands on it; the others go on, and the report tells.
 
     Examples

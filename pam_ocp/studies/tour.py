@@ -191,13 +191,15 @@ def _markdown(summary: dict[str, Any]) -> str:
         f"{fit['r2']:.5f} |",
         f"| plan | -15 mm -> +15 mm -> -15 mm in {plan['duration_s'] * 1e3:.2f} ms, "
         f"{plan['iterations']} iterations, {plan['solve_s']:.2f} s |",
-        f"| replay of the plan | {plan['replay_error_of_nominal']:.1e} of nominal; bounds kept to "
+        f"| replay of the plan | {plan['replay_error_of_nominal']:.1e} (scaled); bounds kept to "
         f"{plan['bound_violation_of_nominal']:.1e} |",
     ]
     for version, check in summary["fmu"].items():
         worst = ", ".join(f"{mode} {value:.1e}" for mode, value in check["largest"].items())
         verdict = "valid" if not check["findings"] else f"{len(check['findings'])} findings"
-        lines.append(f"| FMU {version} | {verdict}; against Python: {worst} of nominal |")
+        lines.append(
+            f"| FMU {version} | {verdict}; against Python: {worst} (scaled by nominal values) |"
+        )
     lines += [
         f"| linearised at {row['pressure_Pa'] / 1e5:g} bar | {row['frequency_Hz']:.2f} Hz, "
         f"damping ratio {row['damping_ratio']:.3f}, stiffness "

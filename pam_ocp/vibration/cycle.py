@@ -65,7 +65,7 @@ class LimitCycle:
     multipliers: NDArray[np.complex128]
     """Floquet multipliers: the trivial one (1 but for rounding) first, then by falling size."""
     error: float
-    """Estimated error of the collocation, in units of nominal."""
+    """Estimated error of the collocation, scaled by nominals."""
     slack: Mapping[str, float]
     """Fraction of the period during which each muscle is slack, by constraint (``x.tension``)."""
     orbit: Orbit = field(repr=False)
@@ -174,7 +174,7 @@ def limit_cycle(
     collocated motion with respect to its start.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Raises VibrationError with the reason (no convergence; the guess collapses to a point of rest),
+    Raises VibrationError with the reason (no convergence; the guess collapses to an equilibrium),
     InputError for a guess that does not oscillate or bad arguments.
 
     Examples

@@ -143,10 +143,10 @@ def continue_cycle(
     Parameters
     ----------
     parameter : its name. within : the range in which it may move [its unit]; the branch ends
-        exactly at an end of it, or where it shrinks to a point of rest, or after ``most`` cycles.
+        exactly at an end of it, or where it shrinks to an equilibrium, or after ``most`` cycles.
     direction : which way to set out: to "larger" or "smaller" oscillations, or with the
         parameter going "up" or "down".
-    step : largest step along the branch, in units of nominals (root mean square of the states,
+    step : largest step along the branch, scaled by nominals (root mean square of the states,
         period relative, parameter); halved where the branch bends or Newton fails.
     tolerance : as in :func:`limit_cycle`, for the cycles of the branch.
     time_limit : [s]; when it is over, the branch so far is returned.
@@ -203,7 +203,7 @@ def continue_cycle(
             if _mirrored(before, walk.place):
                 shown = variable.shown(value)
                 ended = (
-                    "the cycle shrinks to a point of rest (Hopf point) near "
+                    "the cycle shrinks to an equilibrium (Hopf point) near "
                     f"{variable.name} = {shown}"
                 )
                 break

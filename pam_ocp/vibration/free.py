@@ -1,4 +1,4 @@
-"""Free vibration about a point of rest: frequency, decay, and frequency against amplitude."""
+"""Free vibration about an equilibrium: frequency, decay, and frequency against amplitude."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ __all__ = ["Backbone", "FreeVibration", "backbone", "free_vibration"]
 @shown
 @dataclass(frozen=True)
 class FreeVibration:
-    """A motion that was let go beside a point of rest, cycle by cycle.
+    """A motion that was let go beside an equilibrium, cycle by cycle.
 
     A cycle runs from one rising passage through rest to the next.
 

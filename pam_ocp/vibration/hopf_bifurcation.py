@@ -40,7 +40,7 @@ FINER = 2
 @shown
 @dataclass(frozen=True)
 class HopfPoint:
-    """A point of rest with a pair of eigenvalues +-i omega.
+    """An equilibrium with a pair of eigenvalues +-i omega.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class HopfPoint:
     """
 
     point: OperatingPoint
-    """The point of rest; ``point.plant`` holds the parameters of the Hopf point."""
+    """The equilibrium; ``point.plant`` holds the parameters of the Hopf point."""
     parameter: str
     value: float
     """Value of the parameter there [its unit]."""
@@ -58,7 +58,7 @@ class HopfPoint:
     crossing: float
     """Rate of the real part with the parameter [1/s per unit]: > 0, unstable above ``value``."""
     lyapunov: float
-    """First Lyapunov coefficient [1/s, states in units of nominal]: < 0, stable cycles are born."""
+    """First Lyapunov coefficient [1/s, states scaled by nominals]: < 0, stable cycles are born."""
     mode: NDArray[np.complex128] = field(repr=False)
     """Eigenvector in SI, its largest scaled entry 1: x(t) = rest + Re(mode e^(i omega t))."""
     residual: float = 0.0
@@ -148,10 +148,10 @@ def hopf(
     parameter : name of the parameter (or input) that varies between the ends of ``bracket``.
     conditions, memory : of the equilibria, as for :func:`pam_ocp.equilibrium`. Hysteresis sticks in
         small motion about rest; larger motion slides, which damps it more than the point says.
-    points : how many points of rest are looked at to find a change of sign.
+    points : how many equilibria are looked at to find a change of sign.
 
     The augmented system (rest, A q = i omega q, |q| fixed) is then solved by Newton with exact
-    Jacobians to 1e-12 in units of nominal.
+    Jacobians to 1e-12 scaled by nominals.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError when no pair crosses in the bracket, UnknownNameError, EquilibriumError.

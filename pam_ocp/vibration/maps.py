@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 __all__ = ["AmplitudeMap", "HopfMap", "amplitude_map", "hopf_map"]
 
 PUSH = 0.05
-"""Of the rest along its least damped mode, in units of nominal, where the caller gives none."""
+"""Of the rest along its least damped mode, scaled by nominals, where the caller gives none."""
 ROUND = 20
 """Periods simulated at once; the swing of the last quarter is compared with that of the first."""
 STILL = 1e-6
-"""A swing below this, in units of nominal, is rest."""
+"""A swing below this, scaled by nominals, is rest."""
 SETTLED = 1e-3
 """Relative change of the swing over a round below which collocation is tried."""
 

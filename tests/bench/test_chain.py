@@ -49,7 +49,7 @@ def test_from_a_dropped_file_to_a_checked_fmu_and_a_script_with_the_same_figures
     hand.press("New motion")
     hand.until(lambda: [e for e in hand.shown(".bench-verdict") if "verified" in e.text], "a plan")
     tab(hand, "Control")
-    hand.press("Mid stroke")
+    hand.press("Centre position")
     hand.press("New LQR")
     hand.sees("phase margin")
     hand.sees("closed loop over 1 s")

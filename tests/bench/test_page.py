@@ -174,7 +174,7 @@ def test_plant_a_click_into_the_map_sets_the_operating_point_and_it_swings(hand,
     assert point["muscle.pressure"] == pytest.approx(p[i], abs=51.0)
     own = pam.equilibrium(plant_of(folder, state), point)
     assert f"{1e3 * own['x']:.6g}" in hand.text
-    hand.press("Let it swing")
+    hand.press("Free response")
     swing = hand.until(lambda: hand.traces("Free vibration over time")[0])
     assert swing["y"][0] == pytest.approx(1e3 * own["x"] + 2.0, abs=0.02)
 

@@ -156,7 +156,7 @@ def test_motion_two_plans_beside_each_other_and_a_record_dropped_on_one(hand, se
 # ---- control -------------------------------------------------------------------------------------
 def controlled(hand):
     tab(hand, "Control")
-    hand.press("Mid stroke")
+    hand.press("Centre position")
     hand.press("New LQR")
     hand.sees("phase margin")
 
@@ -198,7 +198,7 @@ def test_control_a_predictive_controller_runs_live_and_follows_the_hand(hand, se
 
     begin(hand)
     tab(hand, "Control")
-    hand.press("Mid stroke")
+    hand.press("Centre position")
     hand.press("New MPC")
     hand.sees("no linear loop")
     hand.press("Start")
@@ -219,7 +219,7 @@ def test_control_a_predictive_controller_runs_live_and_follows_the_hand(hand, se
         return abs(asked - reached) < 3 and asked < 100
 
     hand.until(close, "the plant at its reference")
-    retype(hand, "Push now", "40")
+    retype(hand, "Disturbance pulse", "40")
     time.sleep(1.0)
 
     def button(text):

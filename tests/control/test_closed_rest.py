@@ -18,7 +18,7 @@ from pam_ocp.control import block
 from pam_ocp.control.blocks.making import BlockController
 from pam_ocp.control.controller_plants import state_feedback_controller
 from pam_ocp.control.reach import effort_units
-from pam_ocp.planning.opened import Opened
+from pam_ocp.planning.openings import ValveOpenings
 
 F = pam.feeds
 LAG, OVERLAP = 5e-3, 0.1
@@ -215,7 +215,7 @@ def test_a_plant_with_moving_spools_travels():
 
 def test_plans_do_not_take_openings_that_are_not_exact():
     plant = hanging(FEEDS["first order"])[0]
-    assert Opened.of(plant, None) is None  # type: ignore[arg-type]
+    assert ValveOpenings.of(plant, None) is None  # type: ignore[arg-type]
 
 
 def test_a_position_that_follows_no_input_is_refused():

@@ -13,6 +13,7 @@ import control
 import numpy as np
 import pytest
 from conftest import BAR
+from searches import search_of
 
 import pam_ocp as pam
 from pam_ocp import InputError
@@ -22,8 +23,6 @@ from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.pid import PID, PositionController, PressureLoop
 from pam_ocp.export import export_fmu
 from pam_ocp.muscles.law import clamp
-from pam_ocp.planning.opened import guess_in_openings
-from pam_ocp.planning.run import Run
 
 OVERLAPS = (0.0, 0.02, 0.1)
 AMBIENT, RHO, B = 1.01325e5, 1.185, 0.3
@@ -476,15 +475,12 @@ def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
     planner = pam.Planner(
         plant, [{"x": 0.05}, {"x": 0.075}], bounds=bounds, method=pam.Collocation(15, 3)
     )
-    run = Run(planner._program, planner._backend, planner._solver)
-    problem, mesh = planner._program.problem, planner._program.mesh
-    start = guess_in_openings(problem, mesh, planner._statement, planner._backend)
-    first, near = run.solve(None), run.from_guess(start, "near")
-    assert near.outcome.success
-    assert near.outcome.iterations < first.outcome.iterations
-    assert near.outcome.objective < 1.01 * first.outcome.objective
+    search = search_of(planner)
+    near, (first, *_) = search._from_openings(), search._solved(search._tasks(1), 0)
+    assert near.objective < 1.01 * first.objective
     low, high = (bounds or {"muscle.command": (-1.0, 1.0)})["muscle.command"]
-    sent = near.solution.inputs(np.linspace(0.0, near.solution.durations[0], 200))
+    solution = near.solved.solution
+    sent = solution.inputs(np.linspace(0.0, solution.durations[0], 200))
     assert low - 1e-6 <= sent.min() < -0.2
     assert 0.2 < sent.max() <= high + 1e-6
 
@@ -494,5 +490,4 @@ def test_a_wish_about_commands_is_not_planned_in_openings():
     planner = pam.Planner(
         plant, [{"x": 0.05}, {"x": 0.06}], minimise={"time": 1.0, "square(muscle.command)": 0.1}
     )
-    problem, mesh = planner._program.problem, planner._program.mesh
-    assert guess_in_openings(problem, mesh, planner._statement, planner._backend) is None
+    assert search_of(planner)._from_openings() is None

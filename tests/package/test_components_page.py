@@ -1,20 +1,25 @@
-"""docs/components.md says what is registered; the command shows the same."""
+"""The list of components, on the site and by the command, has all that is registered."""
 
+import re
 from pathlib import Path
 
 import pytest
 
-from pam_ocp.cli.components import page
+from pam_ocp.cli.components import groups, page
 from pam_ocp.cli.main import main
 from pam_ocp.plants.kinds import LOADS
 
-PAGE = Path(__file__).parents[2] / "docs" / "components.md"
+PACKAGE = Path(__file__).parents[2] / "pam_ocp"
+MADE = re.compile(r"^[A-Z_]+: Registry\[.*\] = Registry\(\s*\"([^\"]+)\"", re.M)
 
 
-def test_the_page_is_what_the_registries_say():
-    assert PAGE.read_text("utf-8") == page(), (
-        "write it anew: pam-ocp components --markdown > docs/components.md"
-    )
+def test_each_registry_of_the_package_has_its_table_with_a_row_for_each_name():
+    nouns = {n for f in PACKAGE.rglob("*.py") for n in MADE.findall(f.read_text("utf-8"))}
+    tables = dict(re.findall(r"(?ms)^## (.*?)\n(.*?)(?=^## |\Z)", page()))
+    assert len(nouns) > 20
+    assert set(tables) == nouns
+    for registry, _ in groups():
+        assert re.findall(r"(?m)^\| `(.*?)` \|", tables[registry.noun]) == list(registry)
 
 
 def test_the_command_lists_one_kind_or_all(capsys):

@@ -53,15 +53,6 @@ def test_citation_and_changelog_know_the_version():
     assert re.findall(r"(?m)^## \[(\d.*?)\]", changes)[0] == pam_ocp.__version__
 
 
-def test_files_on_the_architectures_walks_exist():
-    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
-    named = set(re.findall(r"`([a-z_/]+\.(?:py|toml|c|h))`", text)) - {"plant.c", "model_data.h"}
-    folders = ("pam_ocp", "fmu/src", "tests", "docs")
-    known = {p.as_posix() for folder in folders for p in (ROOT / folder).rglob("*.*")}
-    assert len(named) > 40
-    assert {n for n in named if not any(k.endswith(f"/{n}") for k in known)} == set()
-
-
 def test_import_is_light():
     """No plotting, no table library, no FMI library is loaded before it is used."""
     code = (

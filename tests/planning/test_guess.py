@@ -9,7 +9,7 @@ from pam_ocp import Collocation, InputError, Shooting
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.judge.statement import Statement
 from pam_ocp.planning.problem.formulation import formulate
-from pam_ocp.planning.solvers.narrowing import has_kinks, widened
+from pam_ocp.planning.smoothing import is_nonsmooth, smoothed_at
 from pam_ocp.planning.starts import tasks
 from pam_ocp.planning.transcription.guess import (
     by_rests,
@@ -170,9 +170,9 @@ def test_balance_is_wanted_with_the_widest_roundings_too():
     plant = pam.AntagonisticSlide("DMSP-20-200N", losses=pam.losses.BoucWen())
     stops = [{"x": -0.01}, {"x": 0.01}]
     program = pam.Planner(plant, stops, duration=0.5, minimise="effort")._program
-    wide = widened(program).problem
-    assert has_kinks(program.problem)
-    assert not has_kinks(wide)
+    wide = smoothed_at(program, 0.0).problem
+    assert is_nonsmooth(program.problem)
+    assert not is_nonsmooth(wide)
     assert wants_balance(program.problem)
     assert wants_balance(wide)
     mesh = program.mesh
@@ -189,7 +189,7 @@ def test_a_led_motion_keeps_the_plants_equations_along_the_stops():
     )
     stops = [{"x": 0.017}, {"x": 0.002}]
     planner = pam.Planner(plant, stops, duration=2.0, minimise="effort")
-    program = widened(planner._program)
+    program = smoothed_at(planner._program, 0.0)
     problem, mesh, nlp = program.problem, program.mesh, program.nlp
     function = ca.Function("g", [nlp["x"], nlp["p"]], [nlp["g"]])
 

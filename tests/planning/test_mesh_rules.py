@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import searches
 from numpy.polynomial import Polynomial, legendre
+from searches import solved
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
 from pam_ocp.planning.checked import checked
-from pam_ocp.planning.run import Run
 from pam_ocp.planning.transcription.mesh import (
     Form,
     Interval,
@@ -18,7 +19,6 @@ from pam_ocp.planning.transcription.mesh import (
     refined,
     watched,
 )
-from pam_ocp.planning.transcription.transcription import transcribe
 
 
 def mesh(form, *intervals):
@@ -218,10 +218,9 @@ def test_a_mesh_that_is_finer_for_states_only_has_the_same_optimum_where_states_
     stops = [{"x": 0.0}, {"x": 1.0}]
     method = Collocation(6, 3)
     planner = pam.Planner(plant, stops, duration=1.0, minimise=minimise, method=method)
-    coarse = Run(planner._program, planner._backend).solve(None)
+    coarse = solved(planner)
     finer = halved(coarse.program.mesh, joined=True)
-    run = Run(transcribe(coarse.program.problem, finer), planner._backend)
-    fine = run.refined(coarse)
+    fine = searches.refined(planner, coarse, finer)
     assert fine.outcome.objective == pytest.approx(coarse.outcome.objective, rel=1e-7)
     t = np.linspace(0.0, 1.0, 50)
     assert fine.solution.inputs(t) == pytest.approx(coarse.solution.inputs(t), abs=1e-5)

@@ -10,7 +10,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import Collocation
-from pam_ocp.planning.renewal import on_mesh
+from pam_ocp.planning.reuse import on_mesh
 from pam_ocp.planning.transcription.solution import unpack
 from pam_ocp.planning.transcription.transcription import transcribe
 

@@ -5,12 +5,11 @@ it.
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from searches import engine_of, solved
 
 import pam_ocp as pam
 from pam_ocp.planning.correction import Corrected, corrected, left_as
 from pam_ocp.planning.planner import Planner
-from pam_ocp.planning.run import Run
-from pam_ocp.planning.solvers.backend import Backend
 from pam_ocp.planning.transcription.mesh import Collocation
 from pam_ocp.planning.transcription.solution import unpack
 
@@ -29,13 +28,12 @@ def rough():
     wish = {"duration": 1.0, "minimise": "effort", "rest": False}
     stops = [{"level": 0.1}, {"level": 0.6}]
     planner = Planner(tank(), stops, method=Collocation(4, 2), **wish)
-    run = Run(planner._program, Backend(), planner._solver)
-    return run, run.solve(None)
+    return engine_of(planner), solved(planner)
 
 
 def test_the_defect_is_what_the_exact_solution_leaves_in_the_equations(rough):
-    run, found = rough
-    shift = corrected(run.program, found.solution).shift
+    engine, found = rough
+    shift = corrected(engine.first, found.solution).shift
     start = found.solution.states[:-1:2, 0]
     u = found.solution.inputs.coefficients[:, 0, 0]
     expected, nodes = [], np.array([0.0, 1 / 3, 1.0])
@@ -49,10 +47,10 @@ def test_the_defect_is_what_the_exact_solution_leaves_in_the_equations(rough):
 
 
 def test_a_corrected_program_has_the_plants_own_motion(rough):
-    run, found = rough
+    engine, found = rough
     for _ in range(6):
-        program = corrected(run.program, found.solution)
-        outcome = run.solver(program, found.outcome.w, "near")
+        program = corrected(engine.first, found.solution)
+        outcome = engine.solver(program, found.outcome.w, "near")
         solution = unpack(program.problem, program.mesh, outcome.w)
         found = type(found)(program, outcome, solution)
     u = found.solution.inputs.coefficients[:, 0, 0]
@@ -64,7 +62,7 @@ def test_a_corrected_program_has_the_plants_own_motion(rough):
         level.append(held.y[0, -1])
     assert found.solution.states[::2, 0] == pytest.approx(level, abs=1e-6)
     assert level[-1] == pytest.approx(0.6, abs=1e-6)
-    low, high = left_as(run.program, found.solution).limits()
+    low, high = left_as(engine.first, found.solution).limits()
     assert low[:8] == pytest.approx(program.shift[:8], abs=1e-6)
     assert high == pytest.approx(low)
 

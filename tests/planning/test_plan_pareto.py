@@ -183,7 +183,7 @@ def test_plans_of_a_front_that_are_not_verified_are_marked(slide):
     assert wrong.unverified == (1,)
     lines = str(wrong).splitlines()
     assert lines[0].startswith("NOT VERIFIED: 1 of 3 plans")
-    assert "deviates by 0.5 of nominal in v" in lines[3]
+    assert "deviates by 0.5 (scaled by nominal values) in v" in lines[3]
     (axes,) = wrong.plot().axes
     (cross,) = (line for line in axes.lines if line.get_marker() == "x")
     assert len(cross.get_xdata()) == 1

@@ -7,19 +7,15 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
+from searches import search_of
 
 import pam_ocp as pam
 from pam_ocp.planning import replay
-from pam_ocp.planning.approach import Approach
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.problem.objective import regularised
-from pam_ocp.planning.run import Run
-from pam_ocp.planning.solvers import narrowing
-from pam_ocp.planning.solvers.backend import Backend
 from pam_ocp.planning.solvers.diagnosis import elastic, explanation
 from pam_ocp.planning.transcription.guess import by_rests, by_stops, path_of_rests, rest_point
 from pam_ocp.planning.transcription.mesh import Collocation, Shooting, merged
-from pam_ocp.planning.transcription.transcription import transcribe
 
 
 def cart():
@@ -44,29 +40,15 @@ def test_a_merged_mesh_has_the_legs_of_the_fine_one():
 
 
 def test_coarser_meshes_lead_to_the_optimum_on_the_mesh_that_was_asked_for():
-    run = Run(program(), Backend())
-    found = run._from_coarser()
-    assert found.program is run.program
+    planner = Planner(cart(), [{"x": 0.0}, {"x": 1.0}], method=Collocation(8))
+    search = search_of(planner)
+    coarse = merged(planner._program.mesh, 4)
+    search.meshes.ladder = [coarse, planner._program.mesh]
+    search.continuation.led(next(search._guessed(coarse)))
+    best = search.found.best
+    assert best.mesh == planner._program.mesh
     # bang-bang from rest to rest: T = 2 sqrt(distance / acceleration)
-    assert found.outcome.objective == pytest.approx(2 * np.sqrt(0.1), rel=1e-6)
-
-
-def test_kinks_are_approached_from_a_solution_on_another_mesh():
-    """A climb has meshes of its own, fine enough to be left as they are."""
-    slipping = pam.losses.MaxwellSlip((8.0, 12.0), (0.004, 0.02))
-    plant = pam.AntagonisticSlide("DMSP-20-200N", losses=slipping)
-    wish = {"duration": 0.5, "minimise": "effort", "method": Collocation(6, 3)}
-    planner = Planner(plant, [{"x": -0.01}, {"x": 0.01}], **wish)
-    run, mesh = Run(planner._program, Backend().near()), Collocation(15, 5).mesh(1)
-    fine = Run(transcribe(planner._program.problem, mesh), run.backend)
-    (wide, *_), _ = fine.several(1, wide=True)
-    found = Approach(run, wide, run.backend).solved()
-    assert found.outcome.success
-    assert len(found.program.mesh.intervals) >= 15
-    assert (
-        found.program.problem.plant.variable("muscle1.slip_edge").start
-        == plant.variable("muscle1.slip_edge").start
-    )
+    assert best.objective == pytest.approx(2 * np.sqrt(0.1), rel=1e-6)
 
 
 def test_a_guess_along_points_of_rest_rests_between_the_stops():
@@ -138,21 +120,6 @@ def test_a_solver_at_its_limit_is_no_conflict():
     assert caught.value.plan.conflicts == ()
     outcome = SimpleNamespace(stopped=False, status="s", iterations=3, advice="")
     assert "seems to exist" in explanation("cart", outcome, (), feasible=True)
-
-
-def test_no_place_of_the_path_is_tried_twice_from_the_same_guess_in_one_way(monkeypatch):
-    tried = []
-    monkeypatch.setattr(narrowing, "rounded_at", lambda program, part: part)
-
-    def solver(program, guess, start, warm=None):
-        part = program if isinstance(program, float) else 1.0
-        tried.append((part, guess, start))
-        good = part < 0.8
-        return narrowing.Outcome(part, 0.0, "s", good, 1, 0.0, None, None)
-
-    narrowing.narrowing(solver, "own", -1.0, "cold")
-    assert len(tried) == len(set(tried))
-    assert {start for _, _, start in tried[1:]} == {"along", "last", "dash"}
 
 
 # ---- Ctrl-C --------------------------------------------------------------------------------------

@@ -332,8 +332,8 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(slide, factor):
 @pytest.mark.parametrize(
     ("start", "most", "violation"),
     [
-        ("along", 1e-1, 1e-4),
-        ("between", 1e-1, 1e-4),
+        ("corrector", 1e-1, 1e-4),
+        ("restored", 1e-1, 1e-4),
         ("finer", 1e-3, 1e-8),
         ("last", 1e-6, 1e-8),
     ],
@@ -356,7 +356,7 @@ def test_starts_near_an_optimum_keep_constraints_and_the_residual_they_promise(
     low, high = other.limits()
     values = np.asarray(g(found.w, other.parameters()), float).ravel()
     assert np.maximum(low - values, values - high).max() <= violation
-    place = start in ("along", "between")  # left again: costs need not be the least there
+    place = start in ("corrector", "restored")  # left again: costs need not be the least there
     assert found.objective == pytest.approx(there.objective, rel=1e-4 if place else 1e-6)
     assert abs(here.objective / there.objective - 1) > 1e-4
 

@@ -232,7 +232,7 @@ def test_what_is_not_verified_says_so_first_of_all():
     assert not plan.success
     assert not plan.verdict
     assert str(plan).startswith("NOT VERIFIED: its replay deviates by")
-    assert f"{plan.replay_error:.2g} of nominal in" in str(plan.verdict)
+    assert f"{plan.replay_error:.2g} (scaled by nominal values) in" in str(plan.verdict)
     assert plan.trajectory["x"][-1] == pytest.approx(0.05)
     assert plan.verdict.tolerance == 1e-3
 
@@ -326,12 +326,12 @@ def test_polynomial_inputs_end_verified_too(recwarn):
 
 # ---- Ctrl-C --------------------------------------------------------------------------------------
 def test_ctrl_c_ends_a_solve_and_nothing_is_tried_after_it(slide, monkeypatch):
-    from pam_ocp.planning import run
+    from pam_ocp.planning import search
 
     def never(*_):
         raise AssertionError("a diagnosis after Ctrl-C")
 
-    monkeypatch.setattr(run, "elastic", never)
+    monkeypatch.setattr(search, "elastic", never)
     seen = []
 
     def press(iteration, objective, violation):

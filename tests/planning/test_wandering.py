@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
+from pam_ocp.planning.smoothing import smoothed_at
 from pam_ocp.planning.solvers.ipopt_options import DAMPED, WANDERING
-from pam_ocp.planning.solvers.narrowing import widened
 from pam_ocp.planning.solvers.solver import Ipopt
 from pam_ocp.planning.transcription.derivatives import derivatives
 from pam_ocp.planning.transcription.guess import by_stops
@@ -35,7 +35,7 @@ def work_program(intervals=20):
         cyclic=True,
         method=pam.Collocation(intervals, 3),
     )
-    return widened(planner._program)
+    return smoothed_at(planner._program, 0.0)
 
 
 def kkt(program, outcome):
@@ -70,7 +70,7 @@ def test_a_flat_optimum_ends_at_a_place_and_is_an_optimum():
     assert other.objective == pytest.approx(found.objective, rel=1e-5)
 
 
-@pytest.mark.parametrize("start", ["finer", "settled", "last"])
+@pytest.mark.parametrize("start", ["finer", "damped", "last"])
 def test_damping_moves_no_optimum(start):
     planner = pam.Planner(
         load(),
@@ -95,14 +95,12 @@ def test_damping_moves_no_optimum(start):
 def test_the_damped_hessian_differs_by_its_diagonal():
     program = work_program(4)
     solver = Ipopt(program)
-    plain, damped = (
-        solver._solver(name).get_function("nlp_hess_l") for name in ("cold", "settled")
-    )
+    plain, damped = (solver._solver(name).get_function("nlp_hess_l") for name in ("cold", "damped"))
     w = by_stops(program.problem, program.mesh, balanced=True)
     rng = np.random.default_rng(0)
     given = w, program.parameters(), 1.0, rng.standard_normal(program.nlp["g"].numel())
     difference = np.asarray(ca.DM(damped(*given) - plain(*given)))
-    np.testing.assert_allclose(difference, DAMPED["settled"] * np.eye(len(w)), atol=1e-9)
+    np.testing.assert_allclose(difference, DAMPED["damped"] * np.eye(len(w)), atol=1e-9)
     assert "hess_lag" in derivatives(program)
 
 
@@ -142,7 +140,7 @@ def test_what_ends_close_to_an_optimum_is_led_to_it():
         success=False,
         log=log,
     )
-    assert near.led_on(damped=False) == ("last", "still")
+    assert near.led_on(damped=False) == ("last", "feasible")
     assert not near.wandered
     again = solver.settled(program, near, "cold")
     assert again.success
@@ -189,8 +187,8 @@ def test_short_steps_lead_back_to_the_constraints():
         return np.maximum(least - values, values - most).max()
 
     assert violation(scattered) > 1e-5
-    for start, exact in (("still", 1e-8), ("along", 1e-4), ("between", 1e-4)):
-        back = solver(program, scattered, start, None if start == "between" else found)
+    for start, exact in (("feasible", 1e-8), ("corrector", 1e-4), ("restored", 1e-4)):
+        back = solver(program, scattered, start, None if start == "restored" else found)
         assert back.success
         assert violation(back.w) <= exact
         assert np.linalg.norm(back.w - scattered) <= 1.5 * np.linalg.norm(found.w - scattered)
@@ -216,8 +214,8 @@ def test_an_optimum_beside_its_constraints_is_no_contradiction(status, violation
 @pytest.mark.parametrize(
     ("residuals", "starts"),
     [
-        ((1e-4, 1e-7), ("settled", "still")),  # at its optimum, which is no one place
-        ((1e-3, 5e-3), ("still",)),  # costs are nearly at their least: as it is
+        ((1e-4, 1e-7), ("damped", "feasible")),  # at its optimum, which is no one place
+        ((1e-3, 5e-3), ("feasible",)),  # costs are nearly at their least: as it is
         ((1e-1, 5e-3), ()),  # too far from the constraints for short steps
         ((1e-3, 5e-2), ()),
     ],
@@ -228,7 +226,7 @@ def test_a_motion_that_is_nearly_there_is_brought_back_as_it_is(residuals, start
     log = (dict(zip(("inf_pr", "inf_du"), residuals, strict=True)),)
     late = replace(found, status="Maximum_Iterations_Exceeded", success=False, log=log)
     assert late.led_on(damped=True) == starts
-    if starts == ("still",):
+    if starts == ("feasible",):
         settled = Ipopt(program).settled(program, late, "last")
         assert settled.status == "Settled"
         assert kkt(program, settled)[0] <= 1e-6

@@ -389,7 +389,7 @@ def test_a_guess_that_has_come_to_rest_is_refused():
 
 def test_a_guess_that_dies_out_gives_no_cycle():
     dying = pam.simulate(beyond(0.5), t=np.linspace(0, 3, 1001), start={"x": 0.045})
-    with pytest.raises(VibrationError, match="from this guess: it collapses to a point of rest"):
+    with pytest.raises(VibrationError, match="from this guess: it collapses to an equilibrium"):
         vibration.limit_cycle(beyond(0.5), dying)
 
 

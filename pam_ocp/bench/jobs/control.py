@@ -78,7 +78,7 @@ GAINS: dict[str, dict[str, tuple[str, float]]] = {
 
 # ---- nouns ---------------------------------------------------------------------------------------
 def first_point(plant: Plant) -> dict[str, float]:
-    """Conditions of a point of rest to begin with: the middle of the stroke, pairs at 3 bar."""
+    """Conditions of an equilibrium to begin with: the middle of the stroke, pairs at 3 bar."""
     name = next(iter(plant.positions), None)
     if name is None:
         raise InputError(f"{plant.name} has no position that moves; choose another arrangement")

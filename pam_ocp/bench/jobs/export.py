@@ -48,9 +48,9 @@ __all__ = [
 AGREES = 1e-9
 """Relative difference to which the script's figures are the page's."""
 TOLERANCE = 1e-3
-"""Of the check of an FMU, in units of nominal."""
+"""Of the check of an FMU, scaled by nominals."""
 STEPS = 200
-"""Communication steps of a motion from the operating point that an FMU is held against."""
+"""Communication steps of a motion from the operating point that an FMU is compared with."""
 
 LONGEST = 3600.0
 """[s] that the script may take."""
@@ -73,7 +73,7 @@ def _member(state: State, part: str, id: str) -> Mapping[str, Any]:
 
 # ---- FMU, SSP, C ---------------------------------------------------------------------------------
 def fmu(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> dict[str, Any]:
-    """The plant as an FMU, held against a motion of the session, or rest at the operating point.
+    """The plant as an FMU, compared with a motion of the session, or rest at the operating point.
 
     said : {"id", "fmi", "step_size" [s], "motion": id or ""}.
     """

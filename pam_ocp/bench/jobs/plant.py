@@ -86,7 +86,7 @@ def stroke(plant: Plant) -> dict[str, Any] | None:
 def rest(
     say: Say, folder: Path, state: Mapping[str, Any], point: Mapping[str, float], allow: bool
 ) -> dict[str, Any]:
-    """The point of rest under conditions: values with units, poles, vibration, picture."""
+    """The equilibrium under conditions: values with units, poles, vibration, picture."""
     plant = plant_of(folder, state, allow_code=allow)
     return _point(equilibrium(plant, dict(point)))
 
@@ -159,7 +159,7 @@ def _line(
     stiffness: str,
     guess: OperatingPoint | None,
 ) -> Any:
-    """(position, stiffness) of points of rest one after the other, each the next one's guess."""
+    """(position, stiffness) of equilibria one after the other, each the next one's guess."""
     rows = []
     for one in conditions:
         try:
@@ -193,7 +193,7 @@ def vibration(
     cycles: float,
     allow: bool,
 ) -> dict[str, Any]:
-    """The motion beside the point of rest, let go: with the pressures held."""
+    """The motion beside the equilibrium, let go: with the pressures held."""
     # constant pressure, as a free vibration wants it
     table = {**state["plant"], "feed": {"kind": "IdealPressure"}}
     arrangement = str(table["arrangement"])

@@ -188,7 +188,7 @@ class Control(Tab):
         point = self.state["point"]
         if not point:
             el.note("None yet: click on the map in the tab Plant, or begin in mid stroke.")
-            el.button("Mid stroke", self._middle, main=True)
+            el.button("Centre position", self._middle, main=True)
             return
         for name, value in point.items():
             v = plant.variable(name)
@@ -281,7 +281,7 @@ class Control(Tab):
             )
             self._sliders[name] = slider, factor
         if said["kind"] == "lqr":
-            el.note("Weights of squares in units of nominal: more effort, less gain.")
+            el.note("Weights of squares scaled by nominals: more effort, less gain.")
 
     def _moved(self, name: str, value: float) -> Said | None:
         said = self._controller
@@ -418,7 +418,7 @@ class Control(Tab):
                     height=240,
                     pull=self._pulled,
                 )
-                self._push_field = el.Field("Push now", 0.0, "N", self._set_push)
+                self._push_field = el.Field("Disturbance pulse", 0.0, "N", self._set_push)
         el.note(
             "Drag the arrow at the right edge, or use its arrow keys: the reference. Pull the "
             "plant with the pointer, or type a push."

@@ -1,4 +1,4 @@
-"""Of the tab Motion: the motion at hand, others beside it, and records held against it."""
+"""Of the tab Motion: the motion at hand, others beside it, and records compared with it."""
 
 from __future__ import annotations
 

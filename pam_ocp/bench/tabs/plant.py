@@ -341,7 +341,7 @@ class PlantTab(Tab):
             shown="1",
         )
         with ui.element("div").classes("bench-row"):
-            el.button("Let it swing", self._swing)
+            el.button("Free response", self._swing)
 
     async def _swing(self) -> None:
         with self.bench.shown_errors():

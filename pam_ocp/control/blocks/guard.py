@@ -41,7 +41,7 @@ STATUS = {
 """Bits of the output ``status``; 0 where all is well."""
 
 ROUNDING = 1e-9
-"""A command so little beyond its range, in units of nominal, was not limited."""
+"""A command so little beyond its range, scaled by nominals, was not limited."""
 NEVER = 1e6
 """Age [samples] of a measurement that never was; ages grow no further."""
 

@@ -35,7 +35,7 @@ __all__ = ["Estimate", "Estimator", "KalmanFilter", "estimated_variables"]
 Array: TypeAlias = NDArray[np.float64]
 
 PROCESS = 1e-2
-"""Default process noise of a state, in units of nominal, per square root of a second."""
+"""Default process noise of a state, scaled by nominals, per square root of a second."""
 
 
 @locked
@@ -93,7 +93,7 @@ class Estimator(ABC):
         density = np.array([*(drift[v.name] for v in plant.states), *(b for _, b in pairs)])
         self._density = np.diag((density / self._scale) ** 2)
         self.covariance: Array = np.diag((first / self._scale) ** 2)
-        """Of states and unknowns, in units of nominal."""
+        """Of states and unknowns, scaled by nominals."""
         self._q = self.given.vector()
         self._z = np.concatenate([plant.vector("state", start), self._q[self._at]]) / self._scale
         self._first = self._z.copy(), self.covariance.copy()
@@ -220,7 +220,7 @@ class Estimator(ABC):
         """Go one step on, under inputs (by name [SI]; start values for those not named)."""
 
     def _seen(self, measurement: Values) -> Array:
-        """Measured values in units of nominal; NaN for those not in the measurement."""
+        """Measured values scaled by nominals; NaN for those not in the measurement."""
         known = {v.name: i for i, v in enumerate(self.measured)}
         seen = np.full(len(known), np.nan)
         for given, value in measurement.items():
@@ -276,7 +276,7 @@ class KalmanFilter(Estimator):
     sample_time : time between two calls of :meth:`predict` [s].
     measured : {state or output: standard deviation of its noise > 0} [SI].
     process : {state: standard deviation that unmodelled effects add per square root of a second};
-        by default 1 % of nominal for states that are not named, and 0 for positions (x' = v).
+        by default 1 % of nominals for states that are not named, and 0 for positions (x' = v).
     unknown : {parameter, disturbance input or "der(STATE)": (initial standard deviation, drift per
         square root of a second)}; they are estimated as random walks, and held inside their bounds.
     start : initial states by name (start values by default); the unknowns start at the plant's.
@@ -288,7 +288,7 @@ class KalmanFilter(Estimator):
     ``correct(measurement)`` takes the measurement in, ``predict(inputs)`` goes one step on. Without
     an unknown the filter is the linear Kalman filter when the plant is linear.
 
-    Raises InputError for values, UnknownNameError for names that cannot be meant.
+    Raises InputError for values, UnknownNameError for unknown names.
 
     Examples
     --------

@@ -57,7 +57,7 @@ class MovingHorizonEstimator(Estimator):
     On a linear plant, without active bounds and with ``robust=None``, it is the Kalman filter.
     Measuring the same variable twice before the next :meth:`predict` replaces its value.
 
-    Raises InputError for values, UnknownNameError for names that cannot be meant.
+    Raises InputError for values, UnknownNameError for unknown names.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class MovingHorizonEstimator(Estimator):
         self._empty()
 
     def _narrow(self, bounds: Mapping[str, Any]) -> None:
-        """Bounds of states and unknowns in units of nominal: the plant's, narrowed."""
+        """Bounds of states and unknowns scaled by nominals: the plant's, narrowed."""
         states = self.plant.states
         nx = len(states)
         self._low[:nx] = [v.min for v in states] / self._scale[:nx]

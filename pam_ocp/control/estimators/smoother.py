@@ -22,7 +22,7 @@ from .extended_kalman import Estimator, taken_in
 __all__ = ["Smoother"]
 
 TOLERANCE = 1e-9
-"""Change of the window's trajectory, in units of nominal, that ends the Gauss-Newton steps."""
+"""Change of the window's trajectory, scaled by nominals, that ends the Gauss-Newton steps."""
 PASSES = 25
 """Of the smoother in one step that bounds hold back, at most."""
 GAP = 1e-13
@@ -32,14 +32,14 @@ CLOSED = 1e-7
 SHORT = 0.995
 """Share of the way to the nearest bound that is gone."""
 ROOM = 1e-2
-"""Least distance from a bound at the start, in units of nominal."""
+"""Least distance from a bound at the start, scaled by nominals."""
 CENTRED, LOST = 0.02, 0.5
 """How far the barrier falls after a long step, and after a short one."""
 
 
 @dataclass(frozen=True)
 class Side:
-    """sign (entry - bound) >= 0, in units of nominal."""
+    """sign (entry - bound) >= 0, scaled by nominals."""
 
     entry: int
     sign: float

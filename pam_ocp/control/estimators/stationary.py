@@ -188,16 +188,16 @@ def kalman(
     disturbances: Mapping[str, float] | None = None,
     sample_time: float = 1e-3,
 ) -> StationaryFilter:
-    """The stationary Kalman filter about a point of rest, for a sampling time ``sample_time`` [s].
+    """The stationary Kalman filter about an equilibrium, for a sampling time ``sample_time`` [s].
 
     measured : {state or output: standard deviation of its noise [SI]}, of each sample.
-    process : what drives the states besides the inputs, in units of nominal per sqrt(s): a number
+    process : what drives the states besides the inputs, scaled by nominals per sqrt(s): a number
         for all, or {state: value} (others 0). The mass not known well is noise on the velocity.
     disturbances : {input: drift [SI per sqrt(s)]} of inputs that are not known but estimated with
         the states, as constants that drift: an external force, or a command's unknown offset. At
         most as many as measured values. See :class:`OffsetFree`.
 
-    By ``control.dlqe``'s Riccati equation on the exactly sampled system in units of nominal.
+    By ``control.dlqe``'s Riccati equation on the exactly sampled system scaled by nominals.
     Raises InputError when the states cannot be told from what is measured.
 
     Examples

@@ -31,7 +31,7 @@ from ...core.stop import locked
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...numerics.buffered import Buffered
-from ...planning.solvers.narrowing import rounded
+from ...planning.smoothing import smoothed
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulator import evaluated
@@ -107,7 +107,7 @@ class Mpc:
         ``pam.control.block``), to the last bit, slower than HPIPM by ten times where it is not
         compiled. None: "hpipm"; where ``compiled`` asks for machine code, an SQP step is one
         function of it, with the interior point of "riccati" inside.
-    tolerance : an iteration that changes less ends the SQP, in units of nominal: the errors that
+    tolerance : an iteration that changes less ends the SQP, scaled by nominals: the errors that
         are minimised, as they weigh next to the largest weight (root mean square over the horizon),
         the inputs that are applied, and what predictions and limits were off by.
     compiled : the SQP's steps as machine code (with a ``solver`` that is named: the model's steps
@@ -120,7 +120,7 @@ class Mpc:
     too, and how often the solution applied had not converged. No step is replayed:
     :meth:`prediction_error` does that of the last one.
 
-    Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for
+    Raises InputError for an invalid horizon, step or weight, UnknownNameError for
     names. The first call warns of an input that has no influence where the plant stands (a dead
     zone that is not declared): no solver of this kind finds out of it.
 
@@ -168,9 +168,9 @@ class Mpc:
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
-        self.model = rounded(inversion.inner, KINKS)
+        self.model = smoothed(inversion.inner, KINKS)
         """The plant as the program sees it: with openings in place of the commands of valves, and
-        the kinks of friction and hysteresis rounded off over wider widths.
+        the kinks of friction and hysteresis smoothed over wider widths.
         """
         self.given = Givens(self.model)
         if not self.given.controls:
@@ -361,7 +361,7 @@ class Mpc:
         return evaluated(model, t, states, held)
 
     def prediction_error(self) -> float:
-        """How far the last call's prediction is from its own model's motion, in units of nominal.
+        """How far the last call's prediction is from its own model's motion, scaled by nominals.
 
         The largest difference, over the steps of the horizon, between the next node and the step
         from the node before with substeps ``FINER`` times finer: the error of the integration, and

@@ -24,10 +24,10 @@ _TOLD = {
     "long: the fallback is sent",
     "iterations": "SQP steps",
     "work": "iterations of the interior-point method",
-    "last_step": "how much the last SQP step changed errors and inputs, in units of nominal",
+    "last_step": "how much the last SQP step changed errors and inputs, scaled by nominals",
     "converged": "1 where the tolerance was met",
     "active": "number of limits that hold the plan back",
-    "violation": "largest violation of a soft limit in the plan, in units of nominal",
+    "violation": "largest violation of a soft limit in the plan, scaled by nominals",
     "missing": "samples in a row that lacked a measurement: predicted values stood in",
     "failures": "samples in a row whose quadratic program failed",
 }

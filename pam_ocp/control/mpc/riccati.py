@@ -23,7 +23,7 @@ __all__ = ["GAP", "ITERATIONS", "RiccatiQp"]
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
 GAP = 1e-12
-"""Mean complementarity that ends it, in units of nominal: leaves about 1e-9 of nominal, so that the
+"""Mean complementarity that ends it, scaled by nominals: leaves an error of about 1e-9, so that the
 commands of two machines whose functions differ in the last bit differ by no more."""
 CLOSED = 1e-8
 """Share of the defects that may be left when it ends."""
@@ -36,7 +36,7 @@ SMALLEST = 1e-14
 LARGEST = 1e30
 """A sum beyond it is no number."""
 ROOM = 0.1
-"""Least distance from a limit at the start, in units of nominal."""
+"""Least distance from a limit at the start, scaled by nominals."""
 
 
 class _Packed:

@@ -105,7 +105,7 @@ class TrackingProgram:
         self.ns = int(any(limit.soft for limit in limits))
         weights = [*rate.values(), *(max(e.weight, e.terminal) for e in penalties)]
         self.error_scale = horizon * max(weights)
-        """Of a sum of squared weighted errors over the horizon, to be a mean in units of nominal of
+        """Of a sum of squared weighted errors over the horizon, to be a mean scaled by nominals of
         what weighs most."""
         self.x_nominal = plant.vector("state", attribute="nominal")
         self.u_nominal = np.array([v.nominal for v in given.controls])

@@ -34,7 +34,7 @@ bounds make the matrices ill-conditioned, and steps less exact again when the co
 smaller.
 """
 MISS = 1e-3
-"""Largest violation of a QP's rows by its solution, in units of nominal, that still counts as
+"""Largest violation of a QP's rows by its solution, scaled by nominals, that still counts as
 solved.
 """
 OVER = 1.5
@@ -63,7 +63,7 @@ class SqpOutcome:
 
 
 GAP = 1e-8
-"""Mean complementarity that ends a quadratic program: leaves 1e-5 of nominal in the step, below
+"""Mean complementarity that ends a quadratic program: leaves 1e-5 (scaled) in the step, below
 what SQP looks at."""
 LEFT, WORK, BROKEN, CHANGE = 0, 2, 3, 6
 """Places among the facts of a quadratic program: defects left, iterations, largest violation, how
@@ -170,11 +170,11 @@ class QpStep:
     """The step from ``point.unknowns`` by evaluating there and solving the quadratic program.
 
     A call, with the damping added to the Hessian's diagonal, leaves ``direction`` and returns
-    (largest violation of rows by it, in units of nominal: solvers disagree on how they report
+    (largest violation of rows by it, scaled by nominals: solvers disagree on how they report
     failure; how much it changes; iterations of the interior point, where known; seconds in the
     solver). How many of them it may take was settled when the solver was made.
 
-    How much it changes is the largest of three, in units of nominal: the weighted errors that the
+    How much it changes is the largest of three, scaled by nominals: the weighted errors that the
     program minimises (root mean square over the horizon), the inputs at the first node, which are
     applied, and the rows' violations that it takes away. Inputs late in the horizon that these do
     not feel have no place of their own, and wander without end.

@@ -33,7 +33,7 @@ ITERATIONS = 20
 needed, the reference has just jumped, and the next program sees the rest.
 """
 GAP = 1e-10
-"""Complementarity that ends it: leaves some 1e-5 of nominal in the step where limits hold it back,
+"""Complementarity that ends it: leaves some 1e-5 (scaled) in the step where limits hold it back,
 below what SQP looks at; 1e-8 leaves 6e-4 there, for an iteration less.
 """
 

@@ -70,7 +70,7 @@ def export_c(
     tolerance : of the self-test, relative; by default 1e-12 (double) or 1e-4 (single), or ten times
         what rounding makes of the outputs, where that is more.
 
-    Returns the folder. Raises InputError for what cannot be meant, ExportError for a block that
+    Returns the folder. Raises InputError for invalid input, ExportError for a block that
     cannot be C, WriteError for a folder that is there and is no such export.
 
     Examples

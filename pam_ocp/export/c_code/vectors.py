@@ -17,7 +17,7 @@ __all__ = ["inputs_of", "outputs_of", "sensitivity"]
 Array: TypeAlias = NDArray[np.float64]
 
 REACH = 0.3
-"""How far the inputs go about their start values, in units of nominal."""
+"""How far the inputs go about their start values, scaled by nominals."""
 
 
 def inputs_of(block: Block, steps: int, seed: int) -> Array:

@@ -274,7 +274,7 @@ class JaxPlant:
         """States (n, nx) at the times t (n,), by steps of Rodas5P that follow the tolerance.
 
         u : inputs (nu,), or (n, nu), held from each time to the next; None for the start values.
-        tolerance : of a step, in units of nominal. max_steps : between two times; behind them, or
+        tolerance : of a step, scaled by nominals. max_steps : between two times; behind them, or
         where nothing leads on, states are NaN. One motion: batches by ``jax.vmap`` over x0, u and
         p. Slopes by forward mode (``jax.jvp``, ``jax.jacfwd``); for ``jax.grad`` use a stepper.
 
@@ -431,7 +431,7 @@ class JaxStepper:
         return jnp.concatenate([jnp.stack(begin, axis=-1)[None], way])
 
     def error(self, x: Array, u: Array, p: Parameters = None, *, steps: int) -> Array:
-        """The largest error over a run in units of nominal, as half the step shows it: (...,).
+        """The largest error over a run scaled by nominals, as half the step shows it: (...,).
 
         Richardson: the distance from a run with half the step, by 2^order/(2^order - 1).
         """

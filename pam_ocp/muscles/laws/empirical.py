@@ -87,7 +87,7 @@ class HildebrandtLaw(ForceLaw):
     smoothing: FloatOrSX = coefficient(
         "1",
         1e-3,
-        "contraction below which the root is rounded off",
+        "contraction below which the root is smoothed",
         minimum=1e-9,
         fixed=True,
         default=1e-3,
@@ -225,7 +225,7 @@ class ThreeElementLaw(ForceLaw):
 class TwoSlopeThreeElementLaw(ForceLaw):
     """F = (f0 + f1 p) - K(p) l0 kappa, K(p) = max(k0 + k1 p, k2 + k3 p).
 
-    The kink of K is rounded off over ``rounding`` (see :func:`clamp`), elsewhere the law is as
+    The kink of K is smoothed over ``rounding`` (see :func:`clamp`), elsewhere the law is as
     printed. Not affine in pressure. Its damping is :meth:`DirectionalDamping.festo`.
 
     Source: J. L. Serres et al., Comput. Methods Biomech. Biomed. Engin. 12(4) (2009) 423-430, doi

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import casadi as ca
+import numpy as np
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.variables import Variable
@@ -17,7 +18,15 @@ from ...plants.plant import Plant
 from .problem import Budget, Objective, Problem
 from .symbols import Symbols
 
-__all__ = ["FORMS", "Symbols", "budget", "follows_inputs", "objective", "regularised"]
+__all__ = [
+    "FORMS",
+    "Symbols",
+    "budget",
+    "follows_inputs",
+    "is_nonnegative",
+    "objective",
+    "regularised",
+]
 
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
@@ -101,6 +110,35 @@ def objective(
         bool(economical),
         _in_words(weights, units, (track, integrand, final)),
     )
+
+
+def is_nonnegative(problem: Problem) -> bool:
+    """Whether no motion has an objective below 0: it counts positive work and squares, say, and no
+    more.
+    """
+    goal = problem.objective
+    if any(goal.peaks) or not goal.final.is_zero():  # all other weights are >= 0
+        return False
+    counted = ca.vertcat(*(a.symbol for a in problem.auxiliaries if a.low >= 0))
+    if not counted.numel():
+        return False
+    slopes = ca.jacobian(goal.integrand, counted)
+    alone = ca.substitute(goal.integrand, counted, ca.DM.zeros(counted.shape))
+    if not slopes.is_constant() or not np.all(np.asarray(ca.DM(slopes)) >= 0):
+        return False
+    return _is_square(alone)
+
+
+def _is_square(expression: ca.SX) -> bool:
+    """Whether an expression is a constant >= 0 and a sum of squares of its symbols."""
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))
+    curvature, slope = ca.hessian(expression, symbols)
+    if not curvature.is_constant():
+        return False
+    origin = ca.DM.zeros(symbols.shape)
+    least, slopes = (ca.DM(ca.substitute(e, symbols, origin)) for e in (expression, slope))
+    centred = not np.any(np.asarray(slopes)) and float(least) >= 0
+    return centred and bool(np.all(np.linalg.eigvalsh(np.asarray(ca.DM(curvature))) >= 0))
 
 
 def regularised(problem: Problem, weight: float) -> Problem:

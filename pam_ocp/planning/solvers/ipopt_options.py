@@ -64,14 +64,6 @@ WARM: dict[str, Any] = {
 """From primal and dual values of the same program with other numbers."""
 
 
-STEP: dict[str, Any] = {**NEAR, "max_iter": 250}
-"""From one place of a path to the next: what takes longer takes a shorter step. Of 100 iterations
-many steps were broken off that end in 130 to 210, and shorter ones take no less.
-"""
-
-DASH: dict[str, Any] = {**NEAR, "max_iter": 150}
-"""To the end of a path at once, where going along it is the better use of more."""
-
 WANDERING: dict[str, Any] = {
     "acceptable_iter": 15,
     "acceptable_tol": 1e-2,
@@ -86,8 +78,8 @@ the constraints by its square. It is settled then, see ``DAMPED``.
 """
 DAMPED: dict[str, float] = {
     **dict.fromkeys(("last", "finer"), 1e-4),
-    "settled": 1e-2,
-    **dict.fromkeys(("along", "between"), 1.0),
+    "damped": 1e-2,
+    **dict.fromkeys(("corrector", "restored"), 1.0),
 }
 """Added to the Hessian's diagonal for starts that are near: steps along which costs are flat become
 short (K. Levenberg, Quart. Appl. Math. 2 (1944) 164-168), and the solution is one that lies near.
@@ -106,18 +98,19 @@ PLACE: dict[str, Any] = {
 not be the least there, and where they are flat a solver goes on for hundreds of iterations.
 """
 
-ALONG: dict[str, Any] = {**WARM, **PLACE}
+CORRECTOR: dict[str, Any] = {**WARM, **PLACE}
 """From one place of a path to the next on the same mesh, by its multipliers."""
 
 LAST: dict[str, Any] = {**WANDERING, **WARM, "max_iter": 150}
 """To the end of a path: the same, and costs are at their least."""
 
-BETWEEN: dict[str, Any] = {**NEAR, **PLACE}
+RESTORED: dict[str, Any] = {**NEAR, **PLACE}
 """The same from one mesh to the next."""
 
 FINER: dict[str, Any] = {
     **WANDERING,
-    **STEP,
+    **NEAR,
+    "max_iter": 250,
     "acceptable_iter": 5,
     "acceptable_dual_inf_tol": 1e-3,
     "acceptable_constr_viol_tol": 1e-3,
@@ -127,7 +120,7 @@ FINER: dict[str, Any] = {
 more gain less than a ten-thousandth.
 """
 
-SETTLED: dict[str, Any] = {
+CONVERGED: dict[str, Any] = {
     **WARM,
     "acceptable_iter": 1,
     "acceptable_tol": 1e-6,
@@ -140,7 +133,7 @@ fatrop's solutions. Where they are flat this goes on for ever in small steps, ea
 the constraints again.
 """
 
-RESTORED: dict[str, Any] = {
+FEASIBLE: dict[str, Any] = {
     "mu_init": 1e-12,
     "bound_mult_init_method": "mu-based",
     **dict.fromkeys(_PUSHES, 1e-9),
@@ -157,27 +150,23 @@ Start: TypeAlias = Literal[
     "cold",
     "adaptive",
     "near",
-    "step",
-    "dash",
     "warm",
-    "along",
+    "corrector",
     "last",
-    "between",
+    "restored",
     "finer",
-    "settled",
-    "still",
+    "damped",
+    "feasible",
 ]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": WANDERING,
     "adaptive": {**WANDERING, **ADAPTIVE},
     "near": {**WANDERING, **NEAR},
-    "step": {**WANDERING, **STEP},
-    "dash": {**WANDERING, **DASH},
     "warm": {**WANDERING, **WARM},
-    "along": ALONG,
+    "corrector": CORRECTOR,
     "last": LAST,
-    "between": BETWEEN,
+    "restored": RESTORED,
     "finer": FINER,
-    "settled": SETTLED,
-    "still": RESTORED,
+    "damped": CONVERGED,
+    "feasible": FEASIBLE,
 }

@@ -79,7 +79,7 @@ LITTLE = 1e-3
 LEAST_COST = 1e-5
 """Residual of stationarity up to which costs count as the least."""
 SLOWLY = "the search ended where costs fell slowly and may not be at their least (slope {:.0e})"
-SETTLING = ("settled", "still")
+SETTLING = ("damped", "feasible")
 """Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
 """Residual of the constraints from which on what has settled is not led on for more."""
@@ -142,10 +142,10 @@ class Outcome:
         damped : whether its steps were.
         """
         if self.wandered:
-            return ("still",) if damped and self.success else ("settled", "still")
+            return ("feasible",) if damped and self.success else ("damped", "feasible")
         if damped:
-            return ("still",) if self.within(*NEARLY) else ()
-        return ("last", "still") if self.within(*CLOSE) else ()
+            return ("feasible",) if self.within(*NEARLY) else ()
+        return ("last", "feasible") if self.within(*CLOSE) else ()
 
     def within(
         self, stationarity: float, violation: float, ended: tuple[str, ...] = ENDED_LATE
@@ -182,8 +182,7 @@ class Solver(Protocol):
         keeps them; its multipliers have CasADi's signs (zeros where a solver has none).
 
         start : where the guess comes from; see ``STARTS``. A solver may take each of them as
-        "cold". warm : the outcome whose multipliers may be used, for the starts "warm", "along",
-            "last" and "settled".
+            "corrector", "last" and "damped".
 
         A solver never raises because it found nothing: it says so in the outcome. InputError is for
         options that it does not know.
@@ -257,7 +256,7 @@ class Ipopt:
             if name in DAMPED and "hess_lag" in options:
                 options["hess_lag"] = _damped(options["hess_lag"], DAMPED[name])
             nlp, problem = self.program.nlp, self._library or self.program.nlp
-            if name == "still":  # the length of a step in place of costs
+            if name == "feasible":  # the length of a step in place of costs
                 problem = {**nlp, "f": ca.MX(0)}
                 options.pop("grad_f", None)
                 options["jac_g"] = self._derivatives["jac_g"]
@@ -311,13 +310,13 @@ class Ipopt:
                 written(program, start, found, time.process_time() - processor)
                 return found
         solver = self._solver(start)
-        if warm is not None and start != "still":
+        if warm is not None and start != "feasible":
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
         result = solver(**given)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
-        if start == "still":
+        if start == "feasible":
             outcome = self._beside(outcome, given["p"], warm)
         written(program, start, outcome, time.process_time() - processor)
         return outcome if start in SETTLING else self.settled(program, outcome, start)
@@ -341,7 +340,7 @@ class Ipopt:
         for following in starts:
             found = self(program, found.w, following, found)
             solves.append(found)
-            slope = slope if following == "still" else found.log[-1]["inf_du"]
+            slope = slope if following == "feasible" else found.log[-1]["inf_du"]
             exact = found.success and found.log[-1]["inf_pr"] <= EXACT
             if exact or not (found.success or found.within(*NEARLY)):
                 break

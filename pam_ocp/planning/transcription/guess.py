@@ -18,7 +18,7 @@ from ...operating.held import held_names
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows, totals
 from ..problem.problem import Problem, limits
-from ..solvers.narrowing import has_roundings
+from ..smoothing import has_smoothing
 from .mesh import Mesh
 from .solution import Solution
 from .stage import nominals
@@ -158,7 +158,7 @@ def wants_balance(problem: Problem) -> bool:
         for q, order, _ in rest_rows(plant, plant.resting())
         if order == 2 and not ca.depends_on(spoken, plant.expression(q.name))
     ]
-    return bool(open_ends) or has_roundings(problem) or _idle_inputs(plant)
+    return bool(open_ends) or has_smoothing(problem) or _idle_inputs(plant)
 
 
 def _idle_inputs(plant: Plant) -> bool:

@@ -14,7 +14,7 @@ __all__ = ["LinearizeStep", "LoadsStep"]
 
 @STEPS.register("linearize")
 class LinearizeStep(Step):
-    """A point of rest and the linear model about it: poles, frequencies, matrices."""
+    """An equilibrium and the linear model about it: poles, frequencies, matrices."""
 
     parts: ClassVar[Mapping[str, str]] = {"plant": "plant"}
     needs = ("plant",)

@@ -45,7 +45,7 @@ def _require_kind(name: str, said: Any, usual: str, *more: str) -> Mapping[str, 
 
 @STEPS.register("controller")
 class ControllerStep(Step):
-    """A controller designed for a plant, about a point of rest where its kind asks for one."""
+    """A controller designed for a plant, about an equilibrium where its kind asks for one."""
 
     parts: ClassVar[Mapping[str, str]] = {"plant": "plant"}
     needs = ("plant", "controller")
@@ -58,7 +58,7 @@ class ControllerStep(Step):
         rest = values("rest", job.parts["plant"], job.get("rest", {}))
         if "at" in known and not (rest or "at" in job.said["controller"]):
             raise InputError(
-                "rest is missing: this controller is about a point of rest; give its conditions, "
+                "rest is missing: this controller is about an equilibrium; give its conditions, "
                 'as rest = { x = "10 mm" }'
             )
         return {"controller": None}

@@ -176,7 +176,7 @@ def _held(said: Mapping[str, Any], parts: Mapping[str, Any]) -> tuple[Trajectory
 
 @STEPS.register("check")
 class CheckStep(Step):
-    """An FMU validated, run by another tool, and held against a motion."""
+    """An FMU validated, run by another tool, and compared with a motion."""
 
     stage = "verified"
     parts: ClassVar[Mapping[str, str]] = {"fmu": "fmu", "against": "motion"}
@@ -207,7 +207,8 @@ class CheckStep(Step):
         write_json(job.out / "check.json", found.to_dict())
         said = "nothing was found" if found.ok else found.findings[0]
         sure = [
-            f"{m}: within {max(d.values()):.1e} of nominal" for m, d in found.deviations.items()
+            f"{m}: within {max(d.values()):.1e} (scaled by nominals)"
+            for m, d in found.deviations.items()
         ]
         numbers = {"largest": (found.largest, "1")}
         return Made(found, said, found.ok, numbers, sure, str(found))

@@ -82,8 +82,9 @@ class PlanStep(Moves):
             numbers |= {"replay_error": (found.replay.error, "1")}
             numbers |= {"violation": (found.replay.violation, "1")}
             sure = [
-                f"an independent integration deviates by {found.replay.error:.2e} of nominal",
-                f"limits are exceeded by at most {found.replay.violation:.2e} of nominal",
+                f"an independent integration deviates by {found.replay.error:.2e} "
+                "(scaled by nominals)",
+                f"limits are exceeded by at most {found.replay.violation:.2e} (scaled by nominals)",
             ]
         return Made(found, str(found.verdict), found.verified, numbers, sure, str(found))
 
@@ -172,7 +173,7 @@ class CompareStep(Step):
         job.save(plot_comparison(one, other, names, labels))
         numbers = {"largest": (found.largest, "1")}
         numbers |= {n: (largest, unit) for n, largest, _, _, unit in rows}
-        said = f"largest difference {found.largest:.3g} of nominal"
+        said = f"largest difference {found.largest:.3g} (scaled by nominal values)"
         good = "tolerance" not in job.said or found.largest <= quantity(
             "tolerance", job.said["tolerance"]
         )

@@ -137,7 +137,7 @@ class Step:
     def check(cls, job: Job) -> dict[str, Any]:
         """Look at all that the file says, before anything runs: {noun: a stand-in for it}.
 
-        Raises InputError for what cannot be meant.
+        Raises InputError for invalid input.
         """
         return {}
 

@@ -7,7 +7,7 @@ change. The multipliers of the solution give that gradient: no re-solve.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
@@ -15,17 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .result import Solved
-from .transcription.mesh import Form, Interval, Mesh, doubled
+from .transcription.mesh import Form, Mesh
 from .transcription.transcription import transcribe
 
-__all__ = ["gains", "sharpened"]
+__all__ = ["gains"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-SHARE = 0.7
-"""Of what is to be gained: as many intervals are split. With 0.9 a mesh grows faster than its
-objective settles, with the jumps of the inputs alone (no gradient) it does not settle.
-"""
 LEAST_CHANGE = 0.02
 """Of an input inside its interval, in units of nominal, where those beside are the same."""
 
@@ -116,19 +112,3 @@ def _changes(found: Solved) -> tuple[Array, Array]:
     # half of it to either side, and more to one where a bound leaves less to the other
     lower = np.minimum(below, np.maximum(change / 2, change - above))
     return lower, np.minimum(above, np.maximum(change / 2, change - below))
-
-
-def sharpened(mesh: Mesh, gained: Array | None) -> Mesh:
-    """The mesh with those intervals split in two that keep back ``SHARE`` of what is to be gained;
-    with all of them split where nothing is known of it.
-    """
-    if gained is None or not np.isfinite(gained).all() or not gained.sum() > 0:
-        return doubled(mesh)
-    order = np.argsort(gained)[::-1]
-    many = 1 + int(np.searchsorted(np.cumsum(gained[order]), SHARE * gained.sum()))
-    chosen = set(order[:many].tolist())
-    intervals: list[Interval] = []
-    for k, interval in enumerate(mesh.intervals):
-        own = replace(interval, watched=())
-        intervals += own.split(2, interval.degree) if k in chosen else [own]
-    return Mesh(tuple(intervals), mesh.form)

@@ -11,30 +11,31 @@ split (ph: M. A. Patterson, W. W. Hager, A. V. Rao, Optim. Control Appl. Methods
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from method.candidate import Candidate
-from method.settings import Settings
-from pam_ocp.planning.checked import Checked
-from pam_ocp.planning.problem.problem import Problem
-from pam_ocp.planning.sharpen import gains
-from pam_ocp.planning.transcription.mesh import (
+from .candidate import Candidate
+from .problem.objective import is_nonnegative
+from .problem.problem import Problem
+from .settings import Settings
+from .smoothing import is_nonsmooth
+from .transcription.mesh import (
     Interval,
     Mesh,
     coarsened,
     doubled,
+    doubled_at_most,
     halved,
     held,
     merged,
-    refined,
     watched,
 )
 
-__all__ = ["MeshSequence"]
+__all__ = ["MeshSequence", "scale"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -49,19 +50,33 @@ FLOOR = 1e-2
 
 
 class MeshSequence:
-    """Meshes for one problem, to a tolerance (None: the one that was asked for, alone)."""
+    """Meshes for one problem, to a tolerance (None: the one that was asked for, alone).
+
+    merges : whether many intervals are reached from few.
+    """
 
     def __init__(
-        self, asked: Mesh, problem: Problem, settings: Settings, tolerance: float | None
+        self,
+        asked: Mesh,
+        problem: Problem,
+        settings: Settings,
+        tolerance: float | None,
+        merges: bool = True,
     ) -> None:
         self.asked, self.problem, self.settings = asked, problem, settings
+        self.nonsmooth = is_nonsmooth(problem)
         self.tolerance = np.inf if tolerance is None else settings.aim * tolerance
         self.wanted = np.inf if tolerance is None else tolerance
         self.legs = len(problem.legs)
         self.economical = problem.objective.economical
-        self.ladder = self._ladder()
+        self._bounded = self.economical and is_nonnegative(problem)
+        self.ladder = self._ladder(merges)
 
-    def _ladder(self) -> list[Mesh]:
+    def aims_at(self, tolerance: float) -> None:
+        """Another tolerance of the plan."""
+        self.tolerance, self.wanted = tolerance, max(tolerance, self.wanted)
+
+    def _ladder(self, merges: bool) -> list[Mesh]:
         """Meshes up to the one that was asked for."""
         s, found = self.settings, [self.asked]
         each = len(self.asked.intervals) // self.legs
@@ -71,14 +86,13 @@ class MeshSequence:
                 if coarse == found[0] or len(coarse.intervals) < s.coarsest * self.legs:
                     return found
                 found.insert(0, coarse)
-        if each >= s.many and self.asked.form.scheme != "shooting":
+        if merges and each >= s.many and self.asked.form.scheme != "shooting":
             found.insert(0, merged(self.asked, -(-each // s.few)))
         return found
 
-    def begin(self, mesh: Mesh) -> None:
-        """Let the sequence begin with this mesh."""
-        finer = [m for m in self.ladder if len(m.intervals) > len(mesh.intervals)]
-        self.ladder = [mesh, *(finer or ([] if mesh == self.asked else [self.asked]))]
+    def is_coarse(self, mesh: Mesh) -> bool:
+        """Whether a mesh is one on the way to the one that was asked for."""
+        return mesh in self.ladder[:-1]
 
     @property
     def resolving(self) -> bool:
@@ -86,75 +100,77 @@ class MeshSequence:
         form = self.asked.form
         return form.control == "constant" and form.scheme != "shooting"
 
-    def after(self, c: Candidate, nonsmooth: bool) -> list[tuple[Mesh, str]]:
+    def after(self, c: Candidate) -> list[tuple[Mesh, str]]:
         """Meshes that may do better and why, the most promising first; none where this one does."""
-        if c.mesh in self.ladder[:-1]:
+        if self.is_coarse(c.mesh):
             following = self.ladder[self.ladder.index(c.mesh) + 1]
             return [(following, "towards the mesh asked for"), (doubled(c.mesh), "between")]
         if not np.isfinite(self.wanted):
             return []
         for find in (self._unresolved, self._dear, self._inexact):
-            meshes = find(c, nonsmooth)
+            meshes = find(c)
             if meshes:
-                most = len(c.mesh.intervals) + self.settings.more_intervals
-                return [
-                    (mesh, why)
-                    for mesh, why in meshes
-                    if mesh != c.mesh and len(mesh.intervals) <= most
-                ]
+                return [(mesh, why) for mesh, why in meshes if mesh != c.mesh]
         return []
 
-    def _unresolved(self, c: Candidate, nonsmooth: bool) -> list[tuple[Mesh, str]]:
+    def _refined(self, c: Candidate, errors: Sequence[float], allowed: float) -> Mesh:
+        return doubled_at_most(c.mesh, errors, allowed, self.nonsmooth, self.settings.points)
+
+    def _unresolved(self, c: Candidate) -> list[tuple[Mesh, str]]:
         """The dynamics at large, on the way and wherever costs are still to be looked at."""
         total, allowed = sum(c.errors), self.settings.resolved
         if total <= allowed or not self.resolving or not (c.place < 1.0 or self.economical):
             return []
-        finer = refined(c.mesh, c.errors, allowed / len(c.errors), nonsmooth)
+        finer = self._refined(c, c.errors, allowed / len(c.errors))
         return [(finer, f"dynamics unresolved by {total:.1g}")]
 
     # ---- the objective --------------------------------------------------------------------------
-    def _dear(self, c: Candidate, nonsmooth: bool) -> list[tuple[Mesh, str]]:
-        if not self.economical or c.place < 1.0:
-            return []
-        gap = self.gap(c)
-        if gap <= self.wanted:
-            return []
-        if len(c.mesh.intervals) > self.settings.finest * self.legs:
-            return []
-        mesh = self._split(c.mesh, self.gained(c))
-        return [(mesh, f"objective may fall by {100 * gap:.2g} %")]
+    def is_dear(self, c: Candidate) -> bool:
+        """Whether finer meshes may lower the objective by more than the plan's tolerance."""
+        if not self.economical or c.place < 1.0 or not np.isfinite(self.wanted):
+            return False
+        few = len(c.mesh.intervals) <= self.settings.finest * self.legs
+        return few and not self.gap(c) <= self.wanted
 
-    def gained(self, c: Candidate) -> Array | None:
-        """Of each interval, what its inputs keep the objective from."""
-        if "gained" not in c.__dict__:
-            c.__dict__["gained"] = gains(c.solved)
-        found: Array | None = c.__dict__["gained"]
-        return found
+    def _dear(self, c: Candidate) -> list[tuple[Mesh, str]]:
+        if not self.is_dear(c):
+            return []
+        mesh = self.split(c.mesh, c.gains, self.settings)
+        return [(mesh, f"objective may fall by {100 * self.gap(c):.2g} %")]
 
     def gap(self, c: Candidate) -> float:
         """What finer meshes may gain, as a part of the objective: by the gradients, or by a
         geometric row of the changes so far (Richardson), whichever is less.
         """
+        if c.gap is not None:
+            return c.gap
         left, pace = self._left(c), self._pace(c)
         before = float("nan") if c.coarser is None else self._left(c.coarser)
         ratio = self._ratio(left, before)
         row = pace * ratio / (1 - ratio)
         known = [v for v in (UNSEEN * left, row) if np.isfinite(v)]
-        if abs(c.objective) < FLOOR:  # work and air are never negative
-            known.append(abs(c.objective) / FLOOR)
+        if self._bounded:  # no more can be gained than there is
+            known.append(c.objective / scale(c))
         return min(known) if known else float("inf")
 
     def _left(self, c: Candidate) -> float:
-        gained = self.gained(c)
+        gained = c.gains
         return float("nan") if gained is None else float(gained.sum()) / scale(c)
+
+    @staticmethod
+    def change(c: Candidate) -> float:
+        """Of the objective from the mesh before, as a part of it."""
+        if c.coarser is None or c.coarser.place != c.place:
+            return float("nan")
+        return abs(c.objective - c.coarser.objective) / scale(c)
 
     def _pace(self, c: Candidate) -> float:
         """The last change of the objective, or what those before it let expect where that is more:
         a change that is less is luck.
         """
-        if c.coarser is None or c.coarser.place != c.place:
-            return float("nan")
-        change = abs(c.objective - c.coarser.objective) / scale(c)
+        change = self.change(c)
+        if c.coarser is None or np.isnan(change):
+            return change
         ratio = self._ratio(self._left(c), self._left(c.coarser))
         return float(np.fmax(change, ratio * self._pace(c.coarser)))
 
@@ -163,14 +179,15 @@ class MeshSequence:
         ratio = left / before if before > 0 else float("nan")
         return float(np.clip(ratio, *RATIO)) if np.isfinite(ratio) else RATIO[0]
 
-    def _split(self, mesh: Mesh, gained: Array | None) -> Mesh:
+    @staticmethod
+    def split(mesh: Mesh, gained: Array | None, settings: Settings) -> Mesh:
         """Those intervals split in two that keep back ``marked`` of what is to be gained; all where
         nothing is known of it.
         """
         if gained is None or not np.isfinite(gained).all() or not gained.sum() > 0:
             return doubled(mesh)
         order = np.argsort(gained)[::-1]
-        part = self.settings.marked * gained.sum()
+        part = settings.marked * gained.sum()
         chosen = set(order[: 1 + int(np.searchsorted(np.cumsum(gained[order]), part))].tolist())
         intervals: list[Interval] = []
         for k, interval in enumerate(mesh.intervals):
@@ -178,9 +195,16 @@ class MeshSequence:
             intervals += own.split(2, interval.degree) if k in chosen else [own]
         return Mesh(tuple(intervals), mesh.form)
 
+    def _miscounted(self, c: Candidate) -> bool:
+        """Whether costs, which are counted at the points of the mesh, are others between them."""
+        if not self.economical:
+            return False
+        apart = abs(c.check.replay.objective - c.objective) / scale(c)
+        return bool(np.isfinite(apart) and apart > self.wanted)
+
     # ---- the plan's tolerance -------------------------------------------------------------------
-    def _inexact(self, c: Candidate, nonsmooth: bool) -> list[tuple[Mesh, str]]:
-        if c.place < 1.0 or c.check.miss <= self.tolerance:
+    def _inexact(self, c: Candidate) -> list[tuple[Mesh, str]]:
+        if c.place < 1.0 or (c.check.miss <= self.tolerance and not self._miscounted(c)):
             return []
         s, mesh, check = self.settings, c.mesh, c.check
         if mesh.form.control == "polynomial" and c.rounds >= s.polynomial_rounds:
@@ -193,24 +217,21 @@ class MeshSequence:
         everywhere = [(halved(mesh), why)]
         if mesh.form.control == "constant":
             everywhere.insert(0, (halved(mesh, joined=True), why))
-        if dynamic(check) <= self.tolerance:
+        if check.miss <= self.tolerance:
+            return [(finer, "costs between its points are others") for finer, _ in everywhere]
+        if check.dynamic <= self.tolerance:
             worst = [max(each.values(), default=0.0) for each in beyond]
             # where checks between the points make the program unsolvable, shorter intervals may do
-            return [*by_limits, (refined(mesh, worst, self.tolerance, nonsmooth), why), *everywhere]
-        total = sum(c.errors)
-        # errors of intervals add up, and may grow along the motion; stops may see more of them
-        grown = (
-            max(1.0, dynamic(check) / total) if np.isfinite(dynamic(check)) and total > 0 else 1.0
-        )
-        allowed = self.tolerance / len(c.errors) / grown
-        return [(refined(mesh, c.errors, allowed, nonsmooth), why), *by_limits, *everywhere]
+            finer = self._refined(c, worst, self.tolerance)
+            return [*by_limits, (finer, why), *everywhere]
+        total, worst_of_all = sum(c.errors), check.dynamic
+        # errors of intervals add up, and may grow along the motion; waypoints may see more of them
+        known = np.isfinite(worst_of_all) and total > 0
+        grown = max(1.0, worst_of_all / total) if known else 1.0
+        finer = self._refined(c, c.errors, self.tolerance / len(c.errors) / grown)
+        return [(finer, why), *by_limits, *everywhere]
 
 
 def scale(c: Candidate) -> float:
     """What parts of an objective are parts of."""
     return max(abs(c.objective), FLOOR)
-
-
-def dynamic(check: Checked) -> float:
-    """What a motion that is more exact would mend."""
-    return max(check.replay.error, check.replay.missed)

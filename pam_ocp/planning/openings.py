@@ -1,11 +1,11 @@
-"""A plan for muscles fed by valves with openings as inputs: where to start in commands.
+"""The relaxation of valves: their openings as inputs in place of commands.
 
 In commands a solver has to cross dead zones without slope, and each is a place to get stuck; in
-openings there is none. What it finds there is taken back to commands by the exact inverse.
+openings there is none. What it finds there is transformed back to commands by the exact inverse.
 
-An opening is rounded at zero, over a thousandth of its range, where closed valves give a little
-back to the supply. Where air is what a motion costs, that would be worth having: there the two ways
-of each opening are inputs of their own, and that both are open never pays.
+An opening is smoothed at zero, over a thousandth of its range, where closed valves give a little
+back to the supply. Where air is what a motion costs, that would be worth having: there the filling
+and the venting area of each valve are inputs of their own, and that both are open never pays.
 """
 
 from __future__ import annotations
@@ -25,29 +25,27 @@ from ..plants.plant import Plant
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .result import Solved
-from .run import Run
-from .solvers.backend import Backend
-from .solvers.narrowing import has_kinks, narrowing, widened
-from .transcription.guess import by_stops, from_solution, wants_balance
-from .transcription.leading import by_leading
+from .transcription.guess import from_solution
 from .transcription.mesh import Mesh
-from .transcription.solution import Solution, pack, unpack
-from .transcription.transcription import transcribe
+from .transcription.solution import Solution, pack
+from .transcription.transcription import Program
 
-__all__ = ["Opened", "guess_in_openings"]
+__all__ = ["ValveOpenings"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Opened:
-    """The same problem with openings as inputs, or with their ways; and the way back."""
+class ValveOpenings:
+    """The same problem with openings as inputs, or with filling and venting areas; and the way
+    back.
+    """
 
     problem: Problem
     inversion: Inversion
 
     @classmethod
-    def of(cls, plant: Plant, statement: Statement, ways: bool = False) -> Opened | None:
+    def of(cls, plant: Plant, statement: Statement, ways: bool = False) -> ValveOpenings | None:
         """None where the plant has no openings, the statement speaks of commands as openings
         cannot, or the commands are the ways themselves.
         """
@@ -74,11 +72,12 @@ class Opened:
         sent: Any = commands  # all that is asked of the inputs is their values
         return from_solution(problem, mesh, replace(found, inputs=sent))
 
-    def sent(self, run: Run, found: Solved) -> Solved | None:
-        """A solution in openings on the same mesh, its commands sent: the same motion, with the
-        multipliers of its equations; None where inputs are not held, or the equations are others.
+    def in_commands(self, program: Program, found: Solved) -> Solved | None:
+        """A solution in openings on the same mesh, as one of the program in commands: the same
+        motion, with the multipliers of its equations; None where inputs are not held, or the
+        equations are others.
         """
-        program, solution = run.program, found.solution
+        solution = found.solution
         held = solution.inputs.coefficients
         rows = program.nlp["g"].numel()
         if held.shape[1] > 1 or found.outcome.lam_g.size != rows:
@@ -101,35 +100,6 @@ class Opened:
                 filling, venting = (columns[f"{name}.{way}"] for way in WAYS)
                 found.append(filling - venting)
         return np.column_stack(found)
-
-
-def guess_in_openings(
-    problem: Problem, mesh: Mesh, statement: Statement, backend: Backend, wide: bool = False
-) -> Array | None:
-    """Scaled unknowns of ``problem`` (of ``statement``) along the optimum in openings.
-
-    None where the plant has no openings, the statement speaks of commands as openings cannot,
-    or no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
-    this is where to start ("near"), not the plan. wide : with the widest roundings.
-    """
-    opened = Opened.of(problem.plant, statement)
-    if opened is None:
-        return None
-    inner = opened.problem
-    program = transcribe(inner, mesh)
-    solver, usual = backend.build(program), wants_balance(inner)
-    guess = by_stops(inner, mesh, balanced=usual)
-    rounded = widened(program)
-    outcome = solver(rounded, guess, "cold", None)
-    if not outcome.ended:
-        outcome = solver(rounded, by_leading(rounded.problem, mesh), "near", None)
-    if not outcome.ended:
-        outcome = solver(rounded, by_stops(inner, mesh, balanced=not usual), "cold", None)
-    if outcome.success and has_kinks(inner) and not wide:
-        outcome = narrowing(solver, program, outcome.w, "step")
-    if not outcome.success:
-        return None
-    return opened.guess(problem, mesh, unpack(inner, mesh, outcome.w))
 
 
 def _of_ways(bounds: dict[str, Any], openings: Plant, ways: Plant) -> dict[str, Any]:

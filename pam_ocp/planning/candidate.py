@@ -1,0 +1,194 @@
+"""A candidate for the plan, and the solves that lead from one to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checked import Checked, checked
+from .correction import Corrected, corrected
+from .input_gains import gains
+from .problem.problem import Problem
+from .replay import chosen_plant, interval_errors
+from .result import Solved
+from .reuse import on_mesh
+from .settings import SETTINGS, Settings
+from .smoothing import smoothed_at
+from .solvers.backend import Backend, Solver
+from .solvers.ipopt_options import Start
+from .solvers.solver import SETTLED, Outcome
+from .stages import Stage, stage
+from .transcription.guess import from_solution
+from .transcription.mesh import Mesh
+from .transcription.solution import unpack
+from .transcription.transcription import Program, transcribe
+
+__all__ = ["Candidate", "Engine"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+HARDLY = 1.25
+"""Times as many unknowns: a mesh so little finer has next to nothing to gain."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A solved program at a place of the smoothing path (1: the user's own problem).
+
+    number : of the start that it comes from. coarser : the candidate on the mesh before, for
+    estimates of what finer meshes may gain. rounds : of refinement at the end of the path. gap :
+    such an estimate, where it is known from the same motion in other inputs.
+    """
+
+    solved: Solved
+    place: float = 1.0
+    number: int = 0
+    coarser: Candidate | None = field(default=None, repr=False)
+    rounds: int = 0
+    gap: float | None = None
+
+    @property
+    def mesh(self) -> Mesh:
+        return self.solved.program.mesh
+
+    @property
+    def objective(self) -> float:
+        return self.solved.outcome.objective
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether its collocation equations hold but for the mesh's defects."""
+        return isinstance(self.solved.program, Corrected)
+
+    def meshes(self, asked: Mesh) -> tuple[Mesh, ...]:
+        """That it was led along, from the one that was asked for."""
+        found: list[Mesh] = [self.mesh]
+        c = self.coarser
+        while c is not None and found[0] != asked:
+            if c.mesh != found[0]:
+                found.insert(0, c.mesh)
+            c = c.coarser
+        return tuple(found if found[0] == asked else [asked, *found])
+
+    @cached_property
+    def check(self) -> Checked:
+        """Its replay; for candidates of the user's own problem."""
+        return checked(self.solved)
+
+    @cached_property
+    def errors(self) -> list[float]:
+        """Of each interval, in units of nominal: how far a tight integration from its start leaves
+        its points.
+        """
+        problem, solution = self.solved.program.problem, self.solved.solution
+        return interval_errors(chosen_plant(problem, solution), self.mesh, solution)
+
+    @cached_property
+    def gains(self) -> Array | None:
+        """Of each interval, what its inputs keep the objective from."""
+        return gains(self.solved)
+
+
+class Engine:
+    """Solves the programs of one problem on any mesh.
+
+    first : the program that was asked for, and the solver that its user chose; all other meshes are
+    solved by IPOPT, which starts near. stages : where all solves are recorded.
+    """
+
+    def __init__(
+        self,
+        first: Program,
+        solver: Solver,
+        backend: Backend,
+        stages: list[Stage],
+        settings: Settings = SETTINGS,
+    ) -> None:
+        self.first, self.solver, self.backend, self.settings = first, solver, backend, settings
+        self.stages, self._near = stages, backend.near()
+        self._sought = 0
+        """Unknowns of the mesh on which flat costs were last brought to their least."""
+
+    @property
+    def work(self) -> float:
+        """Iterations times unknowns so far."""
+        return float(sum(s.iterations * s.unknowns for s in self.stages))
+
+    def of(self, problem: Problem, mesh: Mesh | None = None) -> Engine:
+        """For another problem."""
+        first = transcribe(problem, mesh or self.first.mesh)
+        solver = self._near.build(first)
+        return Engine(first, solver, self.backend, self.stages, self.settings)
+
+    def program(self, mesh: Mesh) -> Program:
+        """The user's own problem on a mesh."""
+        if mesh == self.first.mesh:
+            return self.first
+        return on_mesh(self.first.problem, mesh, self._near.programs)
+
+    def solver_of(self, program: Program) -> Solver:
+        return self.solver if program.nlp is self.first.nlp else self._near.build(program)
+
+    def solve(
+        self,
+        program: Program,
+        place: float,
+        guess: Array,
+        start: Start,
+        why: tuple[str, str],
+        warm: Outcome | None = None,
+    ) -> Solved:
+        """A program at a place of the path, from scaled unknowns; ``why``: name and reason of the
+        stage.
+        """
+        smooth, solver = smoothed_at(program, place), self.solver_of(program)
+        with stage(*why):
+            outcome = solver(smooth, guess, start, warm)
+        return self.solved(smooth, outcome)
+
+    def solved(self, program: Program, outcome: Outcome) -> Solved:
+        return Solved(program, outcome, unpack(program.problem, program.mesh, outcome.w))
+
+    def onto(
+        self,
+        program: Program,
+        near: Solved,
+        place: float,
+        why: tuple[str, str],
+        start: Start = "near",
+    ) -> Solved:
+        """A program from the solution of another, on another mesh."""
+        guess = from_solution(program.problem, program.mesh, near.solution)
+        if place == 1.0 and near.outcome.status == SETTLED:
+            size = program.nlp["x"].numel()
+            if size <= HARDLY * self._sought:  # costs are flat: the motion next to it
+                found = self.solve(program, place, guess, "feasible", why)
+                if found.outcome.success:
+                    return found
+            self._sought, start = size, "finer"
+        return self.solve(program, place, guess, start, why)
+
+    def refined(
+        self, c: Candidate, mesh: Mesh, why: str, start: Start = "near"
+    ) -> Candidate | None:
+        """A candidate on a finer mesh; None where that is not solved."""
+        found = self.onto(self.program(mesh), c.solved, c.place, ("mesh", why), start)
+        rounds = c.rounds + (c.place == 1.0)
+        if not found.outcome.success:
+            return None
+        return replace(c, solved=found, coarser=c, rounds=rounds, gap=None)
+
+    def corrected(self, c: Candidate, start: Start) -> Candidate | None:
+        """A candidate whose intervals run as the plant does, from its multipliers: one step of
+        defect correction; None where that fails.
+        """
+        program = corrected(c.solved.program, c.solved.solution)
+        if program is None:
+            return None
+        outcome, why = c.solved.outcome, f"dynamics miss by {c.check.dynamic:.1g}"
+        found = self.solve(program, 1.0, outcome.w, start, ("defect correction", why), outcome)
+        return replace(c, solved=found) if found.outcome.success else None

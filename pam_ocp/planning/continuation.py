@@ -1,0 +1,146 @@
+"""From a candidate with wide smoothing on a coarse mesh to the plan: one walk along one path.
+
+At each place of the path the mesh is refined until it resolves the motion, then the path goes on
+from the multipliers (predictor: the solution before; corrector: a few damped steps); at its end the
+mesh is refined to the plan's tolerance. A mesh that does not resolve a nonsmooth term has optima of
+its own, which move as the smoothing narrows: there a solver takes hundreds of iterations from one
+place to the next, or fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from .candidate import Candidate, Engine
+from .mesh_sequence import MeshSequence
+from .result import Solved
+from .smoothing import is_nonsmooth
+from .solvers.ipopt_options import Start
+from .solvers.solver import SETTLED
+from .transcription.mesh import Mesh
+
+__all__ = ["Continuation"]
+
+
+class Continuation:
+    """Leads candidates to the end; ``taken`` is called with each that solves the user's own
+    problem, ``is_enough`` says whether what was taken will do.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        meshes: MeshSequence,
+        taken: Callable[[Candidate], None],
+        is_enough: Callable[[], bool],
+    ) -> None:
+        self.engine, self.meshes, self.taken, self.is_enough = engine, meshes, taken, is_enough
+        self.nonsmooth = is_nonsmooth(engine.first.problem)
+        self.settings = engine.settings
+
+    def raised(self, c: Candidate) -> Candidate:
+        """At its place, on the mesh that was asked for; on the finest that leads to a solution."""
+        while self.meshes.is_coarse(c.mesh):
+            finer = self._finer(c, self.meshes.after(c))
+            if finer is None:
+                return c
+            c = finer
+        return c
+
+    def led(self, c: Candidate) -> Candidate | None:
+        """The last candidate at the end of the path; None where it is blocked before."""
+        s, step = self.settings, self.settings.step
+        most, blocked, reentered = self.engine.work + s.work, False, False
+        while True:
+            spent = self.engine.work > most or self.is_enough()
+            if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
+                self.taken(c)
+                c = c if spent else self._corrected(c)
+            if spent:
+                return c if c.place == 1.0 else None
+            meshes = [] if blocked else self.meshes.after(c)
+            if meshes:
+                finer = self._finer(c, meshes)
+                if finer is None and c.place == 1.0 and self.nonsmooth and not reentered:
+                    finer, reentered = self._reentered(c, meshes[0][0]), True
+                blocked = finer is None
+                c = finer or c
+                continue
+            if c.place >= 1.0:
+                return c
+            there = min(1.0, c.place + step)
+            further = self._further(c, there)
+            if further is not None:
+                c, step, blocked = further, min(s.step, s.grow * step), False
+                continue
+            step *= s.shrink
+            if step < s.least_step:
+                return None
+
+    def _finer(self, c: Candidate, meshes: list[tuple[Mesh, str]]) -> Candidate | None:
+        """On the first of some meshes that leads to a solution. Along the path costs need not be at
+        their least, unless that is the only way to a finer mesh.
+        """
+        on_path = c.place < 1.0 and not self.meshes.is_coarse(c.mesh)
+        starts: tuple[Start, ...] = ("restored", "near") if on_path else ("near",)
+        for mesh, why in meshes:
+            for start in starts:
+                finer = self.engine.refined(c, mesh, why, start)
+                if finer is not None:
+                    return finer
+        return None
+
+    def _corrected(self, c: Candidate) -> Candidate:
+        """With the mesh's defects corrected, where plain refinement is slow (nonsmooth terms) or
+        changes the optimum (flat costs); itself where that does not pay.
+        """
+        s, aim = self.settings, self.meshes.tolerance
+        if not (self.nonsmooth or self.meshes.economical) or self.meshes.is_dear(c):
+            return c
+        flat = self.nonsmooth or c.solved.outcome.status == SETTLED
+        start: Start = "feasible" if flat else "warm"
+        for _ in range(s.corrections):
+            if not aim < c.check.dynamic <= s.resolved:
+                return c
+            now = self.engine.corrected(c, start)
+            if now is None and start == "feasible":
+                start = "last"
+                now = self.engine.corrected(c, start)
+            if now is None:
+                return c
+            self.taken(now)
+            if now.check.dynamic > c.check.dynamic / 2:
+                return now if now.check.dynamic < c.check.dynamic else c
+            c = now
+        return c
+
+    def _further(self, c: Candidate, there: float) -> Candidate | None:
+        """At the next place of the path, from the multipliers of this one; at its end with costs at
+        their least, where a solver gets there.
+        """
+        why = ("smoothing", f"place {there:.2f} of the path")
+        found = self._at(c.solved, c.mesh, there, "corrector", why)
+        if there == 1.0:
+            near = found if found.outcome.success else c.solved
+            least = self._at(near, c.mesh, there, "last", why)
+            found = least if least.outcome.ended else found
+        if not found.outcome.success:
+            return None
+        return replace(c, solved=found, place=there, coarser=None)
+
+    def _at(
+        self, near: Solved, mesh: Mesh, place: float, start: Start, why: tuple[str, str]
+    ) -> Solved:
+        outcome, program = near.outcome, self.engine.program(mesh)
+        return self.engine.solve(program, place, outcome.w, start, why, outcome)
+
+    def _reentered(self, c: Candidate, mesh: Mesh) -> Candidate | None:
+        """On a finer mesh by way of wider smoothing, where it is not solved at once."""
+        place = self.settings.reentry
+        why = ("smoothing", f"back to place {place:.2f} of the path on a finer mesh")
+        program = self.engine.program(mesh)
+        found = self.engine.onto(program, c.solved, place, why, "restored")
+        if not found.outcome.success:
+            return None
+        return replace(c, solved=found, place=place, coarser=None, rounds=c.rounds + 1)

@@ -1,0 +1,163 @@
+"""The planner's one method: starts, the walk along the smoothing path, what is kept."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from searches import search_of
+
+import pam_ocp as pam
+from pam_ocp.planning.candidate import Engine
+from pam_ocp.planning.planner import Planner
+from pam_ocp.planning.settings import SETTINGS, Settings
+from pam_ocp.planning.transcription.mesh import Collocation
+
+MASS, LAG, RUB, SPEED = 2.0, 0.05, 3.0, 0.02
+
+
+def rubbing(widest: float = 0.3) -> pam.Plant:
+    """m v' = f - RUB tanh(v/SPEED), LAG f' = u - f, smoothed over ``widest`` [m/s] at first."""
+    plant = pam.Plant("rubbing")
+    speed = plant.parameter("speed", SPEED, min=0.0, unit="m/s", widest=widest)
+    x, v = plant.state("x", nominal=0.1), plant.state("v", nominal=0.5)
+    f = plant.state("f", nominal=10.0)
+    u = plant.input("u", min=-20.0, max=20.0, nominal=10.0)
+    plant.der(x, v)
+    plant.der(v, (f - RUB * ca.tanh(v / speed)) / MASS)
+    plant.der(f, (u - f) / LAG)
+    return plant
+
+
+def planner(**wish: Any) -> Planner:
+    wish = {"duration": 0.6, "minimise": "effort", "method": Collocation(8, 3), **wish}
+    return Planner(rubbing(), [{"x": 0.0}, {"x": 0.1}], **wish)
+
+
+def places(plan: pam.planning.Plan) -> list[float]:
+    """Of the path that led on, in their order."""
+    found = []
+    for s in plan.statistics["stages"]:
+        place = re.match(r"place ([\d.]+) of the path", s["reason"])
+        if s["name"] == "smoothing" and s["solved"] and place:
+            found.append(float(place.group(1)))
+    return found
+
+
+def ends_at(plan: pam.planning.Plan) -> np.ndarray:
+    """The end of SciPy's integration of the inputs, held on each interval."""
+    signals = plan.trajectory.signals
+    x = np.zeros(3)
+    for begin, end, u in zip(
+        signals.breaks[:-1], signals.breaks[1:], signals.coefficients[:, 0, 0], strict=True
+    ):
+
+        def rate(t: float, z: np.ndarray, u: float = u) -> list[float]:
+            return [z[1], (z[2] - RUB * np.tanh(z[1] / SPEED)) / MASS, (u - z[2]) / LAG]
+
+        x = solve_ivp(rate, (begin, end), x, method="Radau", rtol=1e-9, atol=1e-11).y[:, -1]
+    return x
+
+
+def test_the_path_leads_from_the_widest_smoothing_to_the_plants_own() -> None:
+    plan = planner()()
+    assert plan.verified
+    path = places(plan)
+    assert path == sorted(path)
+    assert path[-1] == 1.0
+    assert path[0] <= SETTINGS.step
+    assert max(np.diff([0.0, *path])) <= SETTINGS.step + 5e-3  # as printed
+    assert plan._solved.program.problem.plant.variable("speed").start == SPEED
+    scale = np.array([0.1, 0.5, 10.0])
+    assert np.abs((ends_at(plan) - [0.1, 0.0, 0.0]) / scale).max() < 1.1e-3
+
+
+def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch: Any) -> None:
+    solve, refused = Engine.solve, []
+
+    def sometimes(engine: Engine, program: Any, place: float, *rest: Any, **more: Any) -> Any:
+        found = solve(engine, program, place, *rest, **more)
+        if not refused and place > 0.4:
+            refused.append(place)
+            return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
+        return found
+
+    monkeypatch.setattr(Engine, "solve", sometimes)
+    plan = planner()()
+    assert plan.verified
+    path = places(plan)
+    first = next(p for p in path if 0.3 < p < refused[0])
+    assert first - 0.3 == pytest.approx(SETTINGS.shrink * SETTINGS.step, abs=6e-3)  # as printed
+
+
+def test_work_that_is_spent_ends_a_search_with_what_it_has(monkeypatch: Any) -> None:
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, work=1.0))
+    plant = pam.HangingLoad("DMSP-20-200N", 8.0, feed=pam.feeds.SpoolValve())
+    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], method=Collocation(15, 3))
+    assert plan.verified
+    assert len(plan.statistics.get("starts", ())) < SETTINGS.several
+
+
+# ---- what is kept --------------------------------------------------------------------------------
+def fake(miss: float, objective: float) -> Any:
+    replay = SimpleNamespace(objective=objective)
+    solved = SimpleNamespace(program=SimpleNamespace(nlp=None))
+    return SimpleNamespace(
+        check=SimpleNamespace(miss=miss, replay=replay), solved=solved, mesh=None
+    )
+
+
+@pytest.mark.parametrize(
+    ("kept", "other", "better"),
+    [
+        ((1e-4, 2.0), (1e-4, 1.0), True),  # both verified: the cheaper
+        ((1e-4, 1.0), (1e-5, 2.0), False),
+        ((1e-4, 2.0), (5e-2, 1.0), False),  # what is not verified never replaces what is
+        ((5e-2, 1.0), (1e-4, 2.0), True),
+        ((5e-2, 1.0), (3e-2, 2.0), True),  # neither: the nearer
+        ((5e-2, 2.0), (6e-2, 1.0), False),
+    ],
+)
+def test_a_verified_plan_is_replaced_by_a_verified_and_better_one_alone(
+    kept: tuple[float, float], other: tuple[float, float], better: bool
+) -> None:
+    search = search_of(planner())
+    first, second = fake(*kept), fake(*other)
+    search._take(first)
+    search._take(second)
+    assert search.found.best is (second if better else first)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_more_starts_are_never_worse(seed: int) -> None:
+    """Valves and tendons, where local optima are many."""
+    rng = np.random.default_rng([seed, 20261126])
+    muscle = pam.muscle(str(rng.choice(["DMSP-20-200N", "DMSP-20-400N", "DMSP-10-250"])))
+    feed = pam.feeds.SpoolValve() if rng.uniform() < 0.5 else pam.feeds.OnOffValves()
+    mass, travel = rng.uniform(1.0, 6.0), rng.uniform(0.03, 0.1) * muscle.rest_length
+    plant: pam.Plant
+    if rng.uniform() < 0.5:
+        plant, begin = pam.AntagonisticSlide(muscle, mass, feed=feed), -travel / 2
+    else:
+        plant, begin = pam.HangingLoad(muscle, mass, feed=feed), 0.05 * muscle.rest_length
+    task: dict[str, Any] = {"method": Collocation(20, 3)}
+    stops = [{"x": begin}, {"x": begin + travel}]
+    one, four = (pam.plan(plant, stops, **task, starts=n) for n in (1, 4))
+    assert four.verified or not one.verified
+    assert four.objective <= one.objective * (1 + 1e-9)
+
+
+def test_all_numbers_of_the_method_stand_in_one_place_and_say_why() -> None:
+    source = Path(pam.__file__).parent.joinpath("planning/settings.py").read_text("utf-8")
+    names = [f.name for f in fields(Settings)]
+    assert len(names) <= 25
+    for name in names:
+        assert re.search(rf'\n    {name}: (int|float) = [^\n]+\n    """', source), name
