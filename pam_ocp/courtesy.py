@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from .operating.linear import linearize as linearize
     from .operating.resting_point import OperatingPoint as OperatingPoint
     from .operating.resting_point import equilibrium as equilibrium
-    from .planning.arcs_named import arcs_along as arcs_along
+    from .planning.active import arcs_along as arcs_along
     from .planning.saved_plan import save_plan as save_plan
     from .rig.homing import Homing as Homing
     from .rig.homing import home as home

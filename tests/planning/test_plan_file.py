@@ -10,8 +10,7 @@ import pytest
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
 from pam_ocp.cli.main import main
-from pam_ocp.planning.problem.expression_text import expression_of
-from pam_ocp.planning.problem.problem_file import load_problem
+from pam_ocp.planning.problem.problem_file import expression_of, load_problem
 from pam_ocp.plants.kinds import PLANTS
 from pam_ocp.plants.plant_file import muscle_of, plant_of
 
