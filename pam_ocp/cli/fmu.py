@@ -133,7 +133,8 @@ def add_check(commands: Any) -> None:
         "--against",
         type=Path,
         metavar="FILE",
-        help="Trajectory (.npz, .parquet) whose inputs are replayed and whose outputs are compared",
+        help="trajectory or plan (.npz, .parquet, .csv) whose inputs are replayed and whose "
+        "outputs are compared",
     )
     check.add_argument(
         "--time-limit",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.progress import heard, working
-from .options import add_allow_code, require_places
+from .options import add_allow_code, require_places, with_motion
 from .output import add_json, tell, wrote
 
 if TYPE_CHECKING:
@@ -68,7 +68,11 @@ def add_plan(commands: Any) -> None:
     )
     plan.add_argument("problem", type=Path, metavar="FILE.toml", help="the problem, see below")
     for option, ending, words in (
-        ("--out", "npz", "write the plan itself (pam_ocp.load_plan reads it)"),
+        (
+            "--out",
+            "npz",
+            "write the plan itself, with its motion (load_plan and all commands read it)",
+        ),
         ("--excel", "xlsx", "write a workbook: verdict, motion, charts"),
         (
             "--csv",
@@ -172,7 +176,7 @@ def _written(plan: Plan, options: argparse.Namespace) -> list[Path]:
     """Write all files asked for."""
     done: list[Path] = []
     if options.out:
-        done.append(plan.save(options.out))
+        done.append(with_motion(plan.save(options.out), plan.trajectory))
     if options.excel:
         done.append(plan.to_excel(options.excel))
     if options.csv:
