@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-from ..core.files import read_npz, require_place, write_npz
+from ..core.files import require_place
 from ..core.quantities import quantity
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ __all__ = [
     "require_outputs",
     "require_places",
     "whole",
-    "with_motion",
     "written",
 ]
 
@@ -107,16 +106,6 @@ MOTIONS = (".csv", ".npz", ".parquet", ".xlsx")
 def written(motion: Trajectory, path: Path) -> Path:
     """A motion in a file, as its name ends. Raises InputError."""
     return motion.to_excel(path) if path.suffix.lower() == ".xlsx" else motion.save(path)
-
-
-def with_motion(path: Path, motion: Trajectory) -> Path:
-    """Make a plan's file one of its motion, too, as those of closed loops are.
-
-    Trajectory.load, and so every command, then reads it without the plant. Raises InputError.
-    """
-    meta, arrays = read_npz(path, "a plan file")
-    own, samples = motion._packed()
-    return write_npz(path, own | meta, samples | arrays)
 
 
 # ---- the same option in several commands -------------------------------------------------------

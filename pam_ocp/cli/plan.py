@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.progress import heard, working
-from .options import add_allow_code, require_places, with_motion
+from .options import add_allow_code, require_places
 from .output import add_json, tell, wrote
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def _written(plan: Plan, options: argparse.Namespace) -> list[Path]:
     """Write all files asked for."""
     done: list[Path] = []
     if options.out:
-        done.append(with_motion(plan.save(options.out), plan.trajectory))
+        done.append(plan.save(options.out))
     if options.excel:
         done.append(plan.to_excel(options.excel))
     if options.csv:
