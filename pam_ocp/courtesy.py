@@ -117,7 +117,7 @@ _HOMES: dict[str, str] = {
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
     "read_fit": "fitting.static.saved_force",
-    "arcs_along": "planning.arcs_named",
+    "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
     "validate": "fitting.dynamic.outcome",

@@ -356,7 +356,7 @@ def read_array(path: str | os.PathLike[str]) -> Any:
 
 
 def read_mat(path: str | os.PathLike[str], content: bytes | None = None) -> dict[str, Any]:
-    """What a MAT file holds, by name; see :func:`pam_ocp.core.mat.matrices_of`.
+    """What a MAT file holds, by name; see :func:`matrices_of`.
 
     Of version 7.3, which is HDF5, the same by h5py. content : of the file, where it was packed.
     Raises InputError, also without h5py.
