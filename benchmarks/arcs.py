@@ -22,7 +22,7 @@ from pam_2dir import slide as benchmark_slide
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp.planning.refine import Refinement
+from pam_ocp.planning.search import Search
 
 REPEATS = 3
 TOLERANCES = (1e-3, 1e-6, 1e-8)
@@ -114,15 +114,15 @@ def scipy_error(plan: pam.planning.Plan) -> float:
 
 
 def once(case: dict[str, Any], tolerance: float, arcs: bool) -> tuple[float, pam.planning.Plan]:
-    usual = Refinement._by_arcs
+    usual = Search._by_arcs
     if not arcs:
-        Refinement._by_arcs = lambda self: False  # type: ignore[method-assign]
+        Search._by_arcs = lambda self, c: False  # type: ignore[method-assign]
     begin = process_time()
     try:
         method = pam.Arcs() if arcs else SPLIT
         found = pam.plan(**case, method=method, tolerance=tolerance)
     finally:
-        Refinement._by_arcs = usual  # type: ignore[method-assign]
+        Search._by_arcs = usual  # type: ignore[method-assign]
     return process_time() - begin, found
 
 

@@ -21,8 +21,8 @@ import random_tasks
 import verdict_study
 
 import pam_ocp as pam
-from pam_ocp.planning.run import Run
 from pam_ocp.planning.solvers.backend import Backend
+from pam_ocp.planning.transcription.guess import from_solution
 from pam_ocp.planning.transcription.mesh import doubled
 from pam_ocp.planning.transcription.transcription import transcribe
 
@@ -92,7 +92,8 @@ def finer(plant, stops, wanted, plan):
         found.append(pam.plan(plant, stops, **wanted, guess=plan, **equal).objective)
     coarse = plan._solved
     program = transcribe(coarse.program.problem, doubled(coarse.program.mesh))
-    outcome = Run(program, Backend().near()).refined(coarse, again=False).outcome
+    guess = from_solution(program.problem, program.mesh, coarse.solution)
+    outcome = Backend().near().build(program)(program, guess, "near")
     return min([*found, *([outcome.objective] if outcome.success else [])], default=np.nan)
 
 

@@ -323,7 +323,7 @@ MUSCLE = [
     ),
     Mutant(
         "power with the sign of stretching",
-        "pam_ocp/plants/meters.py",
+        "pam_ocp/plants/feeds.py",
         "ca.SX(force * velocity)",
         "ca.SX(-force * velocity)",
         HAND,

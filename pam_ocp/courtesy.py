@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from .operating.linear import linearize as linearize
     from .operating.resting_point import OperatingPoint as OperatingPoint
     from .operating.resting_point import equilibrium as equilibrium
-    from .planning.arcs_named import arcs_along as arcs_along
+    from .planning.active import arcs_along as arcs_along
     from .planning.saved_plan import save_plan as save_plan
     from .rig.homing import Homing as Homing
     from .rig.homing import home as home
@@ -117,7 +117,7 @@ _HOMES: dict[str, str] = {
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
     "read_fit": "fitting.static.saved_force",
-    "arcs_along": "planning.arcs_named",
+    "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
     "validate": "fitting.dynamic.outcome",

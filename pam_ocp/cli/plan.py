@@ -68,7 +68,11 @@ def add_plan(commands: Any) -> None:
     )
     plan.add_argument("problem", type=Path, metavar="FILE.toml", help="the problem, see below")
     for option, ending, words in (
-        ("--out", "npz", "write the plan itself (pam_ocp.load_plan reads it)"),
+        (
+            "--out",
+            "npz",
+            "write the plan itself, with its motion (load_plan and all commands read it)",
+        ),
         ("--excel", "xlsx", "write a workbook: verdict, motion, charts"),
         (
             "--csv",

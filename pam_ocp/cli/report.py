@@ -20,8 +20,8 @@ def add_report(commands: Any) -> None:
         "report",
         help="one HTML page on muscles, fits, motions and closed loops in files",
         description="Show files as one HTML page: muscle files (.toml, .json), force fits (.json), "
-        "trajectories (.csv, .npz, .parquet), closed loops (.npz), FMUs (checked). A plan is shown "
-        "by its motion (plan.trajectory.save), since its own file wants the plant.",
+        "trajectories (.csv, .npz, .parquet), closed loops (.npz), FMUs (checked). A plan that "
+        "'pam-ocp plan --out' wrote is shown by its motion.",
     )
     report.add_argument("files", nargs="+", type=Path, metavar="FILE")
     report.add_argument(

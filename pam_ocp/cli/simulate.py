@@ -40,8 +40,8 @@ def add_simulate(commands: Any) -> None:
         "--inputs",
         type=Path,
         metavar="FILE",
-        help="recorded inputs: a trajectory (.csv, .npz, .parquet), such as 'pam-ocp plan --csv' "
-        "writes",
+        help="recorded inputs: a trajectory or plan (.csv, .npz, .parquet), such as 'pam-ocp plan "
+        "--out' writes",
     )
     add_rest(simulate, "begin at rest under this condition")
     simulate.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")

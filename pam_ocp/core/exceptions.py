@@ -60,6 +60,10 @@ class WriteError(InputError, OSError):
         self.errno = errno
 
 
+_MEANT = {"energy": "work", "exertion": "effort", "duration": "time", "fastest": "time"}
+"""Words of the field for a name that is spelled quite otherwise."""
+
+
 class UnknownNameError(InputError):
     """A name that is not known here; the message lists the nearest ones.
 
@@ -72,7 +76,9 @@ class UnknownNameError(InputError):
 
     def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
         known = list(known)
+        meant = _MEANT.get(str(name).lower())
         near = difflib.get_close_matches(str(name), known, n=3, cutoff=0.4)
+        near = [meant] if meant in known else near
         if near:
             hint = f"did you mean {' or '.join(repr(n) for n in near)}?"
         elif len(known) <= 30:

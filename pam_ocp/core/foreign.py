@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import io
 import os
+import struct
 import warnings
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .exceptions import InputError, UnknownNameError
 from .files import (
@@ -25,7 +29,6 @@ from .files import (
     require_unpacked,
 )
 from .interrupts import interruptible
-from .mat import matrices_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = [
     "frame",
     "library",
+    "matrices_of",
     "read_array",
     "read_arrays",
     "read_frame",
@@ -40,6 +44,203 @@ __all__ = [
     "read_mat",
     "read_sheets",
 ]
+
+Array: TypeAlias = NDArray[Any]
+
+_HEADER = 128
+"""Bytes before the first element."""
+_STORED = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+    16: "u1",  # UTF-8
+    17: "u2",  # UTF-16
+}
+"""Kinds of elements that hold numbers."""
+_UTF8, _MATRIX, _PACKED = 16, 14, 15
+_CELL, _STRUCTURE, _CHARACTERS, _DOUBLE, _LAST, _OPAQUE = 1, 2, 4, 6, 15, 17
+"""Classes of matrices; from double to the last they are numbers."""
+_COMPLEX = 0x0800
+MOST_ENTRIES = 1_000_000
+"""Of all cells and structures of a file, each of which becomes an object of Python."""
+MOST_CHARACTERS = 10_000_000
+"""Of all its text."""
+HEADERS = 8
+"""Elements of a matrix that are none of its entries, at most."""
+MOST_LEVELS = 16
+"""Cells and structures within each other."""
+
+
+class _Budget:
+    """What may still be made of a file."""
+
+    def __init__(self) -> None:
+        self.entries, self.characters = MOST_ENTRIES, MOST_CHARACTERS
+
+    def text(self, size: int, rows: int) -> None:
+        self.characters -= size
+        if self.characters < 0:
+            raise ValueError(f"its text has more than {MOST_CHARACTERS} characters")
+        self.take(rows, 0)
+
+    def take(self, entries: int, level: int) -> None:
+        self.entries -= entries
+        if self.entries < 0:
+            raise ValueError(f"its cells and structures have more than {MOST_ENTRIES} entries")
+        if level > MOST_LEVELS:
+            raise ValueError(f"it is nested more than {MOST_LEVELS} deep")
+
+
+def matrices_of(content: bytes, most: int) -> dict[str, Any]:
+    """{name: what it holds} of a file's content.
+
+    Matrices are arrays, rows of characters arrays of text, cells arrays of objects, structures
+    dicts (several: lists of dicts). Objects (tables, timeseries), sparse matrices and functions are
+    left out. most : bytes that it may unpack to.
+
+    Raises InputError for another version, and ValueError, struct.error or zlib.error where it is
+    damaged.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER])
+    if order is None or content[:10] != b"MATLAB 5.0":
+        raise InputError("it is no MAT file of version 5; save it with -v7, or as CSV")
+    found, budget, objects = {}, _Budget(), []
+    # views: parts within parts are copied nowhere
+    for kind, part in _elements(memoryview(content)[_HEADER:], order):
+        if kind == _PACKED:
+            unpacker = zlib.decompressobj()
+            unpacked = unpacker.decompress(part, most + 1)
+            most -= len(unpacked)
+            if most < 0:
+                raise InputError("it unpacks to more than is allowed; save it as CSV in parts")
+            if not unpacker.eof:
+                raise ValueError("a packed matrix is cut off")
+            kind, part = next(_elements(memoryview(unpacked), order))
+        if kind == _MATRIX:
+            name, value = _matrix(part, order, budget)
+            if value is None and name:
+                objects.append(name)
+            elif name:
+                found[name] = value
+    if objects and not found:
+        raise InputError(
+            f"{', '.join(objects[:5])} is an object (such as a table), which only MATLAB reads; "
+            "save a structure, as S = table2struct(T, 'ToScalar', true), or CSV by writetable(T)"
+        )
+    return found
+
+
+def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """(kind, bytes) of the elements that follow each other."""
+    at = 0
+    while at < len(content):
+        (first,) = struct.unpack_from(f"{order}I", content, at)
+        if first >> 16:  # small: kind, length and data in eight bytes
+            kind, length, start, end = first & 0xFFFF, first >> 16, at + 4, at + 8
+        else:
+            kind, (length,) = first, struct.unpack_from(f"{order}I", content, at + 4)
+            start = at + 8
+            end = start + length + (-length % 8 if kind != _PACKED else 0)
+        if start + length > len(content) or (first >> 16 and length > 4):
+            raise ValueError("it is cut off")
+        yield kind, content[start : start + length]
+        at = end
+
+
+def _matrix(content: memoryview, order: str, budget: _Budget, level: int = 0) -> tuple[str, Any]:
+    """(name, what it holds); None for what is left out."""
+    if not content:  # an entry of a cell that was never set
+        return "", np.empty((0, 0))
+    most = budget.entries + HEADERS
+    parts = list(islice(_elements(content, order), most + 1))
+    if len(parts) > most:
+        budget.take(len(parts), level)
+    flags = int(_numbers(*parts[0], order)[0])
+    kind = flags & 0xFF
+    if kind == _OPAQUE:
+        return str(parts[1][1], "ascii"), None
+    shape = [int(n) for n in _numbers(*parts[1], order)]
+    name = str(parts[2][1], "ascii")
+    if len(shape) < 2 or min(shape) < 0:
+        raise ValueError(f"variable {name!r} has the shape {shape}")
+    if kind == _CELL:
+        return name, _cells(parts[3:], shape, order, budget, level)
+    if kind == _STRUCTURE:
+        return name, _structure(parts[3:], shape, order, budget, level)
+    if kind != _CHARACTERS and not _DOUBLE <= kind <= _LAST:
+        return name, None
+    if flags & _COMPLEX:
+        raise InputError(f"variable {name!r} is complex; save its parts as real numbers")
+    stored, data = parts[3]
+    if kind == _CHARACTERS:
+        budget.text(len(data), shape[0])
+    if kind == _CHARACTERS and stored == _UTF8 and shape[0] == 1:  # characters of several bytes
+        return name, np.array([str(data, "utf-8").rstrip()])
+    numbers = _numbers(stored, data, order)
+    if float(np.prod(np.array(shape, float))) != numbers.size:
+        raise ValueError(f"variable {name!r} has {numbers.size} entries, its shape says {shape}")
+    matrix = numbers.reshape(shape, order="F")
+    if kind != _CHARACTERS:
+        return name, matrix
+    if not matrix.size:
+        return name, np.array([""])
+    return name, np.array(["".join(map(chr, row)).rstrip() for row in matrix.reshape(shape[0], -1)])
+
+
+def _inside(
+    parts: list[tuple[int, memoryview]], order: str, budget: _Budget, level: int
+) -> Iterator[Any]:
+    budget.take(len(parts), level + 1)
+    for kind, part in parts:
+        if kind != _MATRIX:
+            raise ValueError(f"an element of kind {kind} stands where a matrix is expected")
+        yield _matrix(part, order, budget, level + 1)[1]
+
+
+def _cells(
+    parts: list[tuple[int, memoryview]], shape: list[int], order: str, budget: _Budget, level: int
+) -> Array:
+    count = float(np.prod(np.array(shape, float)))
+    if count != len(parts):
+        raise ValueError(f"a cell array has {len(parts)} entries, its shape says {shape}")
+    made = np.empty(len(parts), dtype=object)
+    for i, value in enumerate(_inside(parts, order, budget, level)):
+        made[i] = value
+    return made.reshape(shape, order="F")
+
+
+def _structure(
+    parts: list[tuple[int, memoryview]], shape: list[int], order: str, budget: _Budget, level: int
+) -> Any:
+    """A dict, or a list of dicts where there are several (or none)."""
+    width = int(_numbers(*parts[0], order)[0])
+    letters = bytes(parts[1][1])
+    if width <= 0 or len(letters) % width:
+        raise ValueError(f"names of fields are {width} long, {len(letters)} bytes hold them")
+    names = [
+        letters[i : i + width].split(b"\0")[0].decode("utf-8")
+        for i in range(0, len(letters), width)
+    ]
+    count = float(np.prod(np.array(shape, float)))
+    if count * len(names) != len(parts) - 2:
+        raise ValueError(f"a structure has {len(parts) - 2} entries, its shape says {shape}")
+    values = iter(_inside(parts[2:], order, budget, level))
+    budget.take(int(count), level + 1)
+    made = [{name: next(values) for name in names} for _ in range(int(count) if names else 0)]
+    return made[0] if len(made) == 1 else made
+
+
+def _numbers(kind: int, content: memoryview, order: str) -> Array:
+    if kind not in _STORED:
+        raise ValueError(f"an element of kind {kind} stands where numbers are expected")
+    return np.frombuffer(content, f"{order}{_STORED[kind]}")
 
 
 @contextmanager
@@ -155,7 +356,7 @@ def read_array(path: str | os.PathLike[str]) -> Any:
 
 
 def read_mat(path: str | os.PathLike[str], content: bytes | None = None) -> dict[str, Any]:
-    """What a MAT file holds, by name; see :func:`pam_ocp.core.mat.matrices_of`.
+    """What a MAT file holds, by name; see :func:`matrices_of`.
 
     Of version 7.3, which is HDF5, the same by h5py. content : of the file, where it was packed.
     Raises InputError, also without h5py.

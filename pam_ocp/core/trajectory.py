@@ -365,7 +365,8 @@ class Trajectory:
         content, arrays = read_npz(path, "a trajectory")
         if "data" not in arrays and "states" in arrays:
             raise InputError(
-                f"{path} is a plan, no trajectory: load_plan(path, plant).trajectory is its motion"
+                f"{path} is a plan of a former version, without its motion: "
+                "load_plan(path, plant).save(path) writes both into one file"
             )
         return cls._from_meta(content, arrays["t"], arrays["data"])
 

@@ -21,8 +21,7 @@ from ..numerics.collocation import HIGHEST_DEGREE
 from .arcs import BY_ARCS, FORM
 from .arcs_found import Chains, Section, Touch, limits_of, merged, sections
 from .arcs_problem import LONGEST, SHORTEST, Divided, by_sections, centred
-from .candidate import Engine
-from .checked import Checked
+from .candidate import Checked, Engine
 from .replay import interval_errors
 from .result import Solved
 from .transcription.guess import from_solution

@@ -11,8 +11,7 @@ from ..judge.motion import judge
 from ..judge.statement import Statement
 from ..judge.verdict import TOLERANCE
 from ..simulation.simulator import evaluated
-from .candidate import Candidate
-from .checked import Checked
+from .candidate import Candidate, Checked
 from .mesh_sequence import scale
 from .result import Plan, Solved, motion_of
 from .search import Search

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import time
 import warnings
@@ -25,14 +26,13 @@ from ..core.errors import (
 )
 from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
-from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, Stop
+from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, StatementKeywords, Stop
 from ..judge.verdict import TOLERANCE
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from .arcs import Arcs
 from .assembly import assembled, trust
 from .candidate import Engine
-from .keywords import SEARCH, PlanKeywords, require_known
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
 from .result import Plan, Solved
@@ -51,7 +51,39 @@ from .transcription.transcription import Program, transcribe
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["Planner", "plan"]
+__all__ = ["SEARCH", "PlanKeywords", "Planner", "SolveKeywords", "plan", "require_known"]
+
+SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progress": "progress"}
+"""Keywords that say how a solution is searched, and the fields of Backend that hold them."""
+
+
+class PlanKeywords(StatementKeywords, total=False):
+    """What is asked, and how it is searched: the keywords of all verbs that plan."""
+
+    method: Method | Arcs | None
+    progress: Progress
+    solver: SolverName
+    compiled: bool
+    options: Mapping[str, Any] | None
+
+
+class SolveKeywords(PlanKeywords, total=False):
+    """All keywords of :func:`plan`."""
+
+    tolerance: float | None
+    guess: Plan | None
+    starts: int | None
+
+
+def require_known(keywords: Mapping[str, Any]) -> None:
+    """Raise a TypeError that names the nearest keyword."""
+    known = (*StatementKeywords.__annotations__, *SEARCH, "method")
+    for name in keywords:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it knows {', '.join(known)}"
+            raise TypeError(f"a planner takes no argument {name!r}; {hint}")
+
 
 STRICTER, NEARLY, LEAST = 2, 30.0, 1e-6
 """Times that a plan is refined beyond its tolerance where the judge misses that, by so many

@@ -82,7 +82,8 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "breaks": motion.signals.breaks,
         "coefficients": motion.signals.coefficients,
     }
-    return write_npz(target, meta, arrays)
+    own, samples = motion._packed()  # Trajectory.load, and so every command, reads the motion
+    return write_npz(target, own | meta, samples | arrays)
 
 
 @verb

@@ -18,8 +18,7 @@ from ..judge.costs import COSTS
 from ..judge.statement import Statement
 from .arcs import BY_ARCS, guarded
 from .arcs_search import ArcSearch
-from .candidate import Candidate, Engine
-from .checked import Checked
+from .candidate import Candidate, Checked, Engine
 from .continuation import Continuation
 from .mesh_sequence import MeshSequence
 from .openings import ValveOpenings

@@ -13,12 +13,10 @@ from ..core.stop import turns
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
-from .body import limit_strength, moving_half
 from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
 from .dead_time import DeadTime
 from .kinds import FEEDS
-from .meters import meter_pneumatics, meter_work
 from .pair_regulator import PairRegulator
 from .quick_exhaust import QuickExhaust
 from .receiver import Receiver
@@ -28,7 +26,7 @@ from .sources import Compressor, PressureRegulator
 from .spools import FirstOrderSpool, SecondOrderSpool
 from .tubes import LumpedTube, Tube
 from .valve_catalogue import valve, valve_names
-from .valves import Filling, GasFeed, OnOffValves, SpoolValve
+from .valves import EXERGY_FLOOR, Filling, GasFeed, OnOffValves, SpoolValve
 
 __all__ = [
     "AttachedMuscle",
@@ -50,9 +48,147 @@ __all__ = [
     "Tube",
     "as_feed",
     "attach",
+    "limit_strength",
+    "meter_pneumatics",
+    "meter_work",
+    "moving_half",
     "valve",
     "valve_names",
 ]
+
+
+def meter_work(
+    plant: Declares, name: str, force: ca.SX, velocity: ca.SX, mass: float | None, totals: bool
+) -> ca.SX | None:
+    """Declare ``<name>.power`` = F times the speed of shortening [m/s], and what follows from it.
+
+    mass : of the muscle [kg]; known, power (and work) per mass are outputs too.
+    totals : add the state ``<name>.work``, the integral of the power, which is returned.
+    """
+    power = ca.SX(force * velocity)
+    per_mass = [("power_per_mass", power, "W/kg", "mechanical power per mass")]
+    plant.output(
+        f"{name}.power",
+        power,
+        unit="W",
+        nominal=100.0,
+        description=f"mechanical power out of {name}",
+    )
+    work = None
+    if totals:
+        work = plant.state(
+            f"{name}.work", unit="J", nominal=10.0, description=f"mechanical work of {name}"
+        )
+        plant.der(work, power)
+        per_mass.append(("work_per_mass", work, "J/kg", "mechanical work per mass"))
+    if mass is not None:
+        own = plant.parameter(
+            f"{name}.own_mass",
+            mass,
+            unit="kg",
+            min=1e-6,
+            nominal=0.1,
+            description=f"mass of {name} itself",
+        )
+        for key, value, unit, words in per_mass:
+            plant.output(
+                f"{name}.{key}",
+                value / own,
+                unit=unit,
+                nominal=100.0,
+                description=f"{words} ({name})",
+            )
+    return work
+
+
+def meter_pneumatics(
+    plant: Declares, name: str, pressure: ca.SX, gain: ca.SX, velocity: ca.SX, work: ca.SX
+) -> None:
+    """Declare what a feed without gas puts into the muscle, the integral of p dV, and the
+    efficiency.
+
+    gain : dF/dp = -dV/dl [N/Pa], so that p dV/dt = p gain velocity whatever the volume at rest. In
+    this sense a law that is linear in pressure loses nothing over a cycle; losses take their share.
+    """
+    spent = plant.state(
+        f"{name}.pneumatic_work",
+        unit="J",
+        nominal=10.0,
+        description=f"pressure times change of volume, put into {name}",
+    )
+    plant.der(spent, pressure * gain * velocity)
+    plant.output(
+        f"{name}.efficiency",
+        work / ca.sqrt(spent**2 + EXERGY_FLOOR**2),
+        description=f"work per pneumatic work ({name})",
+    )
+
+
+def moving_half(plant: Declares, name: str, muscle: Muscle, symbolic: Muscle) -> ca.SX:
+    """Declare the mass of a muscle's body; half of it [kg], 0 (and nothing) where it has none.
+
+    One end stands and the other moves with the load: the body is put to both ends in equal parts.
+    (With a speed that rises evenly along it, a third would be its inertia and half its weight.)
+    """
+    if not muscle.body_mass:
+        return ca.SX(0)
+    per_length, ends = (
+        plant.parameter(
+            f"{name}.{key}",
+            value,
+            unit=unit,
+            min=0.0,
+            nominal=0.1,
+            description=f"{words} of {name}",
+        )
+        for key, value, unit, words in (
+            ("mass_per_length", muscle.mass_per_length, "kg/m", "mass per length of the body"),
+            ("end_mass", muscle.end_mass, "kg", "mass of both ends together"),
+        )
+    )
+    return ca.SX((symbolic.rest_length * per_length + ends) / 2)
+
+
+def limit_strength(
+    plant: Declares, name: str, muscle: Muscle, pressure: ca.SX, force: ca.SX
+) -> None:
+    """Declare the path constraints of burst and pull-off where the muscle says what it bears."""
+    for key, largest, value, unit, nominal, words in (
+        (
+            "to_burst",
+            muscle.burst_pressure,
+            pressure,
+            "Pa",
+            1e5,
+            "left of pressure before it bursts",
+        ),
+        (
+            "to_pull_off",
+            muscle.pull_off,
+            force,
+            "N",
+            100.0,
+            "left of force before an end comes off",
+        ),
+    ):
+        if largest is None:
+            continue
+        limit = plant.parameter(
+            f"{name}.{key.removeprefix('to_')}",
+            largest,
+            unit=unit,
+            min=1e-6,
+            nominal=nominal,
+            description=f"{'pressure' if unit == 'Pa' else 'force'} that {name} just bears",
+        )
+        plant.constraint(
+            f"{name}.{key}",
+            limit - value,
+            unit=unit,
+            nominal=nominal,
+            min=0.0,
+            description=f"{words} ({name})",
+        )
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, Protocol
+from dataclasses import replace
+from typing import Any, Literal, Protocol, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,17 +19,189 @@ from ..core.errors import (
     require_positive,
     require_tolerance,
 )
-from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, signals
+from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, joined, signals
 from ..core.stop import verb
 from ..core.trajectory import Event, Trajectory
+from ..plants.dead_time import DelayLine
 from ..plants.plant import Given, Plant, Values, by_name, require_plant
-from .dead_times import exactly_delayed
-from .events import integrate_with_events
+from ..plants.undelayed import without_dead_times
 from .integrate import Integration, Method
 
-__all__ = ["evaluated", "simulate", "start_of", "times_of"]
+__all__ = [
+    "evaluated",
+    "exactly_delayed",
+    "integrate_with_events",
+    "line_states",
+    "simulate",
+    "start_of",
+    "times_of",
+]
 
-Array = NDArray[np.float64]
+Array: TypeAlias = NDArray[np.float64]
+LEVEL = 1e-6
+"""States along a line differ by at most this part of their nominal where it begins at one value."""
+
+
+def exactly_delayed(
+    plant: Plant, u: PiecewisePolynomial, times: Array, x0: Array
+) -> tuple[Plant, PiecewisePolynomial, Array, Callable[[Array], Array]]:
+    """(plant without delay lines, its inputs, its initial states, states of it -> of the plant).
+
+    u : the plant's inputs. times : of the samples; before the first, commands stood at the start
+    values of their lines. Raises InputError where a line does not begin at one value.
+    """
+    reduced = without_dead_times(plant)
+    order = [v.name for v in plant.states]
+    starts = dict(zip(order, x0.tolist(), strict=True))
+    begins = {line.outlet: _level(plant, line, starts) for line in plant.delay_lines}
+    sources = [v.name for v in plant.inputs]
+
+    def effect(line: DelayLine, part: float) -> PiecewisePolynomial:
+        own = PiecewisePolynomial(u.breaks, u.coefficients[:, :, [sources.index(line.source)]])
+        shift = part * float(plant.variable(line.time).start or 0.0)
+        return _later(own, shift, begins[line.outlet], float(times[0]))
+
+    by_outlet = {line.outlet: line for line in plant.delay_lines}
+    pieces = [
+        effect(by_outlet[v.name], 1.0)
+        if v.name in by_outlet
+        else PiecewisePolynomial(u.breaks, u.coefficients[:, :, [sources.index(v.name)]])
+        for v in reduced.inputs
+    ]
+    kept = [order.index(v.name) for v in reduced.states]
+
+    def whole(states: Array) -> Array:
+        found = np.empty((len(times), len(order)))
+        found[:, kept] = states
+        for line in plant.delay_lines:
+            for name, part in zip(line.states, line.dead_time.places, strict=True):
+                found[:, order.index(name)] = effect(line, float(part))(times)[:, 0]
+        return found
+
+    return reduced, joined(pieces, times), x0[kept], whole
+
+
+def line_states(plant: Plant, line: DelayLine, t: Array, command: Array, at: float) -> Array:
+    """The states of a delay line at a moment, from samples of its command up to then (held).
+
+    t, command : times and samples. Before the first sample the command counts as having stood.
+    """
+    ago = line.dead_time.places * float(plant.variable(line.time).start or 0.0)
+    place = np.searchsorted(t, at - ago + 1e-12 * (1 + abs(at)), side="right") - 1
+    return np.asarray(command[np.maximum(place, 0)], float)
+
+
+def _level(plant: Plant, line: DelayLine, starts: dict[str, float]) -> float:
+    values = np.array([starts[n] for n in line.states])
+    if np.ptp(values) > LEVEL * plant.variable(line.outlet).nominal:
+        raise InputError(
+            f"start of {line.states[0]} .. {line.outlet} runs from {values.min():g} to "
+            f"{values.max():g}: exact dead times begin with commands that stood; start all of them "
+            "at one value"
+        )
+    return float(values[-1])
+
+
+def _later(
+    signal: PiecewisePolynomial, shift: float, before: float, start: float
+) -> PiecewisePolynomial:
+    """The signal a time later, ``before`` until its own start arrives."""
+    if shift <= 0:
+        return signal
+    inside = signal.breaks > start
+    breaks = np.concatenate([[start], signal.breaks[inside]])
+    own = signal.shifted(breaks)
+    first = np.zeros((1, *own.coefficients.shape[1:]))
+    first[0, 0] = before
+    # a piece behind the end holds the last value there
+    last = np.zeros_like(first)
+    last[0, 0] = own.final()
+    return PiecewisePolynomial(
+        np.concatenate([[start], breaks + shift, [breaks[-1] + 2 * shift]]),
+        np.concatenate([first, own.coefficients, last]),
+    )
+
+
+TIME_TOLERANCE = 1e-11
+"""A crossing is located to this [s]; the integrator's own error comes on top."""
+MAX_EVENTS = 10_000
+
+
+class _Crossings:
+    """The watched expressions as functions of time and state."""
+
+    def __init__(self, plant: Plant, names: tuple[str, ...], u: PiecewisePolynomial) -> None:
+        self.plant, self.u = plant, u
+        self.names = tuple(n if n.startswith("der(") else plant.variable(n).name for n in names)
+        expressions = ca.vertcat(*(plant.expression(n) for n in self.names))
+        self.function = ca.Function("events", [plant.x, plant.u, plant.p], [expressions])
+        self.parameters = plant.vector("parameter")
+
+    def __call__(self, t: Array, states: Array) -> Array:
+        """Values (number of times, number of names)."""
+        values = self.function(states.T, self.u(t).T, self.parameters)
+        table: Array = np.asarray(values, dtype=float).reshape(len(self.names), len(t))
+        return np.ascontiguousarray(table.T)
+
+
+def integrate_with_events(
+    run: Integration, names: tuple[str, ...]
+) -> tuple[Array | None, tuple[Event, ...], int]:
+    """States over the grid of ``run``, the crossings of ``names``, and the intervals that
+    succeeded.
+
+    The states are None when the integrator gave up; the number then says how far it came.
+    """
+    crossings = _Crossings(run.plant, names, run.u)
+    grid = run.grid
+    rows = [run.x0[None, :]]
+    events: list[Event] = []
+    start, x, k = float(grid[0]), run.x0, 0  # integrating from ``start`` inside interval k
+    sign = np.sign(crossings(grid[:1], x[None, :])[0])
+    while k < len(grid) - 1:
+        times = np.concatenate([[start], grid[k + 1 :]])
+        ahead = run.u.breaks > start + 1e-12 * (1 + abs(start))
+        part = replace(
+            run, grid=times, x0=x, u=run.u.shifted(np.append(start, run.u.breaks[ahead]))
+        )
+        states = part()
+        usable = states if states is not None else part(part.longest)
+        assert usable is not None
+        values = crossings(times[: len(usable)], usable)
+        unsure = sign == 0  # a start on the border: the side it leaves to
+        sign = np.where(unsure & (len(values) > 1), np.sign(values[min(1, len(values) - 1)]), sign)
+        changed = (np.sign(values[1:]) * sign < 0).any(axis=1)
+        first = int(np.argmax(changed)) if changed.any() else len(usable) - 1
+        rows.append(usable[1 : first + 1])
+        k += first
+        if not changed.any():
+            return (None if states is None else np.vstack(rows)), tuple(events), k
+        start, x, which = _located(crossings, part, times, usable, first, sign)
+        for i in which:
+            events.append(Event(start, crossings.names[i], bool(sign[i] < 0)))
+            sign[i] = -sign[i]
+        if len(events) > MAX_EVENTS:
+            return None, tuple(events), k
+    return np.vstack(rows), tuple(events), k
+
+
+def _located(
+    crossings: _Crossings, part: Integration, times: Array, states: Array, k: int, sign: Array
+) -> tuple[float, Array, list[int]]:
+    """Time and state just behind the first crossing in (times[k], times[k + 1]],
+    and which crossed.
+    """
+    low, a, b = float(times[k]), float(times[k]), float(times[k + 1])
+    x_b = states[k + 1]
+    while b - a > TIME_TOLERANCE:
+        middle = (a + b) / 2
+        x = part.advance(low, states[k], middle)
+        if (crossings(np.array([middle]), x[None, :])[0] * sign < 0).any():
+            b, x_b = middle, x
+        else:
+            a = middle
+    value = crossings(np.array([b]), x_b[None, :])[0]
+    return b, x_b, [int(i) for i in np.flatnonzero(value * sign < 0)]
 
 
 class Computes(Protocol):

@@ -17,7 +17,7 @@ from pam_ocp import InputError
 from pam_ocp.control import block
 from pam_ocp.control.blocks.making import BlockController
 from pam_ocp.control.controller_plants import state_feedback_controller
-from pam_ocp.control.reach import effort_units
+from pam_ocp.control.linear_quadratic import effort_units
 from pam_ocp.planning.openings import ValveOpenings
 
 F = pam.feeds

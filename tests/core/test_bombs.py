@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.core import files, hdf5, mat
+from pam_ocp.core import files, foreign, hdf5
 from pam_ocp.core.files import json_of, members_of, most_unpacked, read_npz, write_json, write_npz
 from pam_ocp.core.foreign import read_hdf5, read_mat
 from pam_ocp.export.archive import require_safe
@@ -184,7 +184,7 @@ def test_a_text_of_very_many_characters_is_not_made(tmp_path, shape):
 
 
 def test_a_cell_of_very_many_entries_is_not_made(tmp_path, monkeypatch):
-    monkeypatch.setattr(mat, "MOST_ENTRIES", 10_000)
+    monkeypatch.setattr(foreign, "MOST_ENTRIES", 10_000)
     path = mat_file(tmp_path / "a.mat", matrix(1, (1, 10**6), element(14, b"") * 10**6))
     refused(read_mat, path, "more than 10000 entries")
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from pam_ocp.core.errors import InputError
-from pam_ocp.core.mat import MOST_LEVELS, matrices_of
+from pam_ocp.core.foreign import MOST_LEVELS, matrices_of
 
 KINDS = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
 
@@ -82,7 +82,7 @@ def test_cells_within_cells_are_read_to_a_depth_and_no_further(tmp_path):
 
 
 def test_more_entries_than_allowed_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("pam_ocp.core.mat.MOST_ENTRIES", 50)
+    monkeypatch.setattr("pam_ocp.core.foreign.MOST_ENTRIES", 50)
     cells = np.empty((10, 10), object)
     cells.fill(np.array([[1.0]]))
     savemat(tmp_path / "a.mat", {"cells": cells})

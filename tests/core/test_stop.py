@@ -228,12 +228,12 @@ def test_a_plan_that_is_not_found_in_time_is_an_error_that_says_so():
 
 def test_the_best_plan_so_far_is_returned_unverified(monkeypatch):
     """The time is up in the first round of refinement."""
-    from pam_ocp.planning.refine import Refinement
+    from pam_ocp.planning.continuation import Continuation
 
     def over(self, *_):
         raise TimeIsUp
 
-    monkeypatch.setattr(Refinement, "_rounds", over)
+    monkeypatch.setattr(Continuation, "_finer", over)
     with pytest.warns(pam.PlanWarning, match="before the search was done"):
         plan = pam.plan(slide(), STOPS, method=Collocation(6), tolerance=1e-9, time_limit=1000.0)
     assert plan.solved

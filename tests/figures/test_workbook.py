@@ -12,7 +12,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
-from pam_ocp.figures.workbook.formula import LONGEST, formula_of
+from pam_ocp.figures.workbook.fit_book import LONGEST, formula_of
 from pam_ocp.muscles.law import LAWS
 from pam_ocp.studies.steps.step import Job
 

@@ -8,7 +8,7 @@ from searches import solved
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
-from pam_ocp.planning.checked import checked
+from pam_ocp.planning.candidate import checked
 from pam_ocp.planning.transcription.mesh import (
     Form,
     Interval,

@@ -10,8 +10,7 @@ import pytest
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
 from pam_ocp.cli.main import main
-from pam_ocp.planning.problem.expression_text import expression_of
-from pam_ocp.planning.problem.problem_file import load_problem
+from pam_ocp.planning.problem.problem_file import expression_of, load_problem
 from pam_ocp.plants.kinds import PLANTS
 from pam_ocp.plants.plant_file import muscle_of, plant_of
 
@@ -379,8 +378,14 @@ def test_a_plan_that_is_not_verified_has_exit_code_3_and_is_written_all_the_same
     assert (tmp_path / "plan.npz").exists()
 
 
-def test_the_file_of_a_plan_is_no_trajectory_and_says_where_its_motion_is(tmp_path):
+def test_the_file_of_a_plan_is_one_of_its_motion_too(tmp_path):
     plant = pam.AntagonisticSlide("DMSP-20-200N")
-    path = pam.plan(plant, [{"x": -0.002}, {"x": 0.002}]).save(tmp_path / "plan.npz")
-    with pytest.raises(pam.InputError, match=r"is a plan, no trajectory: load_plan\(path, plant\)"):
-        pam.Trajectory.load(path)
+    plan = pam.plan(plant, [{"x": -0.002}, {"x": 0.002}])
+    path = plan.save(tmp_path / "plan.npz")
+    motion = pam.Trajectory.load(path)
+    assert motion.names == plan.trajectory.names
+    assert motion["x"].tolist() == plan.trajectory["x"].tolist()
+    assert motion.variable("x").unit == "m"
+    again = pam.simulate(plant, motion, t=[0.0, plan.duration])
+    assert again["x"][-1] == pytest.approx(0.002, abs=1e-5)
+    assert pam.load_plan(path, plant).verified

@@ -10,8 +10,7 @@ from conftest import hardening_cart as cart
 import pam_ocp as pam
 from pam_ocp import Collocation, Shooting
 from pam_ocp.planning.solvers.condensed import Condensed
-from pam_ocp.planning.solvers.newton import Newton, Point
-from pam_ocp.planning.solvers.optimality import Optimality
+from pam_ocp.planning.solvers.newton import Newton, Optimality, Point
 
 MOVE = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
 EFFORT = {"rest": False, "duration": 1.0, "minimise": "effort"}

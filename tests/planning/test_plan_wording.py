@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
-from pam_ocp.planning.keywords import SolveKeywords
+from pam_ocp.planning.planner import SolveKeywords
 
 POLYNOMIAL = Collocation(6, 6, "polynomial")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,17 +11,17 @@ import casadi as ca
 
 from ...core.errors import InputError, require_positive
 from ...core.quantities import is_quantity
+from ...core.variables import Variable
 from ...judge.costs import COSTS
-from ...judge.statement import Statement, Stop, subject
+from ...judge.statement import Cyclic, Statement, Stop, subject, times_seconds
 from ...plants.plant import Plant, require_plant
-from .cycles import closing_states, not_implied
+from ...plants.stillness import Position, rate_of, rest_rows, totals
 from .first_stop import left_by_the_past, settled_before, with_given_pressures
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
 from .problem import Condition, Leg, Problem, Range
-from .rest_conditions import Holding, at_rest, resting_positions
 
-__all__ = ["formulate"]
+__all__ = ["Holding", "at_rest", "closing_states", "formulate", "not_implied", "resting_positions"]
 
 DURATIONS: Range = (1e-3, 10.0)
 """Bounds of a free duration of one leg [s]."""
@@ -269,3 +269,177 @@ def _require_an_end(statement: Statement, legs: Sequence[Leg]) -> None:
             f"minimise = {term!r} needs a fixed duration (a slower motion always takes less); "
             f"give duration=0.5, say, or minimise={{'time': 1.0, {term!r}: 1e-3}}"
         )
+
+
+def closing_states(plant: Plant, cyclic: Cyclic) -> dict[str, tuple[float, str]] | None:
+    if cyclic is False or cyclic is None:
+        return None
+    sums = totals(plant)  # what only adds up never comes back
+    if cyclic is True:
+        return {v.name: (1.0, v.name) for v in plant.states if v.name not in sums}
+    if cyclic != "mirrored":
+        raise InputError(f"cyclic = {cyclic!r}: choose True, False or 'mirrored'")
+    mirror = plant.mirror_map
+    if not mirror:
+        raise InputError(
+            f"cyclic = 'mirrored': plant {plant.name!r} declares no mirror symmetry "
+            "(unequal muscles have none); use cyclic=True"
+        )
+    return {v.name: mirror.get(v.name, (1.0, v.name)) for v in plant.states if v.name not in sums}
+
+
+def not_implied(
+    plant: Plant,
+    stops: Sequence[Stop],
+    last: tuple[Condition, ...],
+    closing: Mapping[str, tuple[float, str]],
+) -> tuple[Condition, ...]:
+    """Of a mirrored motion's last node: what the first node's image does not say already."""
+    if len(stops) != 2:
+        raise InputError("cyclic = 'mirrored' takes two stops: the start and its mirror image")
+    first = {n: range_of(n, v, plant.variable(n)) for n, v in stops[0].values.items()}
+    kept = []
+    for condition, name in zip(last, stops[1].values, strict=False):  # rest follows by symmetry
+        sign, image = closing.get(name, (1.0, name))
+        if image not in first:
+            kept.append(condition)
+            continue
+        low, high = sorted(sign * v for v in first[image])
+        if max(abs(condition.low - low), abs(condition.high - high)) > 1e-9 * condition.nominal:
+            raise InputError(
+                f"cyclic = 'mirrored': {condition.label} = {condition.shown.shown(condition.low)} "
+                f"is not the mirror image of stop 1, {condition.shown.shown(low)}; use cyclic=True"
+            )
+    return tuple(kept)
+
+
+def resting_positions(plant: Plant, stops: Sequence[Stop]) -> tuple[Position, ...]:
+    """What stands still at the stops that are at rest; those the stops speak of come first."""
+    if not any(stop.rest for stop in stops):
+        return ()
+    expressions = [subject(plant, name)[1] for stop in stops for name in stop.values]
+    spoken = ca.which_depends(ca.vertcat(*expressions), plant.x, 1, False) if expressions else []
+    named = [v.name for v, is_named in zip(plant.states, spoken, strict=False) if is_named]
+    positions = plant.resting(named) or _named_places(plant, stops)
+    if not positions:
+        raise InputError(
+            f"rest = True: plant {plant.name!r} has no position that could stand still (a state "
+            "whose rate, where it vanishes, does not depend on the state itself), and no input "
+            "that could hold what the stops name; give rest=False, and what shall vanish in the "
+            "stops, such as {'der(NAME)': 0.0}"
+        )
+    return positions
+
+
+def _named_places(plant: Plant, stops: Sequence[Stop]) -> tuple[Position, ...]:
+    """What the stops name, where no state is a position: a level of a tank, a sum of states.
+
+    An input has to be able to hold it: what runs down by itself cannot rest.
+    """
+    chosen = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+    if not chosen:
+        return ()
+    names = dict.fromkeys(plant.variable(n).name for s in stops for n in s.values if "(" not in n)
+    return tuple(
+        Position(name, (), bool(ca.depends_on(rate_of(plant, name), plant.u[chosen])))
+        for name in names
+        if plant.variable(name).causality in ("state", "output")
+    )
+
+
+@dataclass
+class Holding:
+    """How rest is asked for: what an input sets at once need not vanish before the stop.
+
+    There it is enough that admissible inputs would hold the plant: unknowns of their own, so that
+    the last interval of piecewise constant inputs is not spent on zero acceleration. Admissible are
+    those that keep the path conditions, too: slack muscles hold nothing, and where they are slack
+    the conditions of rest have no slope in the inputs.
+    """
+
+    plant: Plant
+    bounds: Mapping[str, Range]
+    path: tuple[Condition, ...]
+    symbols: Symbols
+    jumps: bool
+    positions: tuple[Position, ...] = ()
+
+    def inputs(self, label: str, rows: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX, list[Condition]]:
+        """(inputs, what stands for them in the rows of rest, conditions on the latter)."""
+        plant = self.plant
+        values, conditions, jumping = [], [], []
+        asked = ca.vertcat(*rows) if rows else ca.SX(0, 1)
+        for i, variable in enumerate(plant.inputs):
+            jumps = self.jumps and not variable.disturbance and ca.depends_on(asked, plant.u[i])
+            if not jumps:
+                values.append(plant.u[i])
+                continue
+            jumping.append(plant.u[i])
+            held = self.symbols.unknown() * variable.nominal
+            low, high = self.bounds[variable.name]
+            values.append(held)
+            conditions.append(
+                Condition(
+                    f"{label}: {variable.name} that holds it",
+                    held,
+                    low,
+                    high,
+                    variable.nominal,
+                    variable,
+                )
+            )
+        instead = ca.vertcat(*values)
+        if jumping:
+            conditions += [
+                replace(
+                    c,
+                    label=f"{label}: {c.label} where it is held",
+                    expression=ca.substitute(c.expression, plant.u, instead),
+                )
+                for c in self.path
+                if ca.depends_on(c.expression, ca.vertcat(*jumping))
+            ]
+        return plant.u, instead, conditions
+
+
+def at_rest(
+    plant: Plant, label: str, stop: Stop, holding: Holding, settled: Sequence[Condition] = ()
+) -> list[Condition]:
+    """Rate and acceleration of every position are zero, where the stop says nothing else; and with
+    the same inputs what else has settled there.
+    """
+    conditions = []
+    positions = holding.positions
+    for position, order, expression in rest_rows(plant, positions):
+        rate, velocities = f"der({position.name})", position.velocities
+        said = [f"der({v})" for v in velocities] if order == 2 else velocities
+        if (order == 1 and rate in stop.values) or (said and set(said) <= set(stop.values)):
+            continue
+        literal = len(velocities) == 1 and ca.is_equal(
+            plant.expression(rate), plant.expression(velocities[0])
+        )
+        if literal:
+            name = velocities[0] if order == 1 else f"der({velocities[0]})"
+            variable, expression = subject(plant, name)
+        else:
+            name = rate if order == 1 else f"der(der({position.name}))"
+            variable = _rate_of(plant, position.name, order)
+        conditions.append(
+            Condition(f"{label}: {name} at rest", expression, 0.0, 0.0, variable.nominal, variable)
+        )
+    conditions += settled
+    u, held, beside = holding.inputs(label, [c.expression for c in conditions])
+    if not beside:
+        return conditions
+    return [
+        replace(c, expression=ca.substitute(c.expression, u, held)) for c in conditions
+    ] + beside
+
+
+def _rate_of(plant: Plant, name: str, order: int) -> Variable:
+    """What is shown of the ``order``-th derivative of a state."""
+    state = plant.variable(name)
+    unit = times_seconds(state.unit, -1)
+    if order == 2:
+        unit = times_seconds(unit, -1)
+    return Variable("rate", "constraint", unit=unit, nominal=10**order * state.nominal)

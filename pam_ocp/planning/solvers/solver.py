@@ -32,8 +32,7 @@ from .ipopt_options import (
 )
 
 if TYPE_CHECKING:  # loaded with the first re-solve
-    from .newton import Newton
-    from .optimality import Optimality
+    from .newton import Newton, Optimality
 
 __all__ = ["SETTLED", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "limit"]
 
@@ -399,7 +398,7 @@ class Ipopt:
 
     @cached_property
     def _optimality(self) -> Optimality:
-        from .optimality import Optimality
+        from .newton import Optimality
 
         return Optimality(*(self._first.get_function(n) for n in ("nlp_grad_f", "nlp_jac_g")))
 

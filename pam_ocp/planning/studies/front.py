@@ -23,8 +23,7 @@ from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
 from ...judge.statement import Stop, subject
 from ...plants.plant import Plant, require_plant
-from ..keywords import PlanKeywords
-from ..planner import Planner
+from ..planner import PlanKeywords, Planner
 from ..problem.objective import budget
 from ..result import Plan
 from ..transcription.guess import from_solution

@@ -28,8 +28,7 @@ from ...judge.statement import Stop
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
 from ...simulation.simulator import evaluated
-from ..keywords import SolveKeywords
-from ..planner import plan
+from ..planner import SolveKeywords, plan
 from ..result import Plan, Solved
 from .ensemble_problem import ensemble_arguments, ensemble_stop
 from .robust_result import RobustPlan, RobustVerdict, Round

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ..problem.problem import Budget, Condition, Problem, limits
 from .mesh import Interval, Mesh
+from .solution import Unknowns
 from .stage import Stage, nominals
-from .unknowns import Unknowns
 
 __all__ = ["Group", "Program", "Row", "later", "sampled", "transcribe", "with_design"]
 
