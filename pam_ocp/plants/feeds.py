@@ -48,16 +48,12 @@ __all__ = [
     "Tube",
     "as_feed",
     "attach",
-    "limit_strength",
-    "meter_pneumatics",
-    "meter_work",
-    "moving_half",
     "valve",
     "valve_names",
 ]
 
 
-def meter_work(
+def _meter_work(
     plant: Declares, name: str, force: ca.SX, velocity: ca.SX, mass: float | None, totals: bool
 ) -> ca.SX | None:
     """Declare ``<name>.power`` = F times the speed of shortening [m/s], and what follows from it.
@@ -101,7 +97,7 @@ def meter_work(
     return work
 
 
-def meter_pneumatics(
+def _meter_pneumatics(
     plant: Declares, name: str, pressure: ca.SX, gain: ca.SX, velocity: ca.SX, work: ca.SX
 ) -> None:
     """Declare what a feed without gas puts into the muscle, the integral of p dV, and the
@@ -124,7 +120,7 @@ def meter_pneumatics(
     )
 
 
-def moving_half(plant: Declares, name: str, muscle: Muscle, symbolic: Muscle) -> ca.SX:
+def _moving_half(plant: Declares, name: str, muscle: Muscle, symbolic: Muscle) -> ca.SX:
     """Declare the mass of a muscle's body; half of it [kg], 0 (and nothing) where it has none.
 
     One end stands and the other moves with the load: the body is put to both ends in equal parts.
@@ -149,7 +145,7 @@ def moving_half(plant: Declares, name: str, muscle: Muscle, symbolic: Muscle) ->
     return ca.SX((symbolic.rest_length * per_length + ends) / 2)
 
 
-def limit_strength(
+def _limit_strength(
     plant: Declares, name: str, muscle: Muscle, pressure: ca.SX, force: ca.SX
 ) -> None:
     """Declare the path constraints of burst and pull-off where the muscle says what it bears."""
@@ -374,19 +370,19 @@ def attach(
         contraction,
         force,
         stiffness,
-        moving_half(plant, name, muscle, symbolic),
+        _moving_half(plant, name, muscle, symbolic),
     )
-    limit_strength(plant, name, muscle, pressure, force)
+    _limit_strength(plant, name, muscle, pressure, force)
     _declare_outputs(plant, attached, tension)
     totals = bool(getattr(feed, "totals", False))
     drawn = None
     if totals and isinstance(feed, GasFeed) and air is not None:
         drawn = feed.drawn(plant, name, air)
-    work = meter_work(plant, name, force, rate, muscle.known_mass, totals)
+    work = _meter_work(plant, name, force, rate, muscle.known_mass, totals)
     if isinstance(feed, GasFeed) and air is not None:
         feed.meter(plant, name, air, drawn, work)
     elif work is not None:
-        meter_pneumatics(plant, name, pressure, gain, rate, work)
+        _meter_pneumatics(plant, name, pressure, gain, rate, work)
     return attached
 
 
