@@ -54,8 +54,6 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-__all__ = ["FolderLock"]
-
 
 class FolderLock:
     """Holds the file ``path``, if nobody else does; ``taken`` says whether."""
