@@ -31,6 +31,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 LONG = 300.0
 """Seconds after which surroundings have settled."""
+STAYS = 1e-4
+"""Way in that time, in nominals, that counts as none."""
 NEUTRAL = 1e-6
 """Rates [1/s] below which a state keeps whatever it is given."""
 HELD = 1e-9
@@ -246,8 +248,10 @@ def begun(
     stores = {*store_names(plant)}
     kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies} - stores]
     rates = plant.function(plant.x, plant.u, plant.p)[0]
-    wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
-    still = _still(plant, x, u, wanted, limits, point.time)
+    free = [i for i in kept if names[i] not in said]
+    every = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
+    unsaid = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in free))
+    still = _still(plant, x, u, (every, unsaid), limits, point.time)
     if not isinstance(memory, Mapping):
         given |= at_rest(plant, x, kept_by, still)
     for name, value in given.items():
@@ -257,9 +261,11 @@ def begun(
         off = abs(float(x[i]) - value) / float(nominal[i])
         yield f"{point.label}: {name} at the start", off, name in said
     moving = any(n.startswith("der(") for n in point.stop.values)
-    for i, rate, far in zip(kept, *_away(plant, x, still, kept), strict=True):
-        off = max(rate, far)
-        yield f"{point.label}: {names[i]} settled", off, moving or names[i] in said
+    # what a stop names is as it says, wherever it goes; the rest has settled beside it
+    for group in (free, [i for i in kept if i not in free]):
+        for i, rate, far in zip(group, *_away(plant, x, still, group), strict=True):
+            off = max(rate, far)
+            yield f"{point.label}: {names[i]} settled", off, moving or names[i] in said
     for name, off in _unreached(plant, x, still):
         if name in plant.copies:
             continue
@@ -267,12 +273,26 @@ def begun(
 
 
 def _still(
-    plant: Plant, x: Array, u: Array, wanted: ca.SX, limits: Sequence[Limit], time: float
+    plant: Plant,
+    x: Array,
+    u: Array,
+    groups: Sequence[ca.SX],
+    limits: Sequence[Limit],
+    time: float,
 ) -> Array:
-    """Inputs under which nothing moves, as far as there are any."""
-    if not any(not v.disturbance for v in plant.inputs) or not wanted.numel():
-        return np.asarray(u, float)
-    return _holding(plant, wanted, x, u, [c for c in limits if c.nominal], time)[0]
+    """Inputs under which the first of some groups that can be held stands still, or the last, as far
+    as there are any.
+    """
+    still = np.asarray(u, float)
+    if not any(not v.disturbance for v in plant.inputs):
+        return still
+    for wanted in groups:
+        if not wanted.numel():
+            continue
+        still, left = _holding(plant, wanted, x, u, [c for c in limits if c.nominal], time)
+        if left.max(initial=0.0) < HELD:
+            break
+    return still
 
 
 def _sums(plant: Plant) -> dict[str, float]:
@@ -283,7 +303,9 @@ def _sums(plant: Plant) -> dict[str, float]:
 def _away(plant: Plant, x: Array, u: Array, kept: Sequence[int]) -> tuple[Array, Array]:
     """(rates, distances from the nearest state where all of them vanish), in nominals.
 
-    The distance is Newton's step of least norm; directions in which nothing pulls count as none.
+    The distance is Newton's step of least norm. Directions in which nothing pulls count as none, and
+    so do those in which nothing moves in LONG: what leaks through a valve that is shut but for a
+    rounding would be far from where it leads.
     """
     nominal = plant.vector("state", attribute="nominal")[list(kept)]
     p = plant.vector("parameter")
@@ -291,8 +313,9 @@ def _away(plant: Plant, x: Array, u: Array, kept: Sequence[int]) -> tuple[Array,
     slopes = np.asarray(plant.jacobians(x, u, p)[0], float)[np.ix_(kept, kept)]
     slopes = slopes * nominal / nominal[:, None]
     left, sizes, right = np.linalg.svd(slopes)
-    pulled = sizes > NEUTRAL
-    step = right[pulled].T @ ((left[:, pulled].T @ rates) / sizes[pulled])
+    along = left.T @ rates
+    pulled = (sizes > NEUTRAL) & (np.abs(along) * LONG > STAYS)
+    step = right[pulled].T @ (along[pulled] / sizes[pulled])
     return np.abs(rates) / SPEED, np.abs(step)
 
 
@@ -311,9 +334,16 @@ def _unreached(plant: Plant, x: Array, u: Array) -> Iterator[tuple[str, float]]:
     if not idle:
         return
     inputs = {v.name: float(value) for v, value in zip(plant.inputs, u, strict=True)}
-    try:
-        run = simulate(plant, inputs, t=[0.0, LONG], rtol=1e-8)
-    except SimulationError:
-        return
+    come = plant.vector("state")
+    for span in (LONG, 10 * LONG, 100 * LONG):  # heat from a thick wall takes its time
+        try:
+            begin = dict(zip(names, map(float, come), strict=True))
+            run = simulate(plant, inputs, start=begin, t=[0.0, span], rtol=1e-8)
+        except SimulationError:
+            return
+        come = np.array([run[n][-1] for n in names])
+        rates = np.asarray(plant.function(come, u, p)[0], float).ravel() / nominal
+        if np.abs(rates[marked]).max() <= NEUTRAL:
+            break
     for i in idle:
-        yield names[i], abs(float(run[names[i]][-1]) - float(x[i])) / float(nominal[i])
+        yield names[i], abs(float(come[i] - x[i])) / float(nominal[i])

@@ -23,8 +23,8 @@ Memory: TypeAlias = 'Literal["virgin", "above", "below"] | Mapping[str, float]'
 
 SIDES = {"above": -1.0, "below": 1.0}
 """Way in which the positions moved before they came to rest."""
-LONG = 300.0
-"""Seconds in which what settles by itself has settled."""
+SPANS = (300.0, 3e3, 3e4)
+"""Seconds in which what settles by itself has settled: the longer ones where it still moves."""
 PLACES = 41
 """Values of a state, all over its range, at which it is asked whether it would stay."""
 APART = 0.05
@@ -165,12 +165,19 @@ def _surroundings(plant: Plant) -> dict[str, float]:
     names = [v.name for v in plant.states]
     u, p = plant.vector("input"), plant.vector("parameter")
     sizes = plant.vector("state", attribute="nominal")
-    try:
-        run = simulate(plant, t=[0.0, LONG], rtol=1e-8)
-    except SimulationError:
-        return {}
-    x = np.array([run[n][-1] for n in names])
-    still = np.asarray(plant.function(x, u, p)[0], float) / sizes[:, None]
+    x = plant.vector("state")
+    own = [names.index(n) for n in marked]
+    for span in SPANS:
+        try:
+            run = simulate(
+                plant, start=dict(zip(names, map(float, x), strict=True)), t=[0.0, span], rtol=1e-8
+            )
+        except SimulationError:
+            return {}
+        x = np.array([run[n][-1] for n in names])
+        still = np.asarray(plant.function(x, u, p)[0], float) / sizes[:, None]
+        if np.abs(still[own]).max() <= IDLE:
+            break
     found = {}
     for name in marked:
         i, nominal = names.index(name), plant.states[names.index(name)].nominal

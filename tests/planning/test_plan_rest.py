@@ -10,7 +10,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
-from pam_ocp.operating.held import held
+from pam_ocp.operating.held import held, surroundings
 
 METHOD = Collocation(10, 5)
 
@@ -286,6 +286,29 @@ def test_a_tank_does_not_drain_through_open_valves_before_a_motion():
     plan = pam.plan(load, [{"x": 0.012}, {"x": 0.034}], duration=(0.02, 8.0))
     assert plan.verified
     assert plan.trajectory["receiver.air_temperature"][0] == pytest.approx(293.15, abs=0.3)
+
+
+def test_a_tank_that_leaks_before_a_motion_has_to_be_named():
+    """No rest keeps its air; with its pressure named, the motion begins as it is said."""
+    tank = pam.feeds.Receiver(5e-3, pressure=7e5, source=None)
+    feed = pam.feeds.OnOffValves(supply=tank, leak=1e-11)
+    load = pam.HangingLoad("DMSP-20-400N", 10.0, damping=50.0, feed=feed)
+    with pytest.raises(pam.PlanError, match=r"receiver\.air_pressure.*name that state"):
+        pam.plan(load, [{"x": 0.02}, {"x": 0.05}], starts=1)
+    plan = pam.plan(load, [{"x": 0.02, "receiver.air_pressure": 7e5}, {"x": 0.05}])
+    assert plan.verified
+
+
+def test_a_receiver_whose_air_warms_slowly_begins_where_its_compressor_stops():
+    """After 300 s its air was 0.3 K off, so that its pressure did not count as idle: plans chose
+    10 bar."""
+    source = pam.feeds.Compressor(pressure=8e5, band=2e4)
+    tank = pam.feeds.Receiver(1e-3, pressure=7.5e5, source=source, wall_conductance=0.01)
+    feed = pam.feeds.SpoolValve(supply=tank)
+    load = pam.HangingLoad("DMSP-20-400N", 10.0, damping=50.0, feed=feed)
+    at = surroundings(load)
+    assert at["receiver.air_pressure"] == pytest.approx(8e5, rel=1e-3)
+    assert at["receiver.air_temperature"] == pytest.approx(293.15, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from ...judge.costs import COSTS
 from ...judge.statement import Statement, Stop, subject
 from ...operating.held import at_rest, driven_names, held, held_names, surroundings
 from ...plants.plant import Plant
-from ...plants.stillness import Position, settled_names, totals
+from ...plants.stillness import Position, settled_names, store_names, totals
 from ..transcription.guess import rest_point
 from .limits import range_of
 from .problem import Condition, Problem, Range
@@ -28,6 +28,8 @@ ROUNDS, SAME = 10, 1e-6
 """From a pressure to memories at their envelopes to the pressure there, at most, and until these
 change by less [nominal].
 """
+KEEPS = 1e-7
+"""Rate below which a tank without a source keeps its air before a motion [nominal/s]."""
 
 
 def left_by_the_past(
@@ -116,18 +118,23 @@ def _named_states(plant: Plant, stop: Stop) -> NDArray[np.float64]:
 
 def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -> list[Condition]:
     """What stands still besides the positions where a plant has rested before a motion: pressures,
-    temperatures, spools, lags, all that inputs or positions move. What the first stop names of
-    those that settle by themselves is as it says, and so is what it names the rate of.
+    temperatures, spools, lags, all that inputs or positions move; and what a tank without a source
+    holds, which air that flows through open valves would empty. What the first stop names of those
+    that settle by themselves is as it says, and so is what it names the rate of.
     """
     places = {n for p in positions for n in (p.name, *p.velocities)}
     kept = {*places, *totals(plant), *held_names(plant), *surroundings(plant), *plant.copies}
     own = {n for n in settled_names(plant) if n in first.values}
     moved = [n for n in driven_names(plant) if n not in kept and n not in own]
-    rates = [f"der({n})" for n in moved if f"der({n})" not in first.values]
+    widths = dict.fromkeys(moved, 0.0)
+    # an equation would leave the valves that drain a tank no inside: their areas are bounded below
+    widths |= {n: KEEPS for n in store_names(plant) if n not in first.values}
     return [
-        Condition(f"stop 1: {rate} settled", expression, 0.0, 0.0, variable.nominal, variable)
-        for rate in rates
+        Condition(f"stop 1: {rate} settled", expression, -width, width, variable.nominal, variable)
+        for name, part in widths.items()
+        if (rate := f"der({name})") not in first.values
         for variable, expression in [subject(plant, rate)]
+        for width in [part * variable.nominal]
     ]
 
 

@@ -160,11 +160,16 @@ def explanation(
         return opening + known + remedy + advised
     more = "; ".join(str(c) for c in conflicts[1:NAMED])
     also = f" In conflict with it: {more}." if more else ""
+    worst = str(conflicts[0])
+    if " settled" in worst:
+        remedy = "it cannot rest before the motion: name that state in the first stop if it shall "
+        remedy += "begin as it is said there, or give rest=False"
+    else:
+        remedy = "relax it, or allow more time or pressure"
     return (
         opening
-        + f"The most violated constraint is {conflicts[0]}; relax it, or allow more time or "
-        f"pressure.{also} So says a local search, which is no proof that there is no plan."
-        + advised
+        + f"The most violated constraint is {worst}; {remedy}.{also} So says a local search, "
+        "which is no proof that there is no plan." + advised
     )
 
 
