@@ -1,10 +1,13 @@
-"""One rung of a ladder: its fit to all records, and what it predicts of each fold left out."""
+"""One rung of a ladder: its fit to all records, and what it predicts of each fold left out.
+
+Its fits are those of free runs (:mod:`.rollout`) that are as long as the records are.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -12,31 +15,44 @@ from numpy.typing import NDArray
 
 from ...core.cases import Place, results_of
 from ...core.errors import FitError
-from ...core.stop import check, verb
+from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
+from ...plants.undelayed import without_dead_times
 from ..statistics import Array, Coefficient
-from .experiment import ParameterGroup, groups
-from .fineness import shift, unmoved
+from .descent import Descent, descend
+from .experiment import ParameterGroup, groups, with_inputs
+from .fineness import fineness
+from .hidden import settled_starts
 from .ladder_result import Part, RungFit
-from .run_statistics import BLOCKS, widened
+from .rig import Rig, RunUnknowns, unknowns_of
+from .rollout import Rollout, require_followed
+from .run_statistics import spread_of
 from .rungs import Rung, starting
-from .whole_runs import WholeRuns, scaled
+from .runs import Runs, runs_of
 
-__all__ = ["Task", "climbed"]
+__all__ = ["RungModel", "Task", "climbed", "model_of", "usual_steps"]
 
 TRIED = 6
 """Evaluations by which starts are compared; the best goes on."""
 EVALUATIONS = 40
 """Of a fit, at most."""
-FARTHEST = 100.0
-"""Error in spreads from which runs count as diverged at the start."""
-ACCURATE = 0.02
-"""Error of the integration that values are content with, in parts of the residuals."""
-UNSEEN = 1e-8
-"""Of a direction of the parameters, in parts of the best seen."""
 MOST_STEPS = 32
 """In a sampling interval, however small the residuals are."""
+STEP = 1.25e-3
+"""Longest step [s] where no number of steps is given."""
+HISTORY = 3
+"""Samples at the begin of a record that tell where a run begins, and are not compared."""
+LOST = 1e3
+"""Stands for an error, in spreads, that is no number or beyond: a run that diverged."""
+NEWTON = 8
+"""Steps of Newton's method from one sample's point of rest to the next, in static runs."""
+
+
+def usual_steps(records: Sequence[Trajectory]) -> int:
+    """Steps in each sampling interval where none are given."""
+    usual = min(float(np.median(np.diff(r.t))) for r in records)
+    return max(1, int(np.ceil(usual / STEP - 1e-6)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,24 +65,8 @@ class Task:
     fold: NDArray[np.intp]
     steps: int
     bounds: Mapping[str, tuple[float, float]]
-    free_starts: bool = True
-    """Whether where records begin is sought, too."""
-    begun: Array | None = None
-    """Where they begin, if that is known."""
 
-    def runs(self, plant: Plant, unknowns: Sequence[ParameterGroup], static: bool) -> WholeRuns:
-        return WholeRuns(
-            plant,
-            self.records,
-            self.outputs,
-            unknowns,
-            steps=self.steps,
-            static=static,
-            free_starts=self.free_starts,
-            begun=self.begun,
-        )
-
-    def weights(self, without: int | None) -> list[Array]:
+    def counted(self, without: int) -> list[Array]:
         """1 for samples that count, 0 for those of a fold left out, of each record."""
         found = [np.ones(len(r)) for r in self.records]
         for (r, a, b), k in zip(self.parts, self.fold, strict=True):
@@ -74,36 +74,140 @@ class Task:
                 found[r][a:b] = 0.0
         return found
 
-    def blocks(self) -> NDArray[np.intp]:
-        """The block of each row of residuals: equal parts of each record."""
-        parts = max(1, -(-BLOCKS // len(self.records)))
-        found = []
-        for number, record in enumerate(self.records):
-            own = number * parts + np.arange(len(record)) * parts // len(record)
-            found.append(np.repeat(own, len(self.outputs)))
-        return np.concatenate(found)
-
-    def losses(self, errors: Sequence[Array], fold: int) -> dict[int, Array]:
-        """Mean squared errors (ny,) of the parts of a fold, by the part's number."""
+    def losses(self, squares: Array, fold: int) -> dict[int, Array]:
+        """{part of a fold: mean (ny,) of squared errors (records, K, ny) in it}."""
         return {
-            i: np.mean(errors[r][a:b] ** 2, axis=0)
+            i: np.mean(squares[r, max(a - HISTORY, 0) : b - HISTORY], axis=0)
             for i, ((r, a, b), k) in enumerate(zip(self.parts, self.fold, strict=True))
             if k == fold
         }
 
 
+# ---- a model ------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class _Fitted:
-    """plant : with fitted values. sizes : error of each variable in spreads. coefficients : with
-    standard errors, if asked. own : where records begin.
+class RungModel:
+    """A rung from a plant's values on, run through whole records. What is not measured begins at
+    rest; where positions, velocities and pressures begin is unknown in each record, too.
+
+    plant, records : as they are run, dead times apart. x0 (records, nx) : guesses of the starts.
+    z : where a search begins, or ended.
     """
 
     plant: Plant
-    sizes: Array
-    coefficients: dict[str, Coefficient]
-    own: Array
+    records: Sequence[Trajectory]
+    outputs: Sequence[str]
+    unknowns: RunUnknowns
+    rig: Rig
+    x0: Array
+    z: Array
+    static: bool
+    weigh: Array | None = field(default=None)
+    """Factors of the measured variables."""
+
+    def rollout(self, steps: int, counted: Sequence[Array] | None = None) -> Rollout:
+        """counted : weights of the samples of each record."""
+        runs = _runs(self.plant, self.records, self.outputs, steps, self.static)
+        runs = replace(runs, x0=self.x0)
+        if counted is not None:
+            weights = np.zeros(runs.weights.shape)
+            for row, own in zip(weights, counted, strict=True):
+                row[: len(own) - HISTORY] = own[HISTORY:]
+            runs = replace(runs, weights=weights / weights.sum())
+        return Rollout(
+            self.plant, runs, self.unknowns, self.rig, weigh=self.weigh, static=self.static
+        )
+
+    def fitted(self, rollout: Rollout, evaluations: int, starts: bool = True) -> Descent:
+        """starts : whether those of the records are sought, too."""
+        require_followed(rollout, self.z)
+        low, high = self.unknowns.low.copy(), self.unknowns.high.copy()
+        if not starts:
+            own = slice(self.unknowns.shared, None)
+            low[own] = high[own] = self.z[own]
+        if not self.z.size:
+            return Descent(self.z, rollout.cost(self.z), 0, "nothing is free", True, 0)
+        found = descend(rollout, self.z, low, high, evaluations)
+        if found.timed:
+            raise TimeIsUp
+        return found
 
 
+def _runs(
+    plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str], steps: int, static: bool
+) -> Runs:
+    steps = NEWTON if static else steps
+    runs = runs_of(plant, records, None, None, outputs, HISTORY, steps, even=False)
+    if not static:
+        return runs
+    # at rest under the input of the sample itself, even where that has only just been set
+    later = [
+        replace(e, u=np.concatenate([e.u[1:], e.u[-1:]])) if e.held else e for e in runs.inputs
+    ]
+    return replace(runs, inputs=later)
+
+
+def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
+    """Dead times are those of inputs, and exact, where all records have the same equal steps; else
+    delay lines are integrated.
+    """
+    own = {g.name for g in groups(plant, rung.free)}
+    wanted = groups(plant, rung.free, {n: b for n, b in task.bounds.items() if n in own})
+    late = _dead_times(task, plant, wanted)
+    bare = plant if late is None else without_dead_times(plant)
+    lines = plant.delay_lines if late is not None else ()
+    columns = {line.outlet: line.source for line in lines}
+    records = [
+        with_inputs(bare, r, {new: r[old] for new, old in columns.items()}) for r in task.records
+    ]
+    names, places = ({v.name: i for i, v in enumerate(p.parameters)} for p in (plant, bare))
+    kept = [
+        replace(g, members=tuple(places[n] for n, i in names.items() if i in g.members))
+        for g in wanted
+        if g not in (late or ())
+    ]
+    runs = _runs(bare, records, task.outputs, task.steps, rung.static)
+    x0 = settled_starts(bare, runs, len(records), range(len(bare.states)))
+    seen = {*task.outputs, *(v for q, v in bare.positions.items() if q in task.outputs)}
+    free = [i for i, v in enumerate(bare.states) if v.name in seen or v.unit == "Pa"]
+    hidden = {} if rung.static else {i: x0[:, i] for i in free}
+    sampling = float(runs.t[0])
+    unknowns, _ = unknowns_of(bare, kept, task.outputs, len(records), sampling, hidden=hidden)
+    inputs = [v.name for v in bare.inputs]
+    for g in late or ():
+        members = [inputs.index(n.outlet) for n in lines if names[n.time] in g.members]
+        ends = (g.value, g.low, g.high)
+        unknowns = unknowns.with_delay(tuple(members), g.name, sampling, *ends)
+    times = {line.outlet: float(plant.variable(line.time).start or 0.0) for line in lines}
+    rig = Rig({n: d for n, d in times.items() if d})
+    return RungModel(bare, records, task.outputs, unknowns, rig, x0, unknowns.guess, rung.static)
+
+
+def _dead_times(
+    task: Task, plant: Plant, wanted: Sequence[ParameterGroup]
+) -> list[ParameterGroup] | None:
+    """The unknowns that are dead times; None where delay lines have to be integrated: records of
+    other steps, a dead time that is to be equal to something else.
+    """
+    steps = np.concatenate([np.diff(r.t) for r in task.records])
+    times = {line.time for line in plant.delay_lines}
+    found = [(g, [plant.parameters[m].name in times for m in g.members]) for g in wanted]
+    if np.ptp(steps) > 1e-3 * np.median(steps) or any(any(t) != all(t) for _, t in found):
+        return None
+    return [g for g, late in found if all(late)]
+
+
+def _values(plant: Plant, model: RungModel) -> dict[str, float]:
+    """Of all parameters that were fitted, dead times among them."""
+    found = model.unknowns.parameters(model.plant, model.z)
+    delays = model.unknowns.rig(model.plant, model.outputs, model.rig, model.z).delays
+    if model.plant is not plant:
+        found |= {line.time: delays.get(line.outlet, 0.0) for line in plant.delay_lines}
+    return {
+        n: float(np.clip(v, plant.variable(n).min, plant.variable(n).max)) for n, v in found.items()
+    }
+
+
+# ---- a rung -------------------------------------------------------------------------------------
 def climbed(
     task: Task,
     rung: Rung,
@@ -114,251 +218,102 @@ def climbed(
     """The rung fitted; values and the fastest rate of a pressure, for the next."""
     clock = time.process_time()
     try:
-        plants = starting(rung, before, rate)
-        bounds = {n: b for n, b in task.bounds.items() if n in _labels(plants[0], rung)}
-        rough = replace(task, free_starts=False)
-        plant = _best_start(rough, plants, rung, bounds)
-        even = np.ones(len(task.outputs))
-        first = _fitted(rough, plant, rung, bounds, None, EVALUATIONS, even)
-        weigh = 1 / np.maximum(first.sizes, 1e-6)  # each variable in units of its residuals
-        found, task = _accurate(task, first, rung, bounds, weigh)
-        plant, coefficients = found.plant, found.coefficients
+        plant, model = _best_start(task, starting(rung, before, rate), rung)
+        model, steps, coefficients = _accurate(model, task.steps)
         seconds = time.process_time() - clock
-        # as to a validation, where records begin is known to the fits without a part
-        task = replace(task, free_starts=False, begun=found.own)
-        losses = _left_out(task, plant, rung, bounds, weigh, executor)
+        folds = range(int(task.fold.max()) + 1)
+        one = partial(_one_fold, task, model, steps)
+        found = results_of(one, folds, executor=executor, chunk=1, what="folds")
     except FitError as error:
         nothing = RungFit(rung.name, rung.plant, {}, {}, np.empty(0), len(rung.plant.states), 0.0)
         return replace(nothing, failure=str(error), worse=True), dict(before), rate
-    runs = task.runs(plant, (), rung.static)
-    samples = np.array([b - a for _, a, b in task.parts], float)
+    losses = {i: loss for losses in found for i, loss in losses.items()}
     squares = np.array([losses[i] for i in range(len(task.parts))])
+    samples = np.array([b - a for _, a, b in task.parts], float)
     mean = (samples @ squares) / samples.sum()
-    rmse = dict(zip(task.outputs, (np.sqrt(mean) * runs.spread).tolist(), strict=True))
-    fastest = rate if rung.static else runs.fastest_pressure(np.empty(0)) or rate
+    rollout = model.rollout(steps)
+    values = _values(plant, model)
     fit = RungFit(
         rung.name,
-        plant,
+        plant.with_values(values),
         coefficients,
-        rmse,
+        dict(zip(task.outputs, (np.sqrt(mean) * rollout.spread).tolist(), strict=True)),
         squares.mean(axis=1),
         0 if rung.static else len(plant.states),
         seconds,
+        model=model,
     )
-    values = {v.name: float(v.start or 0.0) for v in plant.parameters}
-    freed = {m for g in groups(plant, rung.free) for m in g.members}
-    kept = {plant.parameters[m].name for m in freed}
-    return fit, {**before, **{n: values[n] for n in kept}}, fastest
-
-
-def _accurate(
-    task: Task,
-    found: _Fitted,
-    rung: Rung,
-    bounds: Mapping[str, tuple[float, float]],
-    weigh: Array,
-) -> tuple[_Fitted, Task]:
-    """The fit with steps so short that halving them changes little, measured by the residuals;
-    and the task with these steps.
-    """
-    while True:
-        own = found.own if found.own.size else None
-        found = _fitted(task, found.plant, rung, bounds, None, EVALUATIONS, weigh, True, own)
-        finer = replace(task, steps=2 * task.steps)
-        if rung.static or finer.steps > MOST_STEPS:
-            return found, task
-        coarse, halved = (_errors(t, found) for t in (task, finer))
-        gaps = [b - a for a, b in zip(coarse, halved, strict=True)]
-        gap = np.sqrt(np.mean(np.concatenate(gaps) ** 2, axis=0))
-        fine = bool(np.all(gap <= ACCURATE * np.maximum(found.sizes, 1e-6)))
-        if fine and _unmoved(task, found, rung, bounds, weigh, gaps):
-            return found, task
-        task = finer
-
-
-def _unmoved(
-    task: Task,
-    found: _Fitted,
-    rung: Rung,
-    bounds: Mapping[str, tuple[float, float]],
-    weigh: Array,
-    gaps: Sequence[Array],
-) -> bool:
-    """Whether these changes of the runs would move no value by much of its standard error."""
-    unknowns = groups(found.plant, rung.free, dict(bounds))
-    if not unknowns:
-        return True
-    z = np.concatenate([scaled(unknowns)[0], found.own])
-    slopes = task.runs(found.plant, unknowns, rung.static).slopes(z)
-    rows = np.concatenate([(s * weigh[:, None]).reshape(-1, len(z)) for s in slopes])
-    change = np.concatenate([(g * weigh).ravel() for g in gaps])
-    stderr = np.array([found.coefficients[g.name].stderr / g.scale for g in unknowns])
-    shifts = np.abs(shift(rows.T @ rows, rows.T @ change))[: len(unknowns)]
-    return unmoved(shifts, stderr, z)
+    fastest = 0.0 if rung.static else _fastest_pressure(model, rollout)
+    return fit, {**before, **values}, fastest or rate
 
 
 @verb
-def _errors(task: Task, found: _Fitted) -> list[Array]:
-    return task.runs(found.plant, (), False).errors(found.own)
-
-
-@verb
-def _best_start(
-    task: Task,
-    plants: Sequence[Plant],
-    rung: Rung,
-    bounds: Mapping[str, tuple[float, float]],
-) -> Plant:
+def _best_start(task: Task, plants: Sequence[Plant], rung: Rung) -> tuple[Plant, RungModel]:
     """A few evaluations from each start; where the best led."""
-    even = np.ones(len(task.outputs))
     found, failure = [], FitError("no start")
     for plant in plants:
+        model = model_of(task, plant, rung)
         try:
-            tried = _fitted(task, plant, rung, bounds, None, TRIED, even)
-            found.append((float(np.sum(tried.sizes**2)), tried.plant))
+            tried = model.fitted(model.rollout(task.steps), TRIED)
         except FitError as error:
             failure = error
+            continue
+        found.append((tried.cost, plant, replace(model, z=tried.z)))
     if not found:
         raise failure
-    return min(found, key=lambda f: f[0])[1]
-
-
-def _labels(plant: Plant, rung: Rung) -> set[str]:
-    return {g.name for g in groups(plant, rung.free)}
-
-
-def _left_out(
-    task: Task,
-    plant: Plant,
-    rung: Rung,
-    bounds: Mapping[str, tuple[float, float]],
-    weigh: Array,
-    executor: Place,
-) -> dict[int, Array]:
-    """Losses of all parts, each by a fit without its fold."""
-    folds = range(int(task.fold.max()) + 1)
-    bare = replace(rung, plant=plant)
-    one = partial(_one_fold, task, bare, bounds, weigh)
-    found = results_of(one, folds, executor=executor, chunk=1, what="folds")
-    return {i: loss for losses in found for i, loss in losses.items()}
+    return min(found, key=lambda f: f[0])[1:]
 
 
 @verb
-def _one_fold(
-    task: Task,
-    rung: Rung,
-    bounds: Mapping[str, tuple[float, float]],
-    weigh: Array,
-    fold: int,
-) -> dict[int, Array]:
-    found = _fitted(task, rung.plant, rung, bounds, fold, EVALUATIONS, weigh)
-    errors = task.runs(found.plant, (), rung.static).errors(np.empty(0))
-    return task.losses(errors, fold)
+def _accurate(model: RungModel, steps: int) -> tuple[RungModel, int, dict[str, Coefficient]]:
+    """Each variable weighed by its residuals, with steps so short that halving them changes little;
+    the number of these, and the values with standard errors.
+    """
+    rollout = model.rollout(steps)
+    model = replace(model, z=model.fitted(rollout, EVALUATIONS).z)
+    sizes = np.sqrt(np.nanmean(_squares(rollout, model.z), axis=(0, 1)))
+    model = replace(model, weigh=1 / np.maximum(sizes, 1e-6))
+    while True:
+        rollout, u = model.rollout(steps), model.unknowns
+        z = model.fitted(rollout, EVALUATIONS).z
+        model = replace(model, z=z)
+        if not z.size:
+            return model, steps, {}
+        edge = (z - u.low < 1e-9) | (u.high - z < 1e-9)
+        found = spread_of(rollout, rollout.runs, u, z, edge).coefficients
+        stderr = np.array([c.stderr for c in found.values()]) / u.scale[: u.shared]
+        if model.static or 2 * steps > MOST_STEPS:
+            return model, steps, found
+        finer = model.rollout(2 * steps).predicted(z)
+        if fineness(rollout, z, finer, ~edge, stderr).fine:
+            return model, steps, found
+        steps *= 2
 
 
 @verb
-def _fitted(
-    task: Task,
-    plant: Plant,
-    rung: Rung,
-    bounds: Mapping[str, tuple[float, float]],
-    without: int | None,
-    evaluations: int,
-    weigh: Array,
-    errors: bool = False,
-    own: Array | None = None,
-) -> _Fitted:
-    """Least squares from the plant's values; errors : whether standard errors are asked for.
-    without : a fold. weigh : of the variables. own : where records begin, by what is known.
-    """
-    from scipy.optimize import least_squares
-
-    unknowns = groups(plant, rung.free, dict(bounds))
-    runs = task.runs(plant, unknowns, rung.static)
-    weights = [w[:, None] * weigh for w in task.weights(without)]
-    samples = sum(float(np.sum(w[:, 0] > 0)) for w in weights)
-    count = float(np.sqrt(samples * len(task.outputs)))
-
-    def residuals(z: Array) -> Array:
-        check()
-        found = zip(runs.errors(z), weights, strict=True)
-        return np.concatenate([(e * w).ravel() for e, w in found]) / count
-
-    def slopes(z: Array) -> Array:
-        check()
-        found = zip(runs.slopes(z), weights, strict=True)
-        rows = [(s * w[:, :, None]).reshape(-1, len(z)) for s, w in found]
-        return np.concatenate(rows) / count
-
-    def sizes(residual: Array) -> Array:
-        squares = (residual.reshape(-1, len(weigh)) * count / weigh) ** 2
-        return np.asarray(np.sqrt(squares.sum(axis=0) / samples))
-
-    z, low, high = scaled(unknowns)
-    free = np.zeros(runs.starts) if own is None else own
-    z, low, high = (
-        np.concatenate([a, b])
-        for a, b in (
-            (z, free),
-            (low, np.full(free.size, -np.inf)),
-            (high, np.full(free.size, np.inf)),
-        )
-    )
-    if not z.size:
-        return _Fitted(plant, sizes(residuals(z)), {}, z)
-    if not np.all(sizes(residuals(z)) < FARTHEST):
-        raise FitError("free runs of the records diverge at the start values")
-    inside = 1e-9 * (1 + np.abs(z))
-    answer = least_squares(
-        residuals,
-        np.clip(z, low + inside, high - inside),
-        jac=slopes,
-        bounds=(low, high),
-        x_scale="jac",
-        ftol=1e-6,
-        xtol=1e-6,
-        gtol=1e-9,
-        max_nfev=evaluations,
-    )
-    values = {
-        plant.parameters[m].name: float(np.clip(v * g.scale, g.low, g.high))
-        for g, v in zip(unknowns, answer.x, strict=False)
-        for m in g.members
-    }
-    fitted = plant.with_values(values)
-    found: dict[str, Coefficient] = {}
-    if errors:
-        found = _coefficients(unknowns, answer.x, answer.jac, answer.fun, task.blocks())
-    return _Fitted(fitted, sizes(answer.fun), found, answer.x[len(unknowns) :])
+def _one_fold(task: Task, model: RungModel, steps: int, fold: int) -> dict[int, Array]:
+    """As to a validation, where records begin is known to a fit without a part."""
+    rollout = model.rollout(steps, task.counted(fold))
+    found = model.fitted(rollout, EVALUATIONS, starts=False)
+    return task.losses(_squares(rollout, found.z), fold)
 
 
-def _coefficients(
-    unknowns: Sequence[ParameterGroup],
-    z: Array,
-    jacobian: Array,
-    residuals: Array,
-    block: NDArray[np.intp],
-) -> dict[str, Coefficient]:
-    """Standard errors by Gauss-Newton, wider where errors follow each other; infinite for what the
-    records do not see. block : of each row; blocks count as independent.
-    """
-    size = np.linalg.norm(jacobian, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    even = jacobian / size
-    _, s, vt = np.linalg.svd(even, full_matrices=False)
-    seen = s > UNSEEN * s[0]
-    inverse = (vt[seen].T / s[seen] ** 2) @ vt[seen]
-    scores = np.zeros((int(block.max()) + 1, len(z)))
-    np.add.at(scores, block, even * residuals[:, None])
-    noise = float(residuals @ residuals) / max(residuals.size - len(z), 1)
-    covariance, _ = widened(inverse, scores, noise)
-    lost = (np.abs(vt[~seen]) > UNSEEN).any(axis=0)
-    # what blocks narrow is luck of few of them
-    most = np.maximum(np.diag(covariance), noise * np.diag(inverse))
-    variance = np.where(lost, np.inf, most) / size**2
-    return {
-        g.name: Coefficient(
-            g.name, float(v * g.scale), float(np.sqrt(var) * g.scale), g.unit, False, g.description
-        )
-        for g, v, var in zip(unknowns, z, variance, strict=False)
-    }
+def _squares(rollout: Rollout, z: Array) -> Array:
+    """Squared errors (records, K, ny) in spreads; NaN behind the end of a record."""
+    measured = rollout.runs.measured
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = (rollout.predicted(z) - measured) / rollout.spread
+    error = np.clip(np.nan_to_num(error, nan=LOST, posinf=LOST, neginf=LOST), -LOST, LOST)
+    return np.where(np.isnan(measured), np.nan, error**2)
+
+
+def _fastest_pressure(model: RungModel, rollout: Rollout) -> float:
+    """The largest rate of a pressure from sample to sample [Pa/s]; 0 where there is none."""
+    pressures = [i for i, v in enumerate(model.plant.states) if v.unit == "Pa"]
+    rates = [0.0]
+    for part, x in rollout.states(model.z):
+        for row, own in zip(part.rows, x[..., pressures], strict=True):
+            t = model.records[row].t[HISTORY:]
+            change = np.diff(own[: len(t)], axis=0) / np.diff(t)[:, None]
+            rates.append(float(np.abs(change).max(initial=0.0)))
+    return max(rates)

@@ -17,7 +17,7 @@ from ...core.errors import FitError, PamError
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .experiment import ParameterGroup
+from .experiment import ParameterGroup, with_inputs
 from .fineness import LEAST_STEPS, MOST_STEPS
 from .hidden import settled_starts
 from .rig import Rig, RunUnknowns
@@ -174,25 +174,10 @@ def _case(
         names=tuple(u.names[i] for i in kept),
         scale=u.scale[kept],
     )
-    columns = {
-        v.name: np.full(len(records[0]), float(v.start or 0.0))
-        for v in plant.inputs
-        if any(v.name not in r for r in records)
-    }
-    whole = [
-        r
-        if not columns
-        else Trajectory(
-            r.t,
-            {n: r[n] for n in r.names}
-            | {n: np.full(len(r), c[0]) for n, c in columns.items() if n not in r},
-            interpolation=r.interpolation,
-        )
-        for r in records
-    ]
+    still = {v.name: float(v.start or 0.0) for v in plant.inputs}
     return _Case(
         plant,
-        whole,
+        [with_inputs(plant, r, still) for r in records],
         outputs,
         u.groups,
         shared,

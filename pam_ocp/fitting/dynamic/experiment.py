@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ __all__ = [
     "measured_names",
     "prepare",
     "recorded",
+    "with_inputs",
 ]
 
 
@@ -213,6 +215,19 @@ def recorded(records: Trajectory | Sequence[Trajectory]) -> list[Trajectory]:
         "records", records, kinds, "give a Trajectory (of read_record), or a list of them"
     )
     return [records] if isinstance(records, Trajectory) else list(records)
+
+
+def with_inputs(plant: Plant, record: Trajectory, values: Mapping[str, Any]) -> Trajectory:
+    """The record with these values (numbers or samples) as columns, and with what the plant's
+    disturbances are by themselves, where it has no such columns.
+    """
+    still = {v.name: v.start or 0.0 for v in plant.inputs if v.disturbance}
+    missing = {n: v for n, v in (still | dict(values)).items() if n not in record}
+    if not missing:
+        return record
+    columns = {n: record[n] for n in record.names}
+    columns |= {n: np.broadcast_to(np.asarray(v, float), len(record)) for n, v in missing.items()}
+    return Trajectory(record.t, columns, interpolation=record.interpolation)
 
 
 def measured_names(

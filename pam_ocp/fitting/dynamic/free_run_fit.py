@@ -32,7 +32,7 @@ from .free_run_result import FreeRunFit, ran
 from .hidden import hidden_states, settled_starts
 from .progress import Progress, reporter
 from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
-from .rollout import ASTRAY, Rollout
+from .rollout import Rollout, require_followed
 from .run_statistics import spread_of
 from .runs import FreeRun, Runs, runs_of
 
@@ -390,13 +390,9 @@ class _Search:
         found: Descent,
     ) -> FreeRunFit:
         u = self.unknowns
-        values = {
-            self.plant.parameters[m].name: float(z * g.scale)
-            for g, z in zip(u.groups, found.z, strict=False)
-            for m in g.members
-        }
+        values = u.parameters(self.plant, found.z)
         fitted = self.plant.with_values(values)
-        rig = _rig_of(self.plant, runs, u, self.rig, found.z)
+        rig = u.rig(self.plant, runs.names, self.rig, found.z)
         predicted = rollout.predicted(found.z)
         training = runs.result(predicted)
         halved = replace(runs, steps=2 * runs.steps)
@@ -434,31 +430,8 @@ class _Search:
         )
 
 
-def _rig_of(plant: Plant, runs: Runs, u: RunUnknowns, known: Rig, z: Array) -> Rig:
-    """The rig with what was found."""
-    value = z * u.scale
-    delays = dict(known.delays)
-    for place, members in zip(u.places("delays"), u.delays, strict=True):
-        delays |= {plant.inputs[i].name: float(value[place]) for i in members}
-    names, states = runs.names, [v.name for v in plant.states]
-    return Rig(
-        delays,
-        {names[i]: 1 + float(value[j]) for j, i in zip(u.places("gains"), u.gains, strict=True)},
-        {names[i]: float(value[j]) for j, i in zip(u.places("offsets"), u.offsets, strict=True)},
-        {states[i]: float(value[j]) for j, i in zip(u.places("starts"), u.starts, strict=True)},
-        {
-            (states[i], names[k]): float(value[j])
-            for j, (i, k) in zip(u.places("corrections"), u.corrections, strict=True)
-        },
-    )
-
-
 def _require_sense(rollout: Rollout, z: Array, unknowns: RunUnknowns) -> None:
-    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
-        raise FitError(
-            "the free runs diverge at the plant's values; start elsewhere with "
-            "plant.with_values(...), or raise steps"
-        )
+    require_followed(rollout, z)
     _, _, square, damped = rollout.normal(z)
     # a correction may begin where the runs need none, and a hidden start may be forgotten at once
     fixed = unknowns.places("corrections").tolist()

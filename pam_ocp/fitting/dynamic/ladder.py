@@ -2,7 +2,7 @@
 predicts of the parts that it was not fitted to.
 
 Every rung is fitted to all records, and once without each fold of them; the parts left out are
-predicted by free runs through the whole record (see :mod:`.whole_runs`). Rungs are compared part by
+predicted by free runs through the whole record (see :mod:`.climbing`). Rungs are compared part by
 part, so that what makes a part hard for all of them drops out: the simplest rung that is not
 significantly worse than the best is marked.
 """
@@ -10,7 +10,7 @@ significantly worse than the best is marked.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -24,17 +24,14 @@ from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared
 from ...core.trajectory import Trajectory
 from ...plants.feeds import Regulator
-from ...plants.plant import Plant
-from ...plants.undelayed import without_dead_times
 from ..statistics import student_t
 from .adequacy import Adequacy, adequacy_of
-from .climbing import Task, climbed
+from .climbing import Task, climbed, usual_steps
 from .evidence import evidence_of
-from .experiment import ParameterGroup, bounds_of, groups, measured_names, recorded
+from .experiment import bounds_of, groups, measured_names, recorded
 from .ladder_result import Ladder, Part, RungFit, compared
 from .rig import Rig, unknowns_of
 from .rungs import LADDER, Builder, Rung, rungs_of
-from .whole_runs import usual_steps
 
 __all__ = ["Ladder", "RungFit", "fit_ladder"]
 
@@ -135,7 +132,7 @@ def fit_ladder(
                 tuple(r.name for r in ladder[len(found) :]),
             )
             rung = next(r for r in ladder if r.name == result.chosen.name)
-            adequacy = Adequacy() if rung.static else _adequacy(result, rung, chosen)
+            adequacy = Adequacy() if rung.static else _adequacy(result)
             return replace(result, adequacy=adequacy, seconds=time.perf_counter() - began)
 
 
@@ -154,34 +151,18 @@ def _bounds(
     return given
 
 
-def _adequacy(ladder: Ladder, rung: Rung, records: Sequence[Trajectory]) -> Adequacy:
-    """Of the chosen rung, its dead times exact as in its runs."""
+def _adequacy(ladder: Ladder) -> Adequacy:
+    """Of the chosen rung, its dead times as they were found."""
     fit, names = ladder.chosen, list(ladder.outputs)
-    lines, times = fit.plant.delay_lines, {}
-    plant = without_dead_times(fit.plant)
-    for line in lines:
-        times[line.outlet] = float(fit.plant.variable(line.time).start or 0.0)
-        records = [
-            Trajectory(
-                r.t,
-                {n: r[n] for n in r.names} | {line.outlet: r[line.source]},
-                interpolation=r.interpolation,
-            )
-            for r in records
-        ]
-    known = {v.name for v in plant.parameters}
-    every = zip(rung.free, groups(fit.plant, rung.free), strict=True)
-    free = [entry for entry, group in every if _all_in(fit.plant, group, known)]
-    unknowns, _ = unknowns_of(plant, groups(plant, free), names, len(records), 1.0)
-    rig = Rig({n: d for n, d in times.items() if d})
-    evidence = evidence_of(plant, records, names, unknowns, rig, unknowns.guess)
+    m = fit.model
+    plant = m.plant.with_values(m.unknowns.parameters(m.plant, m.z))
+    found = zip(m.unknowns.groups, m.z, strict=False)
+    free = [replace(g, value=float(v * g.scale)) for g, v in found]
+    unknowns, _ = unknowns_of(plant, free, names, len(m.records), 1.0)
+    rig = m.unknowns.rig(plant, names, m.rig, m.z)
+    evidence = evidence_of(plant, m.records, names, unknowns, Rig(rig.delays), unknowns.guess)
     weights = 1 / np.array([max(fit.rmse[n], 1e-300) for n in names])
-    given = {n: c.stderr for n, c in fit.coefficients.items()}
-    return adequacy_of(evidence, weights, given)
-
-
-def _all_in(plant: Plant, group: ParameterGroup, known: Collection[str]) -> bool:
-    return all(plant.parameters[m].name in known for m in group.members)
+    return adequacy_of(evidence, weights, {n: c.stderr for n, c in fit.coefficients.items()})
 
 
 def _climbed_all(

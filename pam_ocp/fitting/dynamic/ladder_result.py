@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,8 @@ class RungFit:
     against: tuple[float, float] = (np.nan, np.nan)
     worse: bool = False
     failure: str = ""
+    model: Any = field(default=None, repr=False)
+    """As it was run through the records."""
 
     @property
     def score(self) -> float:

@@ -22,7 +22,7 @@ from ..static.correlation import neighbours, widening
 from ..statistics import Array, Coefficient, Linearisation, coefficient_frame, student_t
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .evidence import Evidence, evidence_of
-from .experiment import groups
+from .experiment import groups, with_inputs
 from .gauss_newton import DONE
 from .rig import Rig, unknowns_of
 from .transcribe import FitMethod
@@ -151,10 +151,10 @@ class PlantFit:
         z = np.array([found[n] for n in unknowns.names]) / unknowns.scale
         z[unknowns.places("gains")] -= 1.0
         rig = Rig({v.name: self.delay for v in self.plant.inputs if self.delay})
-        records = [
-            _complete(r if r.interpolation_known else r.running(self.interpolation), self.inputs)
-            for r in self.records
+        known = [
+            r if r.interpolation_known else r.running(self.interpolation) for r in self.records
         ]
+        records = [with_inputs(self.plant, r, self.inputs) for r in known]
         return evidence_of(self.plant, records, names, unknowns, rig, z)
 
     @cached_property
@@ -355,12 +355,3 @@ def _strays(evidence: Evidence, rmse: Array) -> float:
     every = np.concatenate([m.error for m in evidence.motions])
     ratio = np.sqrt(np.mean(every**2, axis=0)) / np.maximum(rmse, 1e-300)
     return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-300)))))
-
-
-def _complete(record: Trajectory, inputs: Mapping[str, float]) -> Trajectory:
-    """With the inputs that were constant as columns."""
-    missing = {n: np.full(len(record), v) for n, v in inputs.items() if n not in record}
-    if not missing:
-        return record
-    columns = {n: record[n] for n in record.names} | missing
-    return Trajectory(record.t, columns, interpolation=record.interpolation)

@@ -5,7 +5,7 @@ is measured; each known, or to be estimated along with the plant's parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Any, TypeAlias
 
@@ -84,6 +84,56 @@ class RunUnknowns:
                 return np.arange(first, first + count)
             first += count
         return np.arange(first, len(self.names))
+
+    def with_delay(
+        self,
+        inputs: tuple[int, ...],
+        name: str,
+        scale: float,
+        guess: float,
+        low: float,
+        high: float,
+    ) -> RunUnknowns:
+        """With one more dead time [s], that of the inputs at these positions."""
+        at = len(self.groups) + len(self.delays)
+        return replace(
+            self,
+            delays=(*self.delays, inputs),
+            names=(*self.names[:at], name, *self.names[at:]),
+            units=(*self.units[:at], "s", *self.units[at:]),
+            guess=np.insert(self.guess, at, guess / scale),
+            scale=np.insert(self.scale, at, scale),
+            low=np.insert(self.low, at, low / scale),
+            high=np.insert(self.high, at, high / scale),
+        )
+
+    def parameters(self, plant: Plant, z: Array) -> dict[str, float]:
+        """Values of the plant's parameters at z."""
+        return {
+            plant.parameters[m].name: float(v * g.scale)
+            for g, v in zip(self.groups, z, strict=False)
+            for m in g.members
+        }
+
+    def rig(self, plant: Plant, measured: Sequence[str], known: Rig, z: Array) -> Rig:
+        """The rig at z, with what was ``known`` of its dead times."""
+        value, states = z * self.scale, [v.name for v in plant.states]
+
+        def found(kind: str, keys: Sequence[Any], first: float = 0.0) -> dict[Any, float]:
+            return {
+                k: first + float(value[j]) for k, j in zip(keys, self.places(kind), strict=True)
+            }
+
+        delays = dict(known.delays)
+        for members, late in found("delays", self.delays).items():
+            delays |= {plant.inputs[i].name: late for i in members}
+        return Rig(
+            delays,
+            found("gains", [measured[i] for i in self.gains], 1.0),
+            found("offsets", [measured[i] for i in self.offsets]),
+            found("starts", [states[i] for i in self.starts]),
+            found("corrections", [(states[i], measured[k]) for i, k in self.corrections]),
+        )
 
 
 def known_rig(

@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.errors import FitError
 from ...core.stop import check, native
-from ...numerics.rosenbrock import ros2
+from ...numerics.rosenbrock import ros2_with_slopes
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup
@@ -20,7 +21,7 @@ from .rig import Rig, RunUnknowns
 from .run_inputs import RunSteps
 from .runs import Runs
 
-__all__ = ["ASTRAY", "Rollout", "spreads"]
+__all__ = ["Rollout", "require_followed", "spreads"]
 
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
@@ -48,7 +49,8 @@ class Rollout:
     """Runs, residuals and their exact Jacobian in the scaled unknowns z.
 
     A residual is an error in units of the variable's spread times the root of its sample's weight,
-    so their sum of squares is the mean squared error.
+    so their sum of squares is the mean squared error. weigh : factors of the measured variables on
+    top of that. static : the plant counts as at rest under its inputs at each sample.
     """
 
     def __init__(
@@ -57,6 +59,9 @@ class Rollout:
         runs: Runs,
         unknowns: RunUnknowns | Sequence[ParameterGroup] = (),
         rig: Rig | None = None,
+        *,
+        weigh: Array | None = None,
+        static: bool = False,
     ) -> None:
         if not isinstance(unknowns, RunUnknowns):
             unknowns = RunUnknowns(
@@ -64,14 +69,17 @@ class Rollout:
             )
         self._plant, self.runs, self._unknowns, self._rig = plant, runs, unknowns, rig or Rig()
         self.spread = spreads(plant, runs.names, runs.measured)
-        self.weights = np.sqrt(runs.weights / len(runs.names))
+        every = np.ones(len(runs.names)) if weigh is None else weigh
+        self.weights = np.sqrt(runs.weights / len(runs.names))[..., None] * every
         self._whole: dict[Any, ca.Function] = {}
         self._steps: tuple[bytes, list[Array]] = (b"", [])
         self._late = _late(plant, runs, unknowns, self._rig)
         self._count = runs.steps + len(self._late)
         self._local = unknowns.shared + len(unknowns.own_starts)
         self._reach = self._reaches()
-        self._move, self._tangent = _functions(plant, runs, unknowns, self._rig, self._count)
+        self._move, self._tangent = _functions(
+            plant, runs, unknowns, self._rig, self._count, static
+        )
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
 
     # ---- what is asked for --------------------------------------------------------------------
@@ -128,7 +136,7 @@ class Rollout:
             if damped:
                 with np.errstate(invalid="ignore", divide="ignore"):
                     per_spread *= np.where(wild, WILD / size, 1.0)[..., None]
-            weight = self.weights[part.rows, :k, None, None]
+            weight = self.weights[part.rows, :k, :, None]
             rows = np.nan_to_num(per_spread * weight, nan=0.0, posinf=0.0, neginf=0.0)
             rows[np.isnan(self.runs.measured[part.rows, :k])] = 0.0
             whole = self._scattered(part.rows, rows.reshape(m, k * ny, -1), len(z))
@@ -142,7 +150,7 @@ class Rollout:
         error = np.nan_to_num(error, nan=ASTRAY, posinf=ASTRAY, neginf=-ASTRAY)
         error = np.clip(error, -ASTRAY, ASTRAY)
         error[np.isnan(measured)] = 0.0
-        return np.asarray(error * self.weights[rows, : predicted.shape[1], None])
+        return np.asarray(error * self.weights[rows, : predicted.shape[1]])
 
     def _reaches(self) -> Array:
         """How far local unknowns may move, in their scales, for WILD: the start of a motion that is
@@ -191,6 +199,18 @@ class Rollout:
         """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing); local are the
         unknowns that all runs share and a record's own starts.
         """
+        ny = len(self.runs.names)
+        for part, _, both in self._run(z, deep):
+            slopes = both[..., ny:].reshape(*both.shape[:2], self._local if deep else 0, ny)
+            yield part, both[..., :ny], slopes.transpose(0, 1, 3, 2)
+
+    def states(self, z: Array) -> Iterator[tuple[_Part, Array]]:
+        """(part, states (m, K, nx)) at the samples."""
+        for part, x, _ in self._run(z, False):
+            yield part, x
+
+    def _run(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
+        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it."""
         runs, ny = self.runs, len(self.runs.names)
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
@@ -207,11 +227,11 @@ class Rollout:
             y[:ny, :, : runs.warm] = runs.seen[part.rows].transpose(2, 0, 1)
             y[ny, :, : runs.warm] = 1.0
             arguments = (start, u, y.reshape(ny + 1, -1), np.concatenate([shared, delays]))
-            found = native(self._along(deep, total, m), *arguments)[1]
-            block = np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
-            values = block[..., :ny]
-            slopes = block[..., ny:].reshape(m, part.samples, self._local if deep else 0, ny)
-            yield part, values, slopes.transpose(0, 1, 3, 2)
+            x, both = (
+                np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
+                for found in native(self._along(deep, total, m), *arguments)
+            )
+            yield part, x, both
 
     def _along(self, deep: bool, samples: int, count: int) -> ca.Function:
         key = (deep, samples, count)
@@ -296,6 +316,15 @@ class Rollout:
         return gain, offset
 
 
+def require_followed(rollout: Rollout, z: Array) -> None:
+    """FitError where runs go beyond what can be searched from."""
+    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
+        raise FitError(
+            "the free runs diverge at the plant's values; start elsewhere with "
+            "plant.with_values(...), or raise steps"
+        )
+
+
 def spreads(plant: Plant, names: Sequence[str], measured: Array) -> Array:
     """Units in which errors count: the standard deviation of what was measured, or nominals."""
     spread = np.nanstd(measured.reshape(-1, len(names)), axis=0)
@@ -324,8 +353,7 @@ def _numbers(steps: RunSteps, free: bool) -> Array:
     times are sought, what these three gain per second of them.
     """
     shape = steps.begin.shape
-    length = np.broadcast_to(steps.length[:, None], (*shape[:2], 1))
-    found = [steps.begin, steps.end, length]
+    found = [steps.begin, steps.end, steps.length[..., None]]
     if free:
         slope = np.broadcast_to(steps.length_slope, shape)
         found += [steps.begin_slope, steps.end_slope, slope]
@@ -346,7 +374,7 @@ def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], sample
 
 # ---- expressions --------------------------------------------------------------------------
 def _functions(
-    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, steps: int
+    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, steps: int, static: bool
 ) -> tuple[ca.Function, ca.Function]:
     """From sample to sample, without and with sensitivities: (state, inputs, (measured, whether it
     corrects), (z, dead times)) -> (state, outputs).
@@ -379,13 +407,20 @@ def _functions(
         own = ca.horzcat(ca.jacobian(after, z), ca.SX.zeros(nx, local - nz))
         return ca.jacobian(after, x) @ s + own
 
-    first = plant.function(x, early, p)[0]
-    after = ros2(
-        lambda _: (first, ca.jacobian(first, x)),
-        lambda q: plant.function(q, late, p)[0],
-        x,
-        h,
-    )
+    if static:  # a step of Newton's method towards rest
+        rates = plant.function(x, late, p)[0]
+        slope = ca.jacobian(rates, x)
+        after = x - ca.solve(slope, rates)
+        over_z = ca.solve(slope, ca.jacobian(rates, z)) if nz else ca.SX(nx, 0)
+        after_slopes = ca.horzcat(-over_z, ca.SX.zeros(nx, local - nz))
+    else:
+        after, after_slopes = ros2_with_slopes(
+            plant.function(x, early, p)[0],
+            lambda q: plant.function(q, late, p)[0],
+            (x, s),
+            (z, local - nz),
+            h,
+        )
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
     y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, late, p)
     gain, offset = _sensor(runs, unknowns, rig, z)
@@ -397,10 +432,10 @@ def _functions(
     corrected_slopes = along(corrected) if runs.warm else s
     given, column = ca.vertcat(z, at), ca.vec(s)
     wide = ca.vertcat(x, column)
-    step = ca.Function("step", [x, u, given], [after])
+    step = ca.Function("step", [x, u, given], [after], {"cse": True})
     read = ca.Function("read", [x, u, measured, given], [corrected, y])
     deep_step = ca.Function(
-        "deep_step", [wide, u, given], [ca.vertcat(after, ca.vec(along(after)))]
+        "deep_step", [wide, u, given], [ca.vertcat(after, ca.vec(after_slopes))], {"cse": True}
     )
     deep_read = ca.Function(
         "deep_read",

@@ -18,8 +18,8 @@ __all__ = ["RunInputs", "RunSteps"]
 @dataclass(frozen=True, eq=False)
 class RunSteps:
     """Inputs at the begins and ends of steps, and what they gain per second of delay, (n - 1,
-    steps, nu) each; lengths of the steps in each sampling interval (steps,) [s], and what these
-    gain per second of each input's delay (steps, nu).
+    steps, nu) each; lengths of the steps (n - 1, steps) [s], and what these gain per second of each
+    input's delay (steps, nu).
     """
 
     begin: Array
@@ -53,14 +53,14 @@ class RunInputs:
         spans = np.diff(self.t)
         grid = self.t[:-1, None] + part * spans[:, None]
         found = [self._line(i, grid - d) for i, d in enumerate(delays)]
-        usual = np.full(count, (self.t[-1] - self.t[0]) / len(spans) / count)
+        length = np.repeat(spans[:, None] / count, count, axis=1)
         still = np.zeros((count, len(delays)))
         if not found:
             empty = np.empty((len(spans), count, 0))
-            return RunSteps(empty, empty, empty, empty, usual, still)
+            return RunSteps(empty, empty, empty, empty, length, still)
         value, slope = (np.stack(c, axis=-1) for c in zip(*found, strict=True))
         edges = value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:]
-        return RunSteps(*edges, usual, still)
+        return RunSteps(*edges, length, still)
 
     def _line(self, i: int, at: Array) -> tuple[Array, Array]:
         """Values, and what they gain per second of delay."""
@@ -92,10 +92,8 @@ class RunInputs:
             slope[k, late[g][0]] += 1.0
             slope[k + 1, late[g][0]] -= 1.0
         still = np.zeros_like(value)
-        length = np.diff(ends) * sampling / shares
-        return RunSteps(
-            value, value, still, still, length[between], (slope / shares[:, None])[between]
-        )
+        length = np.diff(self.t)[:, None] * (np.diff(ends) / shares)[between]
+        return RunSteps(value, value, still, still, length, (slope / shares[:, None])[between])
 
 
 def _whole_and_part(number: Array) -> tuple[NDArray[np.intp], Array]:

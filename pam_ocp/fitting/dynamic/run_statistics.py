@@ -58,17 +58,24 @@ def spread_of(
     samples *= len(runs.names)
     free = ~edge & (np.diag(square) > UNSEEN * np.diag(square).max(initial=0.0))
     covariance = np.full((len(z), len(z)), np.nan)
-    inverse: Array = np.asarray(
-        np.linalg.pinv(square[np.ix_(free, free)], rcond=1e-13, hermitian=True), dtype=np.float64
-    )
+    inverse, lost = _inverse(square[np.ix_(free, free)])
     noise = cost / max(samples - free.sum(), 1.0)
     inner, ratio = widened(inverse, scores[:, free], noise)
     covariance[np.ix_(free, free)] = inner * np.outer(u.scale[free], u.scale[free])
     errors_ = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    errors_[np.nonzero(free)[0][lost]] = np.inf
     values = z * u.scale
     values[u.places("gains")] += 1.0
+    descriptions = {g.name: g.description for g in u.groups}
     coefficients = {
-        n: Coefficient(n, float(v), float(e) if np.isfinite(e) else float("inf"), unit, bool(at))
+        n: Coefficient(
+            n,
+            float(v),
+            float(e) if np.isfinite(e) else float("inf"),
+            unit,
+            bool(at),
+            descriptions.get(n, ""),
+        )
         for n, v, e, unit, at in list(zip(u.names, values, errors_, u.units, edge, strict=True))[
             : u.shared
         ]
@@ -76,6 +83,17 @@ def spread_of(
     return Spread(
         coefficients, covariance, max(len(scores) - 1, 1), float(np.sqrt(max(ratio, 0.0)))
     )
+
+
+def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Of a normal matrix, in the directions that the runs see; which unknowns have a part in one
+    that they do not see.
+    """
+    size = np.sqrt(np.diag(square))
+    values, vectors = np.linalg.eigh(square / np.outer(size, size))
+    seen = values > UNSEEN * values.max(initial=0.0)
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
+    return np.asarray(inverse), (np.abs(vectors[:, ~seen]) > 1e-3).any(axis=1)
 
 
 def widened(inverse: Array, scores: Array, noise: float) -> tuple[Array, float]:

@@ -181,12 +181,16 @@ def runs_of(
     history: int,
     steps: int,
     warm_up: float = 0.0,
+    even: bool = True,
 ) -> Runs:
+    """even : whether all records must be sampled at the same equal steps; else times along the
+    runs are nominal.
+    """
     chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
     require_count("history", history, 2)
     require_count("steps", steps)
-    sampling = _sampling(chosen)
+    sampling = _sampling(chosen) if even else float(np.median(np.diff(chosen[0].t)))
     warm = 0
     if require_positive("warm_up", warm_up, "s", zero=True):
         warm = _multiple("warm_up", warm_up, sampling)
