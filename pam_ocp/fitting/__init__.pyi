@@ -5,6 +5,7 @@ from .dynamic.adequacy import AdequacyTest as AdequacyTest
 from .dynamic.choice import Choice as Choice
 from .dynamic.choice import Structure as Structure
 from .dynamic.choice import Tried as Tried
+from .dynamic.choice import choose as choose
 from .dynamic.coverage import Coverage as Coverage
 from .dynamic.coverage import coverage as coverage
 from .dynamic.dynamic import fit_plant as fit_plant
@@ -17,7 +18,6 @@ from .dynamic.plant_fit import PlantFit as PlantFit
 from .dynamic.rungs import Rung as Rung
 from .dynamic.runs import FreeRun as FreeRun
 from .dynamic.saved_plant import load_plant_fit as load_plant_fit
-from .dynamic.selection import choose as choose
 from .dynamic.structures import ArxStructure as ArxStructure
 from .dynamic.structures import FreeRunStructure as FreeRunStructure
 from .dynamic.structures import PlantStructure as PlantStructure

@@ -17,19 +17,18 @@ from ...core.cases import Place, results_of
 from ...core.errors import FitError
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
+from ...plants.dead_time import DelayLine
 from ...plants.plant import Plant
 from ...plants.undelayed import without_dead_times
 from ..statistics import Array, Coefficient
 from .descent import Descent, descend
 from .experiment import ParameterGroup, groups, with_inputs
-from .fineness import fineness
-from .hidden import settled_starts
 from .ladder_result import Part, RungFit
 from .rig import Rig, RunUnknowns, unknowns_of
 from .rollout import Rollout, require_followed
-from .run_statistics import spread_of
+from .run_statistics import fineness, spread_of
 from .rungs import Rung, starting
-from .runs import Runs, runs_of
+from .runs import Runs, runs_of, settled_starts
 
 __all__ = ["RungModel", "Task", "climbed", "model_of", "usual_steps"]
 
@@ -155,10 +154,7 @@ def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
     late = _dead_times(task, plant, wanted)
     bare = plant if late is None else without_dead_times(plant)
     lines = plant.delay_lines if late is not None else ()
-    columns = {line.outlet: line.source for line in lines}
-    records = [
-        with_inputs(bare, r, {new: r[old] for new, old in columns.items()}) for r in task.records
-    ]
+    records = [with_inputs(bare, _at_outlets(r, lines), {}) for r in task.records]
     names, places = ({v.name: i for i, v in enumerate(p.parameters)} for p in (plant, bare))
     kept = [
         replace(g, members=tuple(places[n] for n, i in names.items() if i in g.members))
@@ -180,6 +176,14 @@ def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
     times = {line.outlet: float(plant.variable(line.time).start or 0.0) for line in lines}
     rig = Rig({n: d for n, d in times.items() if d})
     return RungModel(bare, records, task.outputs, unknowns, rig, x0, unknowns.guess, rung.static)
+
+
+def _at_outlets(record: Trajectory, lines: Sequence[DelayLine]) -> Trajectory:
+    """With what goes into a delay line as a column called as what comes out of it."""
+    if not lines:
+        return record
+    columns = {n: record[n] for n in record.names} | {n.outlet: record[n.source] for n in lines}
+    return Trajectory(record.t, columns, interpolation=record.interpolation)
 
 
 def _dead_times(

@@ -18,11 +18,10 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup, with_inputs
-from .fineness import LEAST_STEPS, MOST_STEPS
-from .hidden import settled_starts
 from .rig import Rig, RunUnknowns
 from .rollout import Rollout
-from .runs import Runs, runs_of
+from .run_statistics import LEAST_STEPS, MOST_STEPS
+from .runs import Runs, runs_of, settled_starts
 from .suspects import Suspect, suspected
 
 __all__ = ["Evidence", "Motion", "evidence_of"]

@@ -23,18 +23,14 @@ from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .between import decided
-from .descent import Descent, descend
+from .descent import Descent, Progress, descend, from_fewer, reporter
 from .disturbances import Disturbances, disturbed
-from .experiment import groups, measured_names, recorded
-from .fineness import LEAST_STEPS, MOST_STEPS, fine_runs, fineness
+from .experiment import decided, groups, measured_names, recorded
 from .free_run_result import FreeRunFit, ran
-from .hidden import hidden_states, settled_starts
-from .progress import Progress, reporter
 from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
 from .rollout import Rollout, require_followed
-from .run_statistics import spread_of
-from .runs import FreeRun, Runs, runs_of
+from .run_statistics import LEAST_STEPS, MOST_STEPS, fine_runs, fineness, spread_of
+from .runs import FreeRun, Runs, hidden_states, runs_of, settled_starts
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
@@ -44,10 +40,8 @@ ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
 POOR = 1e-3
 """Mean squared error, in parts of the measured variance, above which fits with one unknown less are
-tried as starts, ...
+tried as starts.
 """
-FEWER = 6
-"""... at most so many."""
 FIRST = 4
 """A search over many runs begins with horizons of so many samples, which grow this many times."""
 
@@ -316,24 +310,22 @@ class _Search:
     def _not_worse(
         self, records: Sequence[Trajectory], rollout: Rollout, found: Descent, z: Array
     ) -> Descent:
-        """The same, or what is found from where a fit leads that has one unknown less: no freedom
-        makes a fit worse.
-        """
-        u, best = self.unknowns, found
+        """The same, or what is found from where fits with one unknown less lead."""
+        u = self.unknowns
         spare = [j for j in range(u.shared) if j not in u.places("corrections")]
-        for j in spare[-FEWER:] if len(spare) > 1 else ():
+        budget = max(self.evaluations - found.evaluations, 4)
+
+        def without(j: int) -> Descent:
             low, high = u.low.copy(), u.high.copy()
             low[j] = high[j] = z[j]
             fixed = replace(self, unknowns=replace(u, low=low, high=high))
-            try:
-                poorer = fixed._descended(records, rollout, z)[1]
-            except (FitError, TimeIsUp):
-                continue
-            if poorer.timed:
-                break
-            if poorer.cost < best.cost:
-                name, budget = u.names[j], max(self.evaluations - found.evaluations, 4)
-                best = self._search(rollout, poorer.z, f"from without {name}", 0, budget)
+            return fixed._descended(records, rollout, z)[1]
+
+        def again(poorer: Descent) -> Descent:
+            return self._search(rollout, poorer.z, "from fewer unknowns", 0, budget)
+
+        places = spare if len(spare) > 1 else ()
+        best = from_fewer(found, lambda f: f.cost, places, without, again)
         return replace(best, evaluations=max(best.evaluations, found.evaluations))
 
     def _search(self, rollout: Rollout, z: Array, stage: str, spent: int, budget: int) -> Descent:
@@ -344,7 +336,7 @@ class _Search:
             u.low,
             u.high,
             budget,
-            lambda count, cost, _: self.report(stage, spent + count, cost),
+            progress=lambda count, cost, _: self.report(stage, spent + count, cost),
         )
         return replace(found, evaluations=spent + found.evaluations)
 

@@ -14,7 +14,7 @@ from ...plants.plant import Plant
 from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, student_t
 from .adequacy import Adequacy
-from .cross_validation import paired
+from .choice import paired
 from .run_statistics import BLOCKS
 
 __all__ = ["Ladder", "Part", "RungFit", "compared"]

@@ -7,75 +7,63 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...core.signals import PiecewisePolynomial
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
-from ...simulation.simulator import simulate
 from ..statistics import Array, Linearisation
-from .estimation import FitTask, PlantEstimate, head_names
+from .estimation import FitTask, PlantEstimate
 from .experiment import Experiment, measured_names, prepare, recorded
 from .gauss_newton import reduced_jacobian, solve
 from .plant_fit import PlantFit
-from .transcribe import Unknowns
+from .rig import Rig
+from .transcribe import FitProblem, sensed, unknowns_with_starts
 
 __all__ = ["outcome", "replay", "validate"]
 
 
-def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFit:
+def outcome(task: FitTask, estimate: PlantEstimate) -> PlantFit:
     """Statistics, fitted plant and simulations of a solution."""
-    solution, sigma, plant, u = estimate.solution, estimate.sigma, task.plant, task.unknowns
-    names = head_names(task, delay_free)
-    count = len(names) - len(task.experiments) * len(plant.states)
-    values = _values(task, estimate)
-    first = len(u.groups)
+    solution, sigma, problem = estimate.solution, estimate.sigma, task.problem
+    plant, u, names, nominal = problem.plant, problem.unknowns, problem.measured, problem.nominal
+    head = solution.w[: estimate.program.head]
+    ends = [(g.low, g.high) for g in u.groups for _ in g.members]
+    found = u.parameters(plant, head).items()
     fitted = plant.with_values(
-        {
-            plant.parameters[m].name: float(np.clip(v, g.low, g.high))
-            for g, v in zip(u.groups, values, strict=False)
-            for m in g.members
-        }
+        {n: float(np.clip(v, *within)) for (n, v), within in zip(found, ends, strict=True)}
     )
-    gains = {u.names[i]: float(v) for i, v in zip(u.gains, values[first:], strict=False)}
-    offsets = {
-        u.names[i]: float(v)
-        for i, v in zip(u.offsets, values[first + len(u.gains) :], strict=False)
-    }
-    starts = _starts(plant, values[count:], len(task.experiments))
-    nominal = np.array([plant.variable(n).nominal for n in u.names])
-    sizes = np.cumsum([len(e.t) for e in task.experiments])[:-1]
+    rig, starts = u.rig(plant, names, Rig(), head), u.begins(plant, head)
+    sizes = np.cumsum([len(e.t) for e in problem.experiments])[:-1]
     residuals = tuple(np.split(solution.residuals * nominal, sizes))
     simulated = (
-        _smoothed(task, residuals)
-        if u.process
+        _smoothed(problem, residuals)
+        if problem.process
         else tuple(
-            _simulated(fitted, e, s, estimate.delay, u.names, offsets, gains)
-            for e, s in zip(_corrected(task, solution.jumps), starts, strict=True)
+            _simulated(fitted, e, s, estimate.delay, names, rig)
+            for e, s in zip(_corrected(problem, solution.jumps), starts, strict=True)
         )
     )
-    if solution.timed and not u.process:
+    if solution.timed and not problem.process:
         # the states of a search that did not end need not move as the plant does
         residuals = tuple(
-            e.record.array(u.names)[-len(e.t) :] - s.array(u.names)
-            for e, s in zip(task.experiments, simulated, strict=True)
+            e.record.array(names)[-len(e.t) :] - s.array(names)
+            for e, s in zip(problem.experiments, simulated, strict=True)
         )
         solution = replace(solution, residuals=np.concatenate(residuals) / nominal)
     # of a smoothed motion the residuals are smaller than the noise, which is given then
-    scatter = sigma if u.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
-    ended = replace(estimate, solution=solution)
-    linearisation, at_bound = _linearised(task, ended, values, names, count)
+    scatter = sigma if problem.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
+    linearisation, at_bound = _linearised(problem, replace(estimate, solution=solution))
     return PlantFit(
         plant=fitted,
-        records=tuple(e.record for e in task.experiments),
+        records=tuple(e.record for e in problem.experiments),
         simulated=simulated,
-        measured=tuple(u.names),
-        parameters=tuple(names[:count]),
+        measured=tuple(names),
+        parameters=u.names[: u.shared],
         linearisation=linearisation,
         delay=estimate.delay,
-        offsets=offsets,
-        gains=gains,
+        offsets=rig.offsets,
+        gains=rig.gains,
         starts=tuple(starts),
-        noise=dict(zip(u.names, (scatter * nominal).tolist(), strict=True)),
+        noise=dict(zip(names, (scatter * nominal).tolist(), strict=True)),
         residuals=residuals,
         descriptions={g.name: g.description for g in u.groups},
         at_bound=at_bound,
@@ -83,7 +71,7 @@ def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFi
         degree=task.degree,
         step=task.step,
         inputs=task.inputs,
-        process_noise={plant.states[i].name: size for i, size in u.process},
+        process_noise={plant.states[i].name: size for i, size in problem.process},
         input_noise=task.input_noise,
         status=solution.status,
         iterations=solution.iterations,
@@ -91,53 +79,39 @@ def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFi
     )
 
 
-def _values(task: FitTask, estimate: PlantEstimate) -> Array:
-    """Of all unknowns but the states along the records."""
-    values = estimate.solution.w[: estimate.program.head] * estimate.program.head_scale
-    first = len(task.unknowns.groups)
-    values[first : first + len(task.unknowns.gains)] += 1.0
-    return np.asarray(values)
-
-
 def _linearised(
-    task: FitTask, estimate: PlantEstimate, values: Array, names: Sequence[str], count: int
+    problem: FitProblem, estimate: PlantEstimate
 ) -> tuple[Linearisation, tuple[str, ...]]:
-    """The unknowns with their statistics, and which of them ended at a bound.
-
-    count : of the unknowns before the initial states.
-    """
+    """The unknowns with their statistics, and which of them ended at a bound."""
     solution, program, sigma = estimate.solution, estimate.program, estimate.sigma
-    plant, u = task.plant, task.unknowns
+    u = problem.unknowns
     jacobian = reduced_jacobian(program, 1 / sigma, solution.w)
-    first = len(u.groups)
-    units = [g.unit for g in u.groups] + ["1"] * len(u.gains)
-    units += [plant.variable(u.names[i]).unit for i in u.offsets]
-    units += ["s"] * (count - len(units))  # a free delay
-    units += [v.unit for v in plant.states] * len(task.experiments)
     w, low, high = (a[: program.head] for a in (solution.w, program.low, program.high))
     tight = (w - low < 1e-6) | (high - w < 1e-6)
-    tight[first:count] = False
-    dof = max(solution.residuals.size - len(names) + int(tight.sum()), 0)
+    tight[len(u.groups) : u.shared] = False
+    dof = max(solution.residuals.size - len(u.names) + int(tight.sum()), 0)
     squares = float(np.sum((solution.residuals / sigma) ** 2) + np.sum(solution.jumps**2))
+    values = w * u.scale
+    values[u.places("gains")] += 1.0
     linearisation = Linearisation(
-        names,
+        list(u.names),
         values,
-        units,
+        list(u.units),
         jacobian / program.head_scale,
         np.sqrt(squares / max(dof, 1)),
         dof,
-        np.eye(len(names))[tight] if tight.any() else None,
+        np.eye(len(u.names))[tight] if tight.any() else None,
     )
-    return linearisation, tuple(n for n, edge in zip(names, tight, strict=True) if edge)
+    return linearisation, tuple(n for n, edge in zip(u.names, tight, strict=True) if edge)
 
 
-def _corrected(task: FitTask, jumps: Array) -> list[Experiment]:
+def _corrected(problem: FitProblem, jumps: Array) -> list[Experiment]:
     """The records with their inputs as estimated;
     errors of inputs stand at the end of the jumps.
     """
-    first = jumps.size - sum(e.errors.count for e in task.experiments if e.errors is not None)
+    first = jumps.size - sum(e.errors.count for e in problem.experiments if e.errors is not None)
     found = []
-    for e in task.experiments:
+    for e in problem.experiments:
         if e.errors is not None:
             own = jumps[first : first + e.errors.count]
             first += e.errors.count
@@ -146,22 +120,14 @@ def _corrected(task: FitTask, jumps: Array) -> list[Experiment]:
     return found
 
 
-def _starts(plant: Plant, values: Array, records: int) -> list[dict[str, float]]:
-    rows = values.reshape(records, len(plant.states))
-    return [
-        {v.name: float(np.clip(x, v.min, v.max)) for v, x in zip(plant.states, row, strict=True)}
-        for row in rows
-    ]
-
-
-def _smoothed(task: FitTask, residuals: Sequence[Array]) -> tuple[Trajectory, ...]:
+def _smoothed(problem: FitProblem, residuals: Sequence[Array]) -> tuple[Trajectory, ...]:
     """The most probable motions, as the sensors would have shown them without noise."""
-    variables = [task.plant.variable(n) for n in task.unknowns.names]
+    variables = [problem.plant.variable(n) for n in problem.measured]
     return tuple(
         Trajectory(
             e.t, {v.name: e.measured[:, i] - r[:, i] for i, v in enumerate(variables)}, variables
         )
-        for e, r in zip(task.experiments, residuals, strict=True)
+        for e, r in zip(problem.experiments, residuals, strict=True)
     )
 
 
@@ -171,17 +137,11 @@ def _simulated(
     start: Mapping[str, float],
     delay: float,
     names: Sequence[str],
-    offsets: Mapping[str, float],
-    gains: Mapping[str, float],
+    rig: Rig,
 ) -> Trajectory:
     """The plant under the measured inputs, as its sensors would have shown it."""
-    inputs = PiecewisePolynomial(experiment.mesh, experiment.coefficients)
-    times = experiment.t - delay
-    times[0] = max(times[0], experiment.mesh[0])
-    grid = times if times[0] <= experiment.mesh[0] else np.concatenate([experiment.mesh[:1], times])
-    run = simulate(plant, inputs, t=grid, start=start, rtol=1e-8)
-    skip = len(grid) - len(times)
-    columns = {n: run[n][skip:] * gains.get(n, 1.0) + offsets.get(n, 0.0) for n in names}
+    run = sensed(plant, experiment, start, delay, names, rig)
+    columns = dict(zip(names, run.T, strict=True))
     return Trajectory(experiment.t, columns, [plant.variable(n) for n in names])
 
 
@@ -195,14 +155,16 @@ def replay(fit: PlantFit, record: Trajectory) -> Trajectory:
     clean = Trajectory(record.t, corrected, record.variables, between)
     noisy = {n: s for n, s in fit.input_noise.items() if n in clean}
     experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs, noisy)
-    task = FitTask(fit.plant, [experiment], Unknowns([], names), fit.method, fit.degree)
-    nominal = np.array([fit.plant.variable(n).nominal for n in names])
-    sigma = np.maximum(np.array([fit.noise[n] for n in names]) / nominal, 1e-9)
-    program = task.program(fit.delay, None)
+    unknowns = unknowns_with_starts(fit.plant, [], names, [experiment])
+    problem = FitProblem(fit.plant, [experiment], names, unknowns, fit.delay)
+    task = FitTask(problem, fit.method, fit.degree)
+    sigma = np.maximum(np.array([fit.noise[n] for n in names]) / problem.nominal, 1e-9)
+    program = task.program(fit.delay)
     solution = solve(program, 1 / sigma, program.guess)
-    start = _starts(fit.plant, solution.w[: program.head] * program.head_scale, 1)[0]
-    (experiment,) = _corrected(task, solution.jumps)
-    return _simulated(fit.plant, experiment, start, fit.delay, names, fit.offsets, fit.gains)
+    (start,) = unknowns.begins(fit.plant, solution.w[: program.head])
+    (experiment,) = _corrected(problem, solution.jumps)
+    rig = Rig(gains=fit.gains, offsets=fit.offsets)
+    return _simulated(fit.plant, experiment, start, fit.delay, names, rig)
 
 
 def validate(fit: PlantFit, records: Trajectory | Sequence[Trajectory]) -> list[RecordComparison]:

@@ -85,6 +85,14 @@ class RunUnknowns:
             first += count
         return np.arange(first, len(self.names))
 
+    def moved(self, kind: str, value: float, low: float, high: float) -> RunUnknowns:
+        """With all unknowns of a kind at a value, within bounds."""
+        at, found = self.places(kind), {}
+        for name, number in (("guess", value), ("low", low), ("high", high)):
+            found[name] = getattr(self, name).copy()
+            found[name][at] = number / self.scale[at]
+        return replace(self, **found)
+
     def with_delay(
         self,
         inputs: tuple[int, ...],
@@ -114,6 +122,15 @@ class RunUnknowns:
             for g, v in zip(self.groups, z, strict=False)
             for m in g.members
         }
+
+    def begins(self, plant: Plant, z: Array) -> list[dict[str, float]]:
+        """Where the states with starts of their own begin in each record at z."""
+        own = [plant.states[i] for i in self.own_starts]
+        rows = (z * self.scale)[self.shared :].reshape(self.records, len(own))
+        return [
+            {v.name: float(np.clip(x, v.min, v.max)) for v, x in zip(own, row, strict=True)}
+            for row in rows
+        ]
 
     def rig(self, plant: Plant, measured: Sequence[str], known: Rig, z: Array) -> Rig:
         """The rig at z, with what was ``known`` of its dead times."""

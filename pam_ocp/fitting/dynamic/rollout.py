@@ -18,8 +18,7 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup
 from .rig import Rig, RunUnknowns
-from .run_inputs import RunSteps
-from .runs import Runs
+from .runs import Runs, RunSteps
 
 __all__ = ["Rollout", "require_followed", "spreads"]
 
