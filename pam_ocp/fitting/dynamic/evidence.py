@@ -8,7 +8,7 @@ nuisance: they are projected out of each motion by itself, so there may be many 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -367,7 +367,8 @@ def _evidence(
     case: _Case, runs: Runs, z: Array, x0: Array, modelled: Array, gap: Array
 ) -> Evidence:
     ready, k = _with_starts(case, runs), len(z)
-    found = suspected(case.plant, case.records, case.groups, _delays(case, z))
+    delays = case.unknowns.rig(case.plant, runs.names, case.rig, z).delays
+    found = suspected(case.plant, case.records, case.groups, delays)
     suspects = found.suspects
     u, m, count = ready.unknowns, len(suspects), len(case.groups)
     wide = replace(
@@ -401,11 +402,3 @@ def _evidence(
         np.asarray(gap),
         tuple(r[:n] for r, n in zip(runs.measured, runs.length, strict=True)),
     )
-
-
-def _delays(case: _Case, z: Array) -> Mapping[str, float]:
-    u = case.unknowns
-    found = dict(case.rig.delays)
-    for place, members in zip(u.places("delays"), u.delays, strict=True):
-        found |= {case.plant.inputs[i].name: float(z[place] * u.scale[place]) for i in members}
-    return found

@@ -41,6 +41,7 @@ __all__ = [
     "measured_names",
     "prepare",
     "recorded",
+    "running",
     "with_inputs",
 ]
 
@@ -381,6 +382,11 @@ def deviance(residuals: Array, noise: Array | None = None) -> float:
     return float(len(residuals) * np.sum(np.log(squares)))
 
 
+def running(records: Sequence[Trajectory], between: Interpolation) -> list[Trajectory]:
+    """The records, their inputs running so where they do not say how."""
+    return [r if r.interpolation_known else r.running(between) for r in records]
+
+
 def decided(
     plant: Plant,
     records: Sequence[Trajectory],
@@ -398,7 +404,7 @@ def decided(
     failed: FitError | None = None
     for way in WAYS:
         try:
-            found[way] = fitted([r if r.interpolation_known else r.running(way) for r in records])
+            found[way] = fitted(running(records, way))
         except FitError as error:
             failed = error
         except TimeIsUp:

@@ -20,7 +20,7 @@ from ..statistics import Array, Coefficient
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .descent import descend
 from .evidence import evidence_of
-from .experiment import recorded
+from .experiment import recorded, running
 from .fit_result import FittedPlant
 from .rig import Rig, RunUnknowns, unknowns_of
 from .rollout import Rollout, spreads
@@ -85,9 +85,7 @@ class FreeRunFit(FittedPlant):
         if self.spread is None or not self.records or pushed or np.any(self.training.diverged):
             return Adequacy()  # a model with a disturbance says itself that it lacks something
         u, names = self.unknowns, list(self.training.names)
-        known = [
-            r if r.interpolation_known else r.running(self.interpolation) for r in self.records
-        ]
+        known = running(self.records, self.interpolation)
         evidence = evidence_of(self.plant, known, names, u, self.rig, self.z)
         if evidence is None and self.at_bound:  # a mass of nothing: no motion can be followed there
             edge = [n in self.at_bound for n in u.names]
@@ -169,8 +167,7 @@ class FreeRunFit(FittedPlant):
         Starts that each record has for itself are estimated from it; nothing else is. ``options``
         of the runs that differ, such as ``every``.
         """
-        chosen = recorded(records)
-        known = [r if r.interpolation_known else r.running(self.interpolation) for r in chosen]
+        known = running(recorded(records), self.interpolation)
         options = {**self.options, "outputs": list(self.training.names), **options}
         if not self.own_starts:
             return ran(self.plant, runs_of(self.plant, known, **options), (), self.rig)

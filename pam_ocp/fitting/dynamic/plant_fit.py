@@ -22,7 +22,7 @@ from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, Linearisation
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .evidence import Evidence, evidence_of
-from .experiment import groups, with_inputs
+from .experiment import groups, running, with_inputs
 from .fit_result import FittedPlant
 from .gauss_newton import DONE
 from .rig import Rig, unknowns_of
@@ -149,9 +149,7 @@ class PlantFit(FittedPlant):
         z = np.array([found[n] for n in unknowns.names]) / unknowns.scale
         z[unknowns.places("gains")] -= 1.0
         rig = Rig({v.name: self.delay for v in self.plant.inputs if self.delay})
-        known = [
-            r if r.interpolation_known else r.running(self.interpolation) for r in self.records
-        ]
+        known = running(self.records, self.interpolation)
         records = [with_inputs(self.plant, r, self.inputs) for r in known]
         return evidence_of(self.plant, records, names, unknowns, rig, z)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -122,6 +123,25 @@ class RunUnknowns:
             for g, v in zip(self.groups, z, strict=False)
             for m in g.members
         }
+
+    def vector(self, plant: Plant, z: Any) -> Any:
+        """All parameters of the plant at z, a vector of CasADi."""
+        base = plant.vector("parameter")
+        place = np.zeros((len(base), len(self.groups)))
+        for j, group in enumerate(self.groups):
+            place[list(group.members), j] = group.scale
+            base[list(group.members)] = 0.0
+        return ca.DM(base) + ca.sparsify(ca.DM(place)) @ z[: len(self.groups)]
+
+    def sensors(self, measured: Sequence[str], known: Rig, z: Any) -> tuple[list[Any], list[Any]]:
+        """Gains and offsets of the sensors at z, numbers or symbols."""
+        gains: list[Any] = [known.gains.get(n, 1.0) for n in measured]
+        offsets: list[Any] = [known.offsets.get(n, 0.0) for n in measured]
+        for i, j in zip(self.gains, self.places("gains").tolist(), strict=True):
+            gains[i] = 1 + z[j]
+        for i, j in zip(self.offsets, self.places("offsets").tolist(), strict=True):
+            offsets[i] = z[j] * self.scale[j]
+        return gains, offsets
 
     def begins(self, plant: Plant, z: Array) -> list[dict[str, float]]:
         """Where the states with starts of their own begin in each record at z."""

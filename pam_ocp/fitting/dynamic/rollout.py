@@ -259,7 +259,7 @@ class Rollout:
         for name, value in self._rig.starts.items():
             x0[:, order.index(name)] = value
         velocity = plant.positions
-        gain, offset = self._sensors(z)
+        gain, offset = u.sensors(runs.names, self._rig, z)
         for i, name in enumerate(runs.names):
             if name not in order:
                 continue
@@ -305,14 +305,6 @@ class Rollout:
             x0[row, hidden] = last[hidden]
             if deep:
                 slopes[row, hidden] = last[nx:].reshape(-1, nx).T[hidden]
-
-    def _sensors(self, z: Array) -> tuple[Array, Array]:
-        u, names = self._unknowns, self.runs.names
-        gain = np.array([self._rig.gains.get(n, 1.0) for n in names])
-        offset = np.array([self._rig.offsets.get(n, 0.0) for n in names])
-        gain[list(u.gains)] = 1 + z[u.places("gains")]
-        offset[list(u.offsets)] = z[u.places("offsets")] * u.scale[u.places("offsets")]
-        return gain, offset
 
 
 def require_followed(rollout: Rollout, z: Array) -> None:
@@ -388,10 +380,7 @@ def _functions(
     z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, local)
     at = ca.SX.sym("at", nu)
     u = ca.SX.sym("u", per_step)
-    p = ca.SX(plant.vector("parameter"))
-    for j, group in enumerate(unknowns.groups):
-        for member in group.members:
-            p[member] = z[j] * group.scale
+    p = unknowns.vector(plant, z)
     shift = ca.SX.zeros(nu)
     for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
         for i in members:
@@ -422,7 +411,7 @@ def _functions(
         )
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
     y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, late, p)
-    gain, offset = _sensor(runs, unknowns, rig, z)
+    gain, offset = (ca.vertcat(*c) for c in unknowns.sensors(runs.names, rig, z))
     y = ca.densify(y * gain + offset)
     y_slopes = ca.jacobian(y, x) @ s + ca.horzcat(ca.jacobian(y, z), ca.SX.zeros(ny, local - nz))
     measured = ca.SX.sym("measured", ny + 1)
@@ -461,16 +450,6 @@ def _sampled(
     end = step.fold(steps)(x, columns, given) if steps > 1 else step(x, columns, given)
     after, y = read(end, columns[:, steps - 1], measured, given)
     return ca.Function(name, [x, u, measured, given], [after, y])
-
-
-def _sensor(runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> tuple[ca.SX, ca.SX]:
-    gain = ca.SX([rig.gains.get(n, 1.0) for n in runs.names])
-    offset = ca.SX([rig.offsets.get(n, 0.0) for n in runs.names])
-    for place, i in zip(unknowns.places("gains"), unknowns.gains, strict=True):
-        gain[i] = 1 + z[int(place)]
-    for place, i in zip(unknowns.places("offsets"), unknowns.offsets, strict=True):
-        offset[i] = z[int(place)] * unknowns.scale[place]
-    return gain, offset
 
 
 def _gains(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> ca.SX:

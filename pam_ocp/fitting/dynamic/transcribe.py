@@ -136,7 +136,7 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
     if errors.shape[1]:
         inputs += ca.reshape(errors @ jumps[lift.shape[1] :], *mesh.u.shape)
     x0 = ca.reshape(head[u.shared :], len(x_nominal), len(experiments))
-    p = _parameters(problem.plant, u.groups, head[: len(u.groups)])
+    p = u.vector(problem.plant, head)
     given = (x0, p, lift @ jumps[: lift.shape[1]], inputs)
     way = _way(problem, mesh, method, degree, given)
 
@@ -152,12 +152,8 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
         inputs[:, rows],
         p,
     )
-    gains, offsets = ca.MX.ones(len(nominal)), ca.MX.zeros(len(nominal))
-    for i, place in zip(u.gains, u.places("gains").tolist(), strict=True):
-        gains[i] += head[place]
-    for i, place in zip(u.offsets, u.places("offsets").tolist(), strict=True):
-        offsets[i] = head[place]
-    errors_ = ca.MX(ca.DM(mesh.measured / nominal[:, None])) - modelled * gains - offsets
+    gains, offsets = (ca.vertcat(*c) for c in u.sensors(problem.measured, Rig(), head))
+    errors_ = ca.MX(ca.DM(mesh.measured / nominal[:, None])) - modelled * gains - offsets / nominal
     weights = ca.MX.sym("weights", len(nominal))
     residuals = ca.vertcat(ca.vec(errors_ * ca.repmat(weights, 1, len(rows))), jumps)
     inner = _points(experiments, method, degree, x_nominal)
@@ -310,16 +306,6 @@ def unknowns_with_starts(
 def usual(experiments: Sequence[Experiment]) -> float:
     """Length of an interval [s]."""
     return float(np.median(np.concatenate([np.diff(e.mesh) for e in experiments])))
-
-
-def _parameters(plant: Plant, groups: Sequence[ParameterGroup], theta: ca.MX) -> ca.MX:
-    """All parameters of the plant."""
-    base = plant.vector("parameter")
-    place = np.zeros((len(base), len(groups)))
-    for j, group in enumerate(groups):
-        place[list(group.members), j] = group.scale
-        base[list(group.members)] = 0.0
-    return ca.DM(base) + ca.sparsify(ca.DM(place)) @ theta
 
 
 def _symbols(plant: Plant, x_nominal: Array, mesh: _Mesh) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
