@@ -12,8 +12,8 @@ from .dynamic.dynamic import fit_plant as fit_plant
 from .dynamic.free_run_fit import fit_free_run as fit_free_run
 from .dynamic.free_run_fit import free_run as free_run
 from .dynamic.free_run_result import FreeRunFit as FreeRunFit
+from .dynamic.ladder import Ladder as Ladder
 from .dynamic.ladder import fit_ladder as fit_ladder
-from .dynamic.ladder_result import Ladder as Ladder
 from .dynamic.plant_fit import PlantFit as PlantFit
 from .dynamic.rungs import Rung as Rung
 from .dynamic.runs import FreeRun as FreeRun

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import pam_ocp as pam
 from pam_ocp.cli.main import main
 from pam_ocp.core.errors import FitError, InputError, OutOfTime, UnknownNameError
 from pam_ocp.fitting import Ladder, Rung, fit_ladder
-from pam_ocp.fitting.dynamic.climbing import HISTORY, RungModel, Task, model_of
+from pam_ocp.fitting.dynamic.rungs import HISTORY, RungModel, Task, model_of
 
 F = pam.feeds
 OUTPUTS = ("x", "muscle1.pressure")
@@ -71,7 +72,7 @@ def model(plant: pam.Plant, *records: pam.Trajectory, **more: Any) -> RungModel:
 
 def error(found: RungModel, steps: int = 8) -> Any:
     """(records, K, ny) in spreads."""
-    rollout = found.rollout(steps)
+    rollout = replace(found, steps=steps).rollout()
     return (rollout.predicted(found.z) - rollout.runs.measured) / rollout.spread
 
 
@@ -101,7 +102,7 @@ def test_sensitivities_are_those_of_differences(static: bool, record: pam.Trajec
     free = ["base_pressure", "muscle*.gain"]
     free += [] if static else ["muscle*.lag", "difference.dead_time", "muscle*.slew", "damping"]
     found = model(plant, record, free=tuple(free), static=static)
-    rollout, z = found.rollout(8), found.z
+    rollout, z = found.rollout(), found.z
     assert set(found.unknowns.names[: len(free)]) == set(free)
     exact = rollout.jacobian(z, damped=False)
     for j, name in enumerate(found.unknowns.names):
@@ -129,7 +130,7 @@ def test_free_starts_are_where_a_record_begins() -> None:
     nominal = plant.vector("state", attribute="nominal")[list(found.unknowns.own_starts)]
     z = found.z.copy()
     z[:4] = [run[n][HISTORY - 1] for n in own] / nominal
-    rollout = found.rollout(32)
+    rollout = replace(found, steps=32).rollout()
     errors = (rollout.predicted(z) - rollout.runs.measured) / rollout.spread
     assert np.abs(errors[0]).max() < 2e-4
     assert np.abs(errors[1]).max() > 0.1
@@ -137,7 +138,7 @@ def test_free_starts_are_where_a_record_begins() -> None:
 
 def test_a_static_run_is_at_rest_at_every_sample(record: pam.Trajectory) -> None:
     plant = slide(feed=regulator())
-    predicted = model(plant, record, static=True).rollout(8).predicted(np.empty(0))[0]
+    predicted = model(plant, record, static=True).rollout().predicted(np.empty(0))[0]
     for k in (HISTORY, 60, 200, 399):
         rest = plant.equilibrium(difference=record["difference"][k])
         found = predicted[k - HISTORY]
@@ -225,12 +226,31 @@ def test_rungs_of_ones_own_need_no_arrangement(record: pam.Trajectory) -> None:
     assert found.chosen.name == "late"
 
 
+def test_rungs_are_structures_to_choose_among() -> None:
+    """Whole records are left out; of the winner the nested error is the noise of the records."""
+    feed = regulator(lag=0.06, dead_time=TRUE["dead_time"])
+    records = [staircase(slide(feed=feed), seed, 1.5) for seed in (11, 12, 13)]
+    free = ("base_pressure", "muscle*.lag")
+    rungs = {
+        "static": Rung("static", slide(feed=regulator()), free[:1], static=True),
+        "plain": Rung("plain", slide(feed=regulator(lag=0.06)), free),
+        "late": Rung(
+            "late", slide(feed=regulator(lag=0.06, dead_time=0.02)), (*free, "difference.dead_time")
+        ),
+    }
+    found = pam.fitting.choose(rungs, records, folds=3, seed=2, rule="best", criteria=OUTPUTS)
+    assert found.name == "late"
+    assert [t.complexity for t in found.tried] == [1.0, 2.0, 3.0]
+    assert found.rmse["x"] == pytest.approx(2e-5, rel=0.1)
+    assert found.rmse["muscle1.pressure"] == pytest.approx(300.0, rel=0.1)
+
+
 def test_when_time_is_over_the_rungs_climbed_remain(
     record: pam.Trajectory, monkeypatch: Any
 ) -> None:
     from pam_ocp.core.stop import TimeIsUp
     from pam_ocp.fitting.dynamic import ladder as module
-    from pam_ocp.fitting.dynamic.climbing import climbed as whole
+    from pam_ocp.fitting.dynamic.rungs import climbed as whole
 
     seen = []
 
