@@ -33,11 +33,20 @@ from .estimation import (
     NoInfluence,
     PlantEstimate,
     estimate,
+    outcome,
     require_influence,
 )
-from .experiment import ParameterGroup, decided, deviance, groups, measured_names, prepare, recorded
+from .experiment import (
+    ParameterGroup,
+    decided,
+    deviance,
+    groups,
+    measured_names,
+    named,
+    prepare,
+    recorded,
+)
 from .gauss_newton import GRACE, TIMED
-from .outcome import outcome
 from .plant_fit import ACCURATE, PlantFit
 from .transcribe import METHODS, FitMethod, FitProblem, unknowns_with_starts
 
@@ -446,13 +455,9 @@ def _process(
         )
     order, found = [v.name for v in plant.states], []
     for name, value in given.items():
-        variable = plant.variable(name)
-        if variable.name not in order:
-            raise InputError(
-                f"process_noise: {variable.name} is a {variable.causality}, not a state"
-            )
-        size = require_positive(f"process_noise[{name!r}]", value, f"{variable.unit}/sqrt(s)")
-        found.append((order.index(variable.name), size))
+        v = named("process_noise", name, plant, "state")
+        size = require_positive(f"process_noise[{name!r}]", value, f"{v.unit}/sqrt(s)")
+        found.append((order.index(v.name), size))
     return tuple(found)
 
 
@@ -466,22 +471,16 @@ def _input_noise(
         )
     found = {}
     for name, value in (given or {}).items():
-        variable = plant.variable(name)
-        if variable.causality != "input":
-            raise InputError(
-                f"input_noise: {variable.name} is a {variable.causality}, not an input"
-            )
-        found[variable.name] = require_positive(f"input_noise[{name!r}]", value, variable.unit)
+        v = named("input_noise", name, plant, "input")
+        found[v.name] = require_positive(f"input_noise[{name!r}]", value, v.unit)
     return found
 
 
 def _constant(plant: Plant, given: Mapping[str, float] | None) -> dict[str, float]:
-    found = {}
-    for name, value in (given or {}).items():
-        if plant.variable(name).causality != "input":
-            raise InputError(f"inputs: {name} is a {plant.variable(name).causality}, not an input")
-        found[plant.variable(name).name] = require_finite(name, value)
-    return found
+    return {
+        named("inputs", name, plant, "input").name: require_finite(name, value)
+        for name, value in (given or {}).items()
+    }
 
 
 def _padded(coefficients: Array, width: int) -> Array:

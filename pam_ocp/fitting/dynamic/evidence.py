@@ -127,7 +127,18 @@ def evidence_of(
     values. None where the plant cannot be followed through the records.
     """
     try:
-        case = _case(plant, records, outputs, unknowns, rig, z, LEAST_STEPS)
+        still = {v.name: float(v.start or 0.0) for v in plant.inputs}
+        # only what belongs to the model: no observer, and every motion with a start of its own
+        case = _Case(
+            plant,
+            [with_inputs(plant, r, still) for r in records],
+            outputs,
+            unknowns.groups,
+            unknowns.of_motions(plant, 0),
+            replace(rig, corrections={}, starts={}),
+            np.asarray(z)[unknowns.of_model],
+            LEAST_STEPS,
+        )
         runs, x0 = _followed(case)
         z, x0 = _least_squares(case, runs, runs, case.z, x0)
         fine, ready = runs, _with_starts(case, runs)
@@ -151,56 +162,9 @@ def evidence_of(
         return None
 
 
-def _case(
-    plant: Plant,
-    records: Sequence[Trajectory],
-    outputs: Sequence[str],
-    u: RunUnknowns,
-    rig: Rig,
-    z: Array,
-    steps: int,
-) -> _Case:
-    """Only what belongs to the model: no observer, and every motion with a start of its own."""
-    kept = [*u.places("groups"), *u.places("delays"), *u.places("gains"), *u.places("offsets")]
-    x_nominal = plant.vector("state", attribute="nominal")
-    nx = len(x_nominal)
-    shared = RunUnknowns(
-        groups=u.groups,
-        delays=u.delays,
-        gains=u.gains,
-        offsets=u.offsets,
-        own_starts=tuple(range(nx)),
-        names=tuple(u.names[i] for i in kept),
-        scale=u.scale[kept],
-    )
-    still = {v.name: float(v.start or 0.0) for v in plant.inputs}
-    return _Case(
-        plant,
-        [with_inputs(plant, r, still) for r in records],
-        outputs,
-        u.groups,
-        shared,
-        replace(rig, corrections={}, starts={}),
-        np.asarray(z)[kept],
-        steps,
-    )
-
-
 def _with_starts(case: _Case, runs: Runs) -> _Case:
-    """With names and scales of as many starts as there are motions."""
-    n, nominal = len(runs.record), case.plant.vector("state", attribute="nominal")
-    u, k = case.unknowns, len(case.z)
-    every = RunUnknowns(
-        groups=u.groups,
-        delays=u.delays,
-        gains=u.gains,
-        offsets=u.offsets,
-        own_starts=u.own_starts,
-        records=n,
-        names=(*u.names[:k], *(f"start {i}" for i in range(n * len(nominal)))),
-        scale=np.concatenate([u.scale[:k], np.tile(nominal, n)]),
-    )
-    return replace(case, unknowns=every)
+    """With as many starts as there are motions."""
+    return replace(case, unknowns=case.unknowns.of_motions(case.plant, len(runs.record)))
 
 
 def _followed(case: _Case) -> tuple[Runs, Array]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from ...core.errors import (
 from ...core.signals import Interpolation, merged, signals
 from ...core.stop import TimeIsUp
 from ...core.trajectory import Trajectory
+from ...core.variables import Variable
 from ...plants.plant import Plant
 from ...simulation.simulator import simulate
 from ..statistics import Array
@@ -39,6 +40,7 @@ __all__ = [
     "deviance",
     "groups",
     "measured_names",
+    "named",
     "prepare",
     "recorded",
     "running",
@@ -223,6 +225,17 @@ def recorded(records: Trajectory | Sequence[Trajectory]) -> list[Trajectory]:
         "records", records, kinds, "give a Trajectory (of read_record), or a list of them"
     )
     return [records] if isinstance(records, Trajectory) else list(records)
+
+
+def named(argument: str, name: str, plant: Plant, kind: Literal["state", "input"]) -> Variable:
+    """The state or input of the plant that an argument names."""
+    variable = plant.variable(name)
+    if variable.causality != kind:
+        article = "an" if kind == "input" else "a"
+        raise InputError(
+            f"{argument}: {variable.name} is a {variable.causality}, not {article} {kind}"
+        )
+    return variable
 
 
 def with_inputs(plant: Plant, record: Trajectory, values: Mapping[str, Any]) -> Trajectory:

@@ -17,7 +17,7 @@ from ...core.errors import InputError, require_finite, require_names, require_po
 from ...plants.plant import Plant
 from ..statistics import Array
 from .disturbances import GAIN
-from .experiment import ParameterGroup
+from .experiment import ParameterGroup, named
 
 __all__ = ["Delay", "Rig", "RunUnknowns", "given_starts", "known_rig", "unknowns_of"]
 
@@ -116,6 +116,27 @@ class RunUnknowns:
             high=np.insert(self.high, at, high / scale),
         )
 
+    @property
+    def of_model(self) -> NDArray[np.intp]:
+        """Positions in z of what belongs to plant and sensors, not to an observer or a start."""
+        kinds = ("groups", "delays", "gains", "offsets")
+        return np.concatenate([self.places(k) for k in kinds]).astype(np.intp)
+
+    def of_motions(self, plant: Plant, motions: int) -> RunUnknowns:
+        """What belongs to the model, and where every state begins in each of so many motions."""
+        kept, nominal = self.of_model, plant.vector("state", attribute="nominal")
+        starts = [f"start {i}" for i in range(motions * len(nominal))]
+        return RunUnknowns(
+            groups=self.groups,
+            delays=self.delays,
+            gains=self.gains,
+            offsets=self.offsets,
+            own_starts=tuple(range(len(nominal))),
+            records=motions,
+            names=(*(self.names[i] for i in kept), *starts),
+            scale=np.concatenate([self.scale[kept], np.tile(nominal, motions)]),
+        )
+
     def parameters(self, plant: Plant, z: Array) -> dict[str, float]:
         """Values of the plant's parameters at z."""
         return {
@@ -199,12 +220,12 @@ def known_rig(
             for n, v in (offsets or {}).items()
         },
         {
-            _state("starts", n, plant): require_finite("starts", v)
+            named("starts", n, plant, "state").name: require_finite("starts", v)
             for n, v in (starts or {}).items()
         },
         {
             (
-                _state("corrections", s, plant),
+                named("corrections", s, plant, "state").name,
                 _seen("corrections", y, plant, measured),
             ): require_finite("corrections", v)
             for (s, y), v in (corrections or {}).items()
@@ -340,13 +361,6 @@ def _seen(argument: str, name: str, plant: Plant, measured: Sequence[str]) -> st
     return known
 
 
-def _state(argument: str, name: str, plant: Plant) -> str:
-    variable = plant.variable(name)
-    if variable.causality != "state":
-        raise InputError(f"{argument}: {variable.name} is a {variable.causality}, not a state")
-    return variable.name
-
-
 def given_starts(
     plant: Plant, given: Mapping[str, str] | Sequence[str]
 ) -> list[tuple[str, str, list[str]]]:
@@ -357,14 +371,13 @@ def given_starts(
         if isinstance(given, Mapping)
         else dict.fromkeys(require_names("starts", given), "all")
     )
-    return [
-        (
-            e,
-            w,
-            [n for n in order if fnmatchcase(n, e)] if "*" in e else [_state("starts", e, plant)],
-        )
-        for e, w in ways.items()
-    ]
+
+    def states(entry: str) -> list[str]:
+        if "*" in entry:
+            return [n for n in order if fnmatchcase(n, entry)]
+        return [named("starts", entry, plant, "state").name]
+
+    return [(entry, way, states(entry)) for entry, way in ways.items()]
 
 
 def _starts(
@@ -415,7 +428,7 @@ def _corrections(
     own = {n: [n] for n in order if n in measured} | {v: [p] for v, p in velocities.items()}
     if isinstance(given, Mapping):
         own |= {
-            _state("correct", s, plant): [
+            named("correct", s, plant, "state").name: [
                 _seen("correct", y, plant, measured) for y in require_names("correct", ys)
             ]
             for s, ys in given.items()
