@@ -19,10 +19,12 @@ from ...core.errors import FitError, InputError
 from ...core.stop import TimeIsUp, check
 from ..statistics import Array
 
-__all__ = ["Descent", "Normal", "Progress", "Report", "descend", "from_fewer", "reporter"]
+__all__ = ["GRACE", "Descent", "Normal", "Progress", "Report", "descend", "from_fewer", "reporter"]
 
 Result = TypeVar("Result")
 
+GRACE = 20.0
+"""For what is told of a fit that a time limit ended [s]."""
 LEAST, MOST = 1e-8, 1e8
 """Of the damping, in parts of the normal matrix' diagonal."""
 FIRST = 1e-3

@@ -26,7 +26,7 @@ from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .descent import Progress, Report, from_fewer, reporter
+from .descent import GRACE, Progress, Report, from_fewer, reporter
 from .estimation import (
     ORDERS,
     FitTask,
@@ -46,7 +46,7 @@ from .experiment import (
     prepare,
     recorded,
 )
-from .gauss_newton import GRACE, TIMED
+from .gauss_newton import TIMED
 from .plant_fit import ACCURATE, PlantFit
 from .transcribe import METHODS, FitMethod, FitProblem, unknowns_with_starts
 

@@ -23,7 +23,7 @@ from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .descent import Descent, Progress, descend, from_fewer, reporter
+from .descent import GRACE, Descent, Progress, descend, from_fewer, reporter
 from .disturbances import Disturbances, disturbed
 from .experiment import decided, groups, measured_names, recorded
 from .free_run_result import FreeRunFit, ran
@@ -34,8 +34,6 @@ from .runs import FreeRun, Runs, hidden_states, runs_of, settled_starts
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
-GRACE = 20.0
-"""For what is told of a fit that a time limit ended [s]."""
 ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
 POOR = 1e-3

@@ -12,10 +12,10 @@ from ...core.errors import FitError
 from ...core.stop import TimeIsUp, native, spared
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..statistics import Array
-from .descent import Report, descend
+from .descent import GRACE, Report, descend
 from .transcribe import FitProgram, SimulatedProgram
 
-__all__ = ["GRACE", "TIMED", "GaussNewtonResult", "reduced_jacobian", "solve"]
+__all__ = ["DONE", "TIMED", "GaussNewtonResult", "reduced_jacobian", "solve"]
 
 LEVENBERG = 1e-6
 """Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
@@ -25,8 +25,6 @@ It changes steps, not the solution. Unknowns are of size 1, residuals are in uni
 DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 TIMED = "Time_Limit"
 """Status of a search that a time limit ended with something to show."""
-GRACE = 20.0
-"""For what is told of a fit that a time limit ended [s]."""
 CAREFUL = 1.0
 """Damping of the first step of a search through kinks, where long steps lead to other minima."""
 EXACT = 1e-9

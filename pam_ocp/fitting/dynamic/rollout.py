@@ -380,40 +380,30 @@ def _functions(
     z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, local)
     at = ca.SX.sym("at", nu)
     u = ca.SX.sym("u", per_step)
-    p = unknowns.vector(plant, z)
-    shift = ca.SX.zeros(nu)
-    for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
-        for i in members:
-            shift[i] = z[int(place)] * unknowns.scale[place] - at[i]
-    early, late, h = u[:nu], u[nu : 2 * nu], u[2 * nu]
-    if unknowns.delays:
-        gained = ca.reshape(u[2 * nu + 1 :], nu, 3)
-        early, late = early + gained[:, 0] * shift, late + gained[:, 1] * shift
-        h = h + ca.dot(gained[:, 2], shift)
+    p, more = unknowns.vector(plant, z), local - nz
+    early, late, h = _driving(unknowns, z, at, u)
 
-    def along(after: ca.SX) -> ca.SX:
-        own = ca.horzcat(ca.jacobian(after, z), ca.SX.zeros(nx, local - nz))
-        return ca.jacobian(after, x) @ s + own
+    def along(value: ca.SX) -> ca.SX:
+        own = ca.horzcat(ca.jacobian(value, z), ca.SX.zeros(value.numel(), more))
+        return ca.jacobian(value, x) @ s + own
+
+    def rates(q: ca.SX, inputs: ca.SX) -> ca.SX:
+        return plant.function(q, inputs, p)[0]
 
     if static:  # a step of Newton's method towards rest
-        rates = plant.function(x, late, p)[0]
-        slope = ca.jacobian(rates, x)
-        after = x - ca.solve(slope, rates)
-        over_z = ca.solve(slope, ca.jacobian(rates, z)) if nz else ca.SX(nx, 0)
-        after_slopes = ca.horzcat(-over_z, ca.SX.zeros(nx, local - nz))
+        slope = ca.jacobian(rates(x, late), x)
+        after = x - ca.solve(slope, rates(x, late))
+        over_z = ca.solve(slope, ca.jacobian(rates(x, late), z)) if nz else ca.SX(nx, 0)
+        after_slopes = ca.horzcat(-over_z, ca.SX.zeros(nx, more))
     else:
+        first = rates(x, early)
         after, after_slopes = ros2_with_slopes(
-            plant.function(x, early, p)[0],
-            lambda q: plant.function(q, late, p)[0],
-            (x, s),
-            (z, local - nz),
-            h,
+            first, lambda q: rates(q, late), (x, s), (z, more), h
         )
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
     y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, late, p)
     gain, offset = (ca.vertcat(*c) for c in unknowns.sensors(runs.names, rig, z))
     y = ca.densify(y * gain + offset)
-    y_slopes = ca.jacobian(y, x) @ s + ca.horzcat(ca.jacobian(y, z), ca.SX.zeros(ny, local - nz))
     measured = ca.SX.sym("measured", ny + 1)
     behind = (measured[:ny] - y) * measured[ny]
     corrected = x + _gains(plant, runs, unknowns, rig, z) @ behind if runs.warm else x
@@ -430,13 +420,30 @@ def _functions(
         [wide, u, measured, given],
         [
             ca.vertcat(corrected, ca.vec(corrected_slopes)),
-            ca.vertcat(y, ca.vec(ca.densify(y_slopes))),
+            ca.vertcat(y, ca.vec(ca.densify(along(y)))),
         ],
     )
     return (
         _sampled("move", step, read, per_step, steps),
         _sampled("tangent", deep_step, deep_read, per_step, steps),
     )
+
+
+def _driving(unknowns: RunUnknowns, z: ca.SX, at: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Inputs at the begin and end of a step and its length, at the dead times of z; ``u`` holds
+    them at the dead times ``at``, with their slopes where some are sought.
+    """
+    nu = at.numel()
+    early, late, h = u[:nu], u[nu : 2 * nu], u[2 * nu]
+    if not unknowns.delays:
+        return early, late, h
+    shift = ca.SX.zeros(nu)
+    for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
+        for i in members:
+            shift[i] = z[int(place)] * unknowns.scale[place] - at[i]
+    gained = ca.reshape(u[2 * nu + 1 :], nu, 3)
+    moved = early + gained[:, 0] * shift, late + gained[:, 1] * shift
+    return *moved, h + ca.dot(gained[:, 2], shift)
 
 
 def _sampled(
