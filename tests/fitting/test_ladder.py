@@ -226,6 +226,22 @@ def test_rungs_of_ones_own_need_no_arrangement(record: pam.Trajectory) -> None:
     assert found.chosen.name == "late"
 
 
+def test_disturbances_that_no_record_holds_are_what_they_are_by_themselves() -> None:
+    plant = pam.Plant("pushed")
+    x, push, u = plant.state("x"), plant.input("push", disturbance=True), plant.input("u")
+    rate = plant.parameter("rate", 3.0)
+    plant.der(x, rate * (u - x) + push)
+    t = 0.01 * np.arange(300)
+    wave = {"u": (t, np.sin(2 * t)), "push": 0.0}
+    run = pam.simulate(plant, wave, t=t, interpolation="linear")
+    noisy = run["x"] + 1e-4 * np.random.default_rng(1).standard_normal(len(t))
+    seen = pam.Trajectory(t, {"x": noisy, "u": run["u"]}, interpolation="linear")
+    found = fit_ladder([Rung("one", plant.with_values(rate=2.0), ("rate",))], seen, folds=3)
+    value = found.chosen.coefficients["rate"]
+    assert value.value == pytest.approx(3.0, abs=4 * value.stderr)
+    assert value.stderr < 0.01
+
+
 def test_rungs_are_structures_to_choose_among() -> None:
     """Whole records are left out; of the winner the nested error is the noise of the records."""
     feed = regulator(lag=0.06, dead_time=TRUE["dead_time"])

@@ -119,7 +119,9 @@ class FreeRunFit(FittedPlant):
         a = self.adequacy
         told = {} if self.at_bound and a.adequate else a.stderr
         return {
-            n: c if n in self.at_bound else replace(c, stderr=told.get(n, c.stderr))
+            n: c
+            if n in self.at_bound or c.stderr == np.inf
+            else replace(c, stderr=told.get(n, c.stderr))
             for n, c in self.spread.coefficients.items()
         }
 

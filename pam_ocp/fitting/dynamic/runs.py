@@ -456,17 +456,7 @@ def settled_starts(plant: Plant, runs: Runs, records: int, places: Sequence[int]
     order = [v.name for v in plant.states]
     seen = {*runs.names, *(v for q, v in plant.positions.items() if q in runs.names)}
     loose = [i for i, n in enumerate(order) if n not in seen]
-    x, u, h = ca.SX.sym("x", len(order)), ca.SX.sym("u", len(plant.inputs)), ca.SX.sym("h")
-    p = ca.SX(plant.vector("parameter"))
-    own = ca.SX.sym("own", len(loose))
-
-    def rates(part: ca.SX) -> ca.SX:
-        every = ca.SX(x)
-        every[loose] = part
-        return plant.function(every, u, p)[0][loose]
-
-    after = ros2(lambda q: (rates(q), ca.jacobian(rates(q), q)), rates, own, h)
-    step = ca.Function("settle", [own, x, u, h], [after])
+    step = _settling(plant, loose) if loose else ca.Function()
     low, high = (plant.vector("state", attribute=a) for a in ("min", "max"))
     found = np.empty((records, len(places)))
     for r in range(records):
@@ -477,10 +467,25 @@ def settled_starts(plant: Plant, runs: Runs, records: int, places: Sequence[int]
         first = rows[np.argmin(runs.first[rows])]
         begin = runs.x0[first].copy()
         part = begin[loose]
+        now = runs.inputs[r].u[int(runs.first[first])]
         for length in SETTLING if loose else ():
-            now = runs.inputs[r].u[int(runs.first[first])]
             part = np.asarray(step(part, begin, now, length)).ravel()
         if np.all(np.isfinite(part)) and np.all((part >= low[loose]) & (part <= high[loose])):
             begin[loose] = part
         found[r] = np.clip(begin, low, high)[list(places)]
     return found
+
+
+def _settling(plant: Plant, loose: list[int]) -> ca.Function:
+    """A step of these states towards rest: (they, all states, inputs, its length) -> they."""
+    nx = len(plant.states)
+    x, u, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(plant.inputs)), ca.SX.sym("h")
+    own, p = ca.SX.sym("own", len(loose)), ca.SX(plant.vector("parameter"))
+
+    def rates(part: ca.SX) -> ca.SX:
+        every = ca.SX(x)
+        every[loose] = part
+        return plant.function(every, u, p)[0][loose]
+
+    after = ros2(lambda q: (rates(q), ca.jacobian(rates(q), q)), rates, own, h)
+    return ca.Function("settle", [own, x, u, h], [after])
