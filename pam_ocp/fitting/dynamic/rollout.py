@@ -327,14 +327,14 @@ def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tu
     """Inputs whose jumps lie between samples, those of one dead time together; none where all run
     along lines.
     """
-    if not any(e.held for e in runs.inputs):
+    samplings = np.array([np.ptp(e.t) / (len(e.t) - 1) for e in runs.inputs if e.held])
+    if not samplings.size:
         return ()
-    sampling = float(runs.t[0])
     free = {i for members in unknowns.delays for i in members}
     known: dict[float, list[int]] = {}
     for i, v in enumerate(plant.inputs):
-        part = (rig.delays.get(v.name, 0.0) / sampling) % 1.0
-        if i not in free and 1e-9 < part < 1 - 1e-9:
+        part = (rig.delays.get(v.name, 0.0) / samplings) % 1.0
+        if i not in free and np.any((part > 1e-9) & (part < 1 - 1e-9)):
             known.setdefault(rig.delays[v.name], []).append(i)
     return (*unknowns.delays, *(tuple(members) for members in known.values()))
 

@@ -241,8 +241,8 @@ def _runs(
 
 
 def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
-    """Dead times are those of inputs, and exact, where all records have the same equal steps; else
-    delay lines are integrated.
+    """Dead times are those of inputs, and exact, where each record has equal steps or its inputs
+    run along lines; else delay lines are integrated.
     """
     own = {g.name for g in groups(plant, rung.free)}
     wanted = groups(plant, rung.free, {n: b for n, b in task.bounds.items() if n in own})
@@ -285,13 +285,14 @@ def _at_outlets(record: Trajectory, lines: Sequence[DelayLine]) -> Trajectory:
 def _dead_times(
     task: Task, plant: Plant, wanted: Sequence[ParameterGroup]
 ) -> list[ParameterGroup] | None:
-    """The unknowns that are dead times; None where delay lines have to be integrated: records of
-    other steps, a dead time that is to be equal to something else.
+    """The unknowns that are dead times; None where delay lines have to be integrated: inputs held
+    over unequal steps, a dead time that is to be equal to something else.
     """
-    steps = np.concatenate([np.diff(r.t) for r in task.records])
+    held = [np.diff(r.t) for r in task.records if r.interpolation == "previous"]
     times = {line.time for line in plant.delay_lines}
     found = [(g, [plant.parameters[m].name in times for m in g.members]) for g in wanted]
-    if np.ptp(steps) > 1e-3 * np.median(steps) or any(any(t) != all(t) for _, t in found):
+    uneven = any(np.ptp(steps) > 1e-3 * np.median(steps) for steps in held)
+    if uneven or any(any(t) != all(t) for _, t in found):
         return None
     return [g for g, late in found if all(late)]
 
