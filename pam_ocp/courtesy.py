@@ -55,8 +55,7 @@ if TYPE_CHECKING:
     from .figures.workbook.motion_book import write_plan_book as write_plan_book
     from .figures.workbook.motion_book import write_plant_fit_book as write_plant_fit_book
     from .fitting.dynamic.coverage import coverage as coverage
-    from .fitting.dynamic.outcome import validate as validate
-    from .fitting.dynamic.plant_report import plant_report as plant_report
+    from .fitting.dynamic.estimation import validate as validate
     from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
     from .fitting.static.report import force_report as force_report
     from .fitting.static.saved_force import read_fit as read_fit
@@ -96,7 +95,6 @@ _HOMES: dict[str, str] = {
     "side_of_rig": "rig.side",
     "machine_plant": "export.machine",
     "linearize": "operating.linear",
-    "plant_report": "fitting.dynamic.plant_report",
     "plot_amplitude_map": "figures.vibration_maps",
     "plot_backbone": "figures.vibration",
     "plot_border": "figures.vibration",
@@ -120,7 +118,7 @@ _HOMES: dict[str, str] = {
     "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
-    "validate": "fitting.dynamic.outcome",
+    "validate": "fitting.dynamic.estimation",
     "write_fit_book": "figures.workbook.fit_book",
     "write_motion_book": "figures.workbook.motion_book",
     "write_plan_book": "figures.workbook.motion_book",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -11,7 +12,7 @@ from ..core.errors import InputError
 from ..core.variables import Variable
 from .plant import Plant, require_plant
 
-__all__ = ["attributes_of", "without_dead_times"]
+__all__ = ["Redeclared", "attributes_of", "without_dead_times"]
 
 
 def without_dead_times(plant: Plant) -> Plant:
@@ -40,38 +41,75 @@ def without_dead_times(plant: Plant) -> Plant:
 def _rebuilt(plant: Plant) -> Plant:
     outlets = {line.outlet for line in plant.delay_lines}
     inner = {s for line in plant.delay_lines for s in line.states} - outlets
-    made = Plant(plant.name, plant.description)
-    declare: dict[str, Any] = {"state": made.state, "input": made.input}
-    symbols: dict[str, ca.SX] = {}
-    for v in plant.variables:
-        if v.causality in ("output", "constraint") or v.name in inner:
-            continue
-        attributes = attributes_of(v)
-        if v.causality == "parameter":
-            symbols[v.name] = made.parameter(v.name, attributes.pop("start"), **attributes)
-        else:
-            late = {"memory": ""} if v.name in outlets else {}
-            kind = "input" if late else v.causality
-            symbols[v.name] = declare[kind](v.name, **{**attributes, **late})
-    defined = [v for v in plant.variables if v.causality in ("output", "constraint")]
-    stated = [f"der({v.name})" for v in made.states] + [v.name for v in defined]
-    found = ca.substitute(
-        [ca.vertcat(*map(plant.expression, stated))],
-        [ca.vertcat(*map(plant.expression, symbols))],
-        [ca.vertcat(*symbols.values())],
-    )[0]
-    lost = sorted({s.name() for s in ca.symvar(found)} & inner)
+    again = Redeclared(plant, inputs=outlets, without=inner)
+    found = again.equations()
+    lost = sorted({s.name() for e in found.values() for s in ca.symvar(e)} & inner)
     if lost:
         raise InputError(
             f"plant {plant.name!r}: its equations use {lost[0]}, inside of a delay line; use only "
             "what comes out of it"
         )
-    for v, rate in zip(made.states, ca.vertsplit(found), strict=False):
-        made.der(symbols[v.name], rate)
-    for v, value in zip(defined, ca.vertsplit(found)[len(made.states) :], strict=True):
-        attributes = {n: a for n, a in attributes_of(v).items() if n != "start"}
-        (made.output if v.causality == "output" else made.constraint)(v.name, value, **attributes)
-    return made
+    return again.finished(found)
+
+
+class Redeclared:
+    """A plant declared once more, where more may be declared, other equations given.
+
+    inputs : states that become inputs. without : states that are left out. symbols : what stands
+    for each parameter, state and input in the equations; those of ``made`` unless others are put.
+    """
+
+    def __init__(
+        self, plant: Plant, inputs: Collection[str] = (), without: Collection[str] = ()
+    ) -> None:
+        self.plant, self.made = plant, Plant(plant.name, plant.description)
+        self.own: dict[str, ca.SX] = {}
+        for v in plant.variables:
+            if v.causality in ("output", "constraint") or v.name in without:
+                continue
+            attributes = attributes_of(v)
+            if v.causality == "parameter":
+                start = attributes.pop("start")
+                self.own[v.name] = self.made.parameter(v.name, start, **attributes)
+            elif v.name in inputs:
+                self.own[v.name] = self.made.input(v.name, **{**attributes, "memory": ""})
+            else:
+                declare = self.made.state if v.causality == "state" else self.made.input
+                self.own[v.name] = declare(v.name, **attributes)
+        self.symbols = dict(self.own)
+
+    def state(self, name: str, **attributes: Any) -> ca.SX:
+        """One more state, whose rate :meth:`finished` takes."""
+        self.own[name] = self.made.state(name, **attributes)
+        return self.own[name]
+
+    def equations(self) -> dict[str, ca.SX]:
+        """{state: its rate} and {output or constraint: its value}, in ``symbols``."""
+        states = [v.name for v in self.plant.states if v.name in self.own]
+        states = [n for n in states if self.made.variable(n).causality == "state"]
+        defined = [v.name for v in self.plant.variables if v.causality in ("output", "constraint")]
+        wanted = [*(f"der({n})" for n in states), *defined]
+        found = ca.substitute(
+            [ca.vertcat(*map(self.plant.expression, wanted))],
+            [ca.vertcat(*map(self.plant.expression, self.symbols))],
+            [ca.vertcat(*self.symbols.values())],
+        )[0]
+        return dict(zip((*states, *defined), ca.vertsplit(found), strict=False))
+
+    def finished(self, equations: Mapping[str, ca.SX], constraints: bool = True) -> Plant:
+        """The plant with these equations; those of states that were added may be among them."""
+        states = {v.name for v in self.made.states}
+        for name, value in equations.items():
+            if name in states:
+                self.made.der(self.own[name], value)
+                continue
+            v = self.plant.variable(name)
+            attributes = {n: a for n, a in attributes_of(v).items() if n != "start"}
+            if v.causality == "output":
+                self.made.output(name, value, **attributes)
+            elif constraints:
+                self.made.constraint(name, value, **attributes)
+        return self.made
 
 
 def attributes_of(variable: Variable) -> dict[str, Any]:

@@ -244,10 +244,9 @@ def test_pressures_that_nobody_measured_begin_where_they_belong(options: Any) ->
 
 def test_runs_in_mid_record_have_exact_slopes_through_their_hidden_past() -> None:
     from pam_ocp.fitting.dynamic.experiment import groups
-    from pam_ocp.fitting.dynamic.hidden import hidden_states, settled_starts
     from pam_ocp.fitting.dynamic.rig import unknowns_of
     from pam_ocp.fitting.dynamic.rollout import Rollout
-    from pam_ocp.fitting.dynamic.runs import runs_of
+    from pam_ocp.fitting.dynamic.runs import hidden_states, runs_of, settled_starts
 
     plant, cut = off(), record(samples=150)
     runs = runs_of(plant, [cut], 0.2, 0.3, ["x"], 3, 4)

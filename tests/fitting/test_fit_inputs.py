@@ -11,7 +11,7 @@ from conftest import BAR, benchmark_slide
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError
 from pam_ocp.fitting import fit_plant, read_record
-from pam_ocp.fitting.dynamic.between import deviance
+from pam_ocp.fitting.dynamic.experiment import deviance
 
 FREE = ["damping", "muscle*.lag"]
 T = np.arange(0, 1.2, 0.01)

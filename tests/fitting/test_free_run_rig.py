@@ -351,3 +351,32 @@ def test_runs_without_a_fit_have_steps_enough() -> None:
     runs = free_run(ringing(120.0), measured, horizon=0.2, every=0.1, outputs=["q"])
     few = free_run(ringing(120.0), measured, horizon=0.2, every=0.1, outputs=["q"], steps=4)
     assert runs.rmse["q"] < 2e-3 * np.std(measured["q"]) < few.rmse["q"]
+
+
+def test_a_table_of_free_runs_holds_values_and_intervals() -> None:
+    fit = fit_free_run(lagging(), record(4, late=0.0), ["k", "c"], horizon=0.2, every=0.1)
+    table = fit.to_pandas()
+    assert list(table.index) == ["k", "c"]
+    for name, (low, high) in fit.intervals().items():
+        assert (table.loc[name, "low"], table.loc[name, "high"]) == (low, high)
+        assert table.loc[name, "value"] == fit.values[name]
+
+
+def test_what_only_a_sum_tells_has_no_standard_error() -> None:
+    """Two springs side by side: their sum is seen, neither of them is."""
+    plant = pam.Plant("two_springs")
+    q, w, u = plant.state("q"), plant.state("w"), plant.input("u")
+    k1, k2, c = (plant.parameter(n, v, nominal=v) for n, v in (("k1", 15), ("k2", 20), ("c", C)))
+    plant.der(q, w)
+    plant.der(w, G * u - (k1 + k2) * q - c * w)
+    t = 0.01 * np.arange(200)
+    true = plant.with_values(k1=K - 20.0)
+    run = pam.simulate(true, {"u": (t, np.sin(3 * t))}, t=t, interpolation="linear")
+    shown = run["q"] + 1e-4 * np.random.default_rng(2).standard_normal(len(t))
+    seen = pam.Trajectory(t, {"q": shown, "u": run["u"]}, interpolation="linear")
+    fit = fit_free_run(plant, seen, ["k1", "k2", "c"], horizon=None)
+    assert np.isinf(fit.coefficients["k1"].stderr)
+    assert np.isinf(fit.coefficients["k2"].stderr)
+    assert fit.values["k1"] + fit.values["k2"] == pytest.approx(K, rel=0.01)
+    assert fit.coefficients["c"].stderr < 0.1 * C
+    assert fit.values["c"] == pytest.approx(C, abs=4 * fit.coefficients["c"].stderr)

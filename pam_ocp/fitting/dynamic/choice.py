@@ -1,19 +1,53 @@
-"""What is chosen, and what a choice by nested cross-validation tells."""
+"""Choice among structures by nested cross-validation over records: nothing is chosen by what judges
+it.
+
+M. Stone, J. R. Stat. Soc. B 36 (1974) 111-147; why the choice itself must be inside of the loop: G.
+Cawley, N. Talbot, J. Mach. Learn. Res. 11 (2010) 2079-2107. Each fold of records is once the test.
+Among the others structures are fitted without one more fold and judged by that one; the chosen is
+fitted to all that are not the test. A fit without folds i and j serves as inner fit of test i
+(judged by j) and of test j (judged by i), so K folds take K (K - 1)/2 + K fits of each structure,
+not K^2.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import secrets
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.cases import Place, ending
+from ...core.errors import FitError, InputError, PamError, require_count, require_instance
+from ...core.stop import limited
 from ...core.trajectory import Trajectory
-from ..statistics import Array
-from .cross_validation import mean_loss
+from ..statistics import Array, student_t
 
-__all__ = ["Choice", "Rule", "Structure", "Tried"]
+__all__ = ["Choice", "Rule", "Structure", "Tried", "choose", "mean_loss", "paired"]
+
+
+def mean_loss(losses: Array) -> Array:
+    """By criterion (m,) of losses (n, m), over the parts that can be judged by it (no NaN)."""
+    seen = ~np.isnan(losses)
+    total = np.where(seen, losses, 0.0).sum(axis=0)
+    return np.asarray(np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), np.nan))
+
+
+def paired(differences: Array, level: float) -> tuple[float, float, float]:
+    """(mean, its standard error, half width of its interval) of differences part by part: what
+    makes a part hard for both models drops out. The parts count as independent.
+    """
+    n = len(differences)
+    mean = float(differences.mean())
+    if n < 2:
+        return mean, float("inf"), float("inf")
+    error = float(differences.std(ddof=1)) / float(np.sqrt(n))
+    return mean, error, student_t(level, n - 1) * error
+
 
 Rule: TypeAlias = Literal["simplest", "best"]
 
@@ -152,3 +186,320 @@ class Choice:
         return "\n".join(lines)
 
     __str__ = table
+
+
+RULES = ("simplest", "best")
+
+
+def choose(
+    structures: Mapping[str, Structure],
+    records: Sequence[Trajectory],
+    *,
+    folds: int = 5,
+    groups: Sequence[Hashable] | None = None,
+    rule: Rule = "simplest",
+    level: float = 0.95,
+    criteria: Sequence[str] = (),
+    seed: int | None = None,
+    executor: Place = None,
+    refit: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+    time_limit: float | None = None,
+) -> Choice:
+    """Choose a structure by nested cross-validation over records (episodes).
+
+    Parameters
+    ----------
+    structures : {name: :class:`Structure`}, such as :class:`FreeRunStructure`,
+        :class:`PlantStructure` or :class:`ArxStructure`.
+    records : one Trajectory each; whole records are left out, never parts of them.
+    folds : of records, at least 3: one is the test, one judges the fits to the others.
+    groups : a label for each record; those of one label (cut from one run, one muscle, one day)
+        stay in one fold.
+    rule : "simplest", the least complexity that is not significantly behind the best (at
+        ``level``, from paired differences over the records), or "best".
+    criteria : names of the columns that ``losses`` gives.
+    seed : of the folds; drawn where none is given, and told by the result.
+    executor : where, as for :func:`pam_ocp.each`. Take processes: in threads CasADi's objects take
+        turns.
+    refit : whether the chosen one is fitted to all records in the end.
+    progress : called as progress(done, all) after each fit.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
+
+    Raises
+    ------
+    InputError : arguments that cannot be.
+    FitError : no structure could be fitted to every fold.
+
+    Examples
+    --------
+    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
+    >>> ways = {"horizon": [0.1], "every": 0.1}
+    >>> orders = {
+    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
+    ...     for n in (1, 2)
+    ... }
+    >>> pam.fitting.choose(orders, runs, folds=3, seed=1).name in orders
+    True
+    """
+    began = time.perf_counter()
+    given = _structures(structures)
+    chosen_records = [require_instance("records", r, Trajectory, _RECORDS) for r in records]
+    if rule not in RULES:
+        raise InputError(f"rule = {rule!r}: choose one of {', '.join(RULES)}")
+    student_t(level, 1)  # refuses what is no level
+    drawn = secrets.randbelow(2**31) if seed is None else seed
+    fold = _folds(len(chosen_records), folds, groups, drawn)
+    count = int(fold.max()) + 1
+    with limited(time_limit):
+        found = _fits(given, chosen_records, fold, executor, progress)
+        names = _criteria(criteria, found)
+        outer = {n: _gathered(found, n, fold, [(k,) for k in range(count)]) for n in given}
+        prices = {n: float(s.complexity) for n, s in given.items()}
+        winner, ranked = _pick(prices, outer, rule, level)
+        per_fold, nested = [], np.full((len(fold), len(names)), np.nan)
+        for k in range(count):
+            taken = winner
+            if len(given) > 1:
+                others = [(i, k) for i in range(count) if i != k]
+                inner = {n: _gathered(found, n, fold, others)[fold != k] for n in given}
+                taken, _ = _pick(prices, inner, rule, level)
+            per_fold.append(taken)
+            nested[fold == k] = outer[taken][fold == k]
+        model = given[winner].fit(chosen_records) if refit else None
+    tried = [
+        _tried(n, prices[n], outer[n], ranked[n], per_fold.count(n), found[n])
+        for n in sorted(given, key=lambda n: prices[n])
+    ]
+    return Choice(
+        winner,
+        model,
+        tuple(tried),
+        nested,
+        tuple(per_fold),
+        fold,
+        drawn,
+        names,
+        rule,
+        time.perf_counter() - began,
+    )
+
+
+_RECORDS = "give Trajectories, one for each episode (see read_records)"
+
+
+# ---- arguments ----------------------------------------------------------------------------------
+def _structures(given: Any) -> dict[str, Structure]:
+    if not isinstance(given, Mapping) or not given:
+        raise InputError("structures: give {name: structure}, at least one")
+    for name, structure in given.items():
+        if not isinstance(structure, Structure):
+            raise InputError(
+                f"structures[{name!r}] is a {type(structure).__name__}: it needs fit(records), "
+                "losses(model, records) and complexity"
+            )
+    return dict(given)
+
+
+def _folds(
+    count: int, folds: int, groups: Sequence[Hashable] | None, seed: int
+) -> NDArray[np.intp]:
+    """The fold of each record: whole groups, at random, the largest first into the emptiest."""
+    labels = list(range(count)) if groups is None else list(groups)
+    if len(labels) != count:
+        raise InputError(f"groups has {len(labels)} labels for {count} records")
+    members: dict[Hashable, list[int]] = {}
+    for place, label in enumerate(labels):
+        members.setdefault(label, []).append(place)
+    require_count("folds", folds, 3)
+    if len(members) < folds:
+        raise InputError(
+            f"{len(members)} independent records make no {folds} folds; record more, or "
+            "folds=3 at the least"
+        )
+    random = np.random.default_rng(seed)
+    order = [list(members.values())[i] for i in random.permutation(len(members))]
+    fold, filled = np.zeros(count, dtype=np.intp), np.zeros(folds)
+    for places in sorted(order, key=len, reverse=True):
+        target = int(np.argmin(filled))
+        fold[places] = target
+        filled[target] += len(places)
+    return fold
+
+
+def _criteria(given: Sequence[str], found: Mapping[str, Mapping[Any, _Fitted]]) -> tuple[str, ...]:
+    widths = {
+        f.losses[k].shape[1] for fits in found.values() for f in fits.values() for k in f.losses
+    }
+    if len(widths) != 1:
+        raise FitError(
+            "no structure could be fitted"
+            if not widths
+            else f"structures give {sorted(widths)} criteria; all must be judged by the same"
+        )
+    (width,) = widths
+    names = tuple(given) or (
+        ("RMSE",) if width == 1 else tuple(f"RMSE {i + 1}" for i in range(width))
+    )
+    if len(names) != width:
+        raise InputError(f"criteria names {len(names)}, the structures give {width}")
+    return names
+
+
+# ---- fits ---------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """Of one structure to one training set: losses of the records of each fold left out."""
+
+    losses: Mapping[int, Array]
+    seconds: float
+    failure: str = ""
+
+
+def _fitted(
+    structure: Structure,
+    training: Sequence[Trajectory],
+    tests: Mapping[int, Sequence[Trajectory]],
+) -> _Fitted:
+    """The work of one task; here or in another process."""
+    began = time.process_time()
+    try:
+        model = structure.fit(training)
+        seconds = time.process_time() - began
+        losses = {k: _losses(structure, model, test) for k, test in tests.items()}
+    except PamError as error:
+        return _Fitted({}, time.process_time() - began, f"{type(error).__name__}: {error}")
+    return _Fitted(losses, seconds)
+
+
+def _losses(structure: Structure, model: Any, records: Sequence[Trajectory]) -> Array:
+    found = np.asarray(structure.losses(model, records), dtype=float)
+    if found.ndim == 1:
+        found = found[:, None]
+    if found.ndim != 2 or len(found) != len(records):
+        raise InputError(
+            f"losses of {type(structure).__name__} have shape {found.shape} for {len(records)} "
+            "records; give one row for each"
+        )
+    return found
+
+
+def _fits(
+    structures: Mapping[str, Structure],
+    records: Sequence[Trajectory],
+    fold: NDArray[np.intp],
+    executor: Place,
+    progress: Callable[[int, int], None] | None,
+) -> dict[str, dict[tuple[int, ...], _Fitted]]:
+    """Every structure without every fold, and without every pair of folds (sorted)."""
+    count = int(fold.max()) + 1
+    left_out: list[tuple[int, ...]] = [(k,) for k in range(count)]
+    if len(structures) > 1:  # of one alone there is nothing to choose
+        left_out += itertools.combinations(range(count), 2)
+    # long fits first: the last worker is not left alone with one
+    tasks = [(n, out) for n in structures for out in left_out]
+    tasks.sort(key=lambda task: -structures[task[0]].complexity)
+
+    work = _Without(structures, records, fold)
+    found: dict[str, dict[tuple[int, ...], _Fitted]] = {n: {} for n in structures}
+    fits = ending(work, tasks, executor=executor, chunk=1, what="fits")
+    for done, (i, fitted) in enumerate(fits, start=1):
+        if isinstance(fitted, Exception):
+            raise fitted
+        name, out = tasks[i]
+        found[name][out] = fitted
+        if progress is not None:
+            progress(done, len(tasks))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Without:
+    """Structures and records; called with a structure's name and the folds that are left out."""
+
+    structures: Mapping[str, Structure]
+    records: Sequence[Trajectory]
+    fold: NDArray[np.intp]
+
+    def __call__(self, task: tuple[str, tuple[int, ...]]) -> _Fitted:
+        name, out = task
+        placed = list(zip(self.records, self.fold, strict=True))
+        training = [r for r, k in placed if k not in out]
+        tests = {i: [r for r, k in placed if k == i] for i in out}
+        return _fitted(self.structures[name], training, tests)
+
+
+def _gathered(
+    found: Mapping[str, Mapping[tuple[int, ...], _Fitted]],
+    name: str,
+    fold: NDArray[np.intp],
+    left_out: Sequence[tuple[int, ...]],
+) -> Array:
+    """Losses (n, m) of all records, each by the fit without the folds ``(judged, ...)``; infinite
+    where that failed.
+    """
+    fits = found[name]
+    width = max((x.shape[1] for f in fits.values() for x in f.losses.values()), default=1)
+    rows = np.full((len(fold), width), np.inf)
+    for out in left_out:
+        fitted = fits[tuple(sorted(out))]
+        if not fitted.failure:
+            rows[fold == out[0]] = fitted.losses[out[0]]
+    return rows
+
+
+# ---- the choice ---------------------------------------------------------------------------------
+def _pick(
+    prices: Mapping[str, float], losses: Mapping[str, Array], rule: Rule, level: float
+) -> tuple[str, dict[str, tuple[float, float, float]]]:
+    """The name that the rule takes, and (score, behind the best, its standard error) of each.
+
+    The criteria weigh alike: each is counted in parts of the least mean loss that any structure has
+    by it.
+    """
+    means = {n: mean_loss(x) for n, x in losses.items()}
+    usable = [n for n, m in means.items() if np.all(np.isfinite(m))]
+    if not usable:
+        raise FitError("no structure could be fitted to every fold and judged by every criterion")
+    least = np.maximum(np.min([means[n] for n in usable], axis=0), 1e-300)
+    scores = {n: float(np.mean(means[n] / least)) if n in usable else np.inf for n in losses}
+    best = min(usable, key=lambda n: (scores[n], prices[n]))
+    found, close = {}, []
+    for n, x in losses.items():
+        if n not in usable:
+            found[n] = (np.inf, np.inf, np.nan)
+            continue
+        gaps = (x - losses[best]) / least
+        # a record that only short horizons can judge counts with those
+        shares = gaps / np.maximum((~np.isnan(gaps)).sum(axis=0), 1)
+        rows = np.nansum(shares, axis=1) / len(least)
+        # one-sided: only those that are behind have something to prove
+        behind, error, half = paired(len(rows) * rows, 2 * level - 1)
+        found[n] = (scores[n], behind, error)
+        if behind <= half or n == best:
+            close.append(n)
+    winner = best if rule == "best" else min(close, key=lambda n: (prices[n], scores[n]))
+    return winner, found
+
+
+def _tried(
+    name: str,
+    price: float,
+    losses: Array,
+    ranked: tuple[float, float, float],
+    chosen: int,
+    fits: Mapping[tuple[int, ...], _Fitted],
+) -> Tried:
+    score, behind, error = ranked
+    return Tried(
+        name,
+        price,
+        mean_loss(losses),
+        score,
+        behind,
+        error,
+        chosen,
+        float(np.mean([f.seconds for f in fits.values()])),
+        tuple(f.failure for f in fits.values() if f.failure),
+        losses,
+    )

@@ -7,21 +7,32 @@ kept, whatever ends the search.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
+from ...core.errors import FitError, InputError
 from ...core.stop import TimeIsUp, check
 from ..statistics import Array
 
-__all__ = ["Descent", "Normal", "descend"]
+__all__ = ["GRACE", "Descent", "Normal", "Progress", "Report", "descend", "from_fewer", "reporter"]
 
+Result = TypeVar("Result")
+
+GRACE = 20.0
+"""For what is told of a fit that a time limit ended [s]."""
 LEAST, MOST = 1e-8, 1e8
 """Of the damping, in parts of the normal matrix' diagonal."""
+FIRST = 1e-3
+"""The same of the first step."""
 ENOUGH = 1e-5
 """Relative gain of a step below which the search ends."""
+FEWER = 6
+"""Fits with one unknown less that are tried as starts, at most."""
 TRIES = 8
 """Steps from one point, each damped more, before the search ends there."""
 
@@ -54,14 +65,19 @@ def descend(
     low: Array,
     high: Array,
     evaluations: int,
+    *,
+    enough: float = ENOUGH,
+    damping: float = FIRST,
     progress: Callable[[int, float, Array], None] | None = None,
 ) -> Descent:
     """Least squares from z; at most so many ``evaluations`` of the normal matrix.
 
-    progress : called as progress(evaluations, cost, z) at each new point. A time limit that ends
-    does not raise when there is a point to show.
+    enough : relative gain of a step below which the search ends. damping : of the first step, in
+    parts of the normal matrix' diagonal. progress : called as
+    progress(evaluations, cost, z) at each new point. A time limit that ends does not raise when
+    there is a point to show.
     """
-    z, damping, growth = np.clip(z, low, high), 1e-3, 4.0
+    z, growth = np.clip(z, low, high), 4.0
     best, count, damped = (problem.cost(z), z), 0, 0
     timed = False
     status, converged = f"stopped after {evaluations} evaluations", False
@@ -76,7 +92,7 @@ def descend(
                 check()
                 step = _step(z, gradient, square, damping, low, high)
                 expected = -(gradient @ step + step @ square @ step / 2)
-                if not expected > 1e-3 * ENOUGH * cost:
+                if not expected > 1e-3 * enough * cost:
                     break
                 trial = np.clip(z + step, low, high)
                 found = problem.cost(trial)
@@ -92,8 +108,8 @@ def descend(
                 break
             gain, z = (cost - found) / max(cost, 1e-300), trial
             best = (found, z)
-            if gain < ENOUGH:
-                status, converged = f"a step gains less than {ENOUGH:g} of the cost", True
+            if gain < enough:
+                status, converged = f"a step gains less than {enough:g} of the cost", True
                 break
     except TimeIsUp:
         if not count:
@@ -101,6 +117,30 @@ def descend(
         status = "the time limit ended the search; the best until then is kept"
         timed = True
     return Descent(best[1], best[0], count, status, converged, damped, timed)
+
+
+def from_fewer(
+    best: Result,
+    cost: Callable[[Result], float],
+    places: Sequence[int],
+    without: Callable[[int], Result],
+    again: Callable[[Result], Result],
+) -> Result:
+    """No freedom makes a fit worse: the same, or what is found from where a fit leads that has one
+    unknown less, where that is better.
+
+    without : the fit without the unknown at a place; again : with all of them, from there.
+    """
+    for place in list(places)[-FEWER:]:
+        try:
+            poorer = without(place)
+            if cost(poorer) < cost(best):
+                best = min(best, again(poorer), key=cost)
+        except FitError:
+            continue
+        except TimeIsUp:
+            break
+    return best
 
 
 def _step(
@@ -123,3 +163,29 @@ def _step(
         step[out] = np.clip(step[out], lower[out], upper[out])
         free &= ~out
     return np.asarray(step / scale)
+
+
+LOG = logging.getLogger(__name__)
+
+Report: TypeAlias = Callable[[str, int, float], Any]
+"""Called with the stage, its iterations until now, and the cost."""
+Progress: TypeAlias = "bool | Report"
+
+
+def reporter(progress: Progress) -> Report:
+    """What to call: nothing for False, a line on stderr for True, or the user's function."""
+    if callable(progress):
+        return progress
+    if not isinstance(progress, bool):
+        raise InputError(
+            f"progress = {progress!r}: give True to print, or a function (stage, iteration, cost)"
+        )
+    return _printed if progress else _logged
+
+
+def _logged(stage: str, count: int, cost: float) -> None:
+    LOG.debug("%s, iteration %d: cost %.6g", stage, count, cost)
+
+
+def _printed(stage: str, count: int, cost: float) -> None:
+    print(f"{stage:<28} {count:>5}  {cost:.6g}", file=sys.stderr, flush=True)

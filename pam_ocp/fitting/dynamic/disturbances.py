@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
-
 from ...core.errors import InputError
 from ...core.units import per_second
 from ...plants.plant import Plant
-from ...plants.undelayed import attributes_of
+from ...plants.undelayed import Redeclared
 
 __all__ = ["Disturbances", "disturbed"]
 
@@ -70,35 +68,17 @@ def disturbed(plant: Plant, names: Sequence[str], measured: Sequence[str]) -> Di
 
 
 def _with(plant: Plant, pushed: Sequence[str]) -> Plant:
-    made = Plant(plant.name, plant.description)
-    symbols: dict[str, ca.SX] = {}
-    defined = []
-    for v in plant.variables:
-        attributes = attributes_of(v)
-        if v.causality in ("output", "constraint"):
-            defined.append(v)
-        elif v.causality == "parameter":
-            symbols[v.name] = made.parameter(v.name, attributes.pop("start"), **attributes)
-        else:
-            declare = made.state if v.causality == "state" else made.input
-            symbols[v.name] = declare(v.name, **attributes)
-    own = list(made.states)
-    wanted = [f"der({v.name})" for v in own] + [v.name for v in defined]
-    found = ca.substitute(
-        [ca.vertcat(*map(plant.expression, wanted))],
-        [ca.vertcat(*map(plant.expression, symbols))],
-        [ca.vertcat(*symbols.values())],
-    )[0]
-    rates = dict(zip((v.name for v in own), ca.vertsplit(found), strict=False))
+    again = Redeclared(plant)
+    rates, pushes = again.equations(), {}
     for name in pushed:
         v = plant.variable(name)
-        push = made.state(
+        push = again.state(
             f"{name}.disturbance",
             unit=per_second(v.unit),
             nominal=RATE * v.nominal,
             description=f"not modelled, of the rate of {name}",
         )
-        forget = made.parameter(
+        forget = again.made.parameter(
             f"{name}.disturbance_rate",
             RATE,
             unit="1/s",
@@ -108,11 +88,5 @@ def _with(plant: Plant, pushed: Sequence[str]) -> Plant:
             description="with which it is forgotten",
         )
         rates[name] += push
-        rates[f"{name}.disturbance"] = -forget * push
-        symbols[f"{name}.disturbance"] = push
-    for name, rate in rates.items():
-        made.der(symbols[name], rate)
-    for v, value in zip(defined, ca.vertsplit(found)[len(own) :], strict=True):
-        attributes = {n: a for n, a in attributes_of(v).items() if n != "start"}
-        (made.output if v.causality == "output" else made.constraint)(v.name, value, **attributes)
-    return made
+        pushes[f"{name}.disturbance"] = -forget * push
+    return again.finished(rates | pushes)

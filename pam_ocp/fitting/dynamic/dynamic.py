@@ -9,9 +9,9 @@ the parameters.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,21 +26,29 @@ from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .between import decided, deviance
+from .descent import GRACE, Progress, Report, from_fewer, reporter
 from .estimation import (
     ORDERS,
     FitTask,
     NoInfluence,
     PlantEstimate,
     estimate,
+    outcome,
     require_influence,
 )
-from .experiment import groups, measured_names, prepare, recorded
-from .gauss_newton import GRACE, TIMED
-from .outcome import outcome
+from .experiment import (
+    ParameterGroup,
+    decided,
+    deviance,
+    groups,
+    measured_names,
+    named,
+    prepare,
+    recorded,
+)
+from .gauss_newton import TIMED
 from .plant_fit import ACCURATE, PlantFit
-from .progress import Progress, reporter
-from .transcribe import METHODS, FitMethod, Unknowns
+from .transcribe import METHODS, FitMethod, FitProblem, unknowns_with_starts
 
 __all__ = ["PlantFit", "fit_plant"]
 
@@ -54,12 +62,13 @@ CORRECTIONS = 8
 """Of a fit by what its integration is off by, at most."""
 POOR = 0.3
 """Error, in spreads of a measured variable, above which fits with one parameter less are tried as
-starts, ...
+starts.
 """
-FEWER = 6
-"""... at most so many."""
 NARROWING = 40
 """Iterations with roundings that are not the plant's own."""
+
+Found: TypeAlias = tuple[PlantFit, float]
+"""A fit and its deviance."""
 
 
 @verb
@@ -148,47 +157,36 @@ def fit_plant(
     began = time.perf_counter()
     chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
-    low, high = _delays(delay)
     noisy = _input_noise(plant, input_noise, noise)
     ways = _ways(plant, chosen, method, bool(noisy or process_noise))
-    unknowns = Unknowns(
-        groups(plant, free, bounds),
-        names,
-        _places("offsets", offsets, plant, names),
-        _places("gains", gains, plant, names),
-        low,
-        process=_process(plant, process_noise, ways[0], noise),
-    )
-    if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
-        raise InputError("free is empty: name at least one parameter of the plant")
-
-    roundings = _roundings(plant, widest, unknowns)
+    wanted = groups(plant, free, bounds)
     if iterations is not None:
         require_count("iterations", iterations)
+    asked = _Asked(
+        names,
+        _delays(delay),
+        {"gains": gains, "offsets": offsets},
+        _process(plant, process_noise, ways[0], noise),
+        _noise(plant, names, noise),
+        degree,
+        step,
+        _constant(plant, inputs),
+        noisy,
+        iterations,
+        reporter(progress),
+    )
+    if not (wanted or gains or offsets or asked.free_delay):
+        raise InputError("free is empty: name at least one parameter of the plant")
+    roundings = _roundings(plant, widest, wanted)
 
-    def by(way: FitMethod, ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
-        task = _task(plant, ran, unknowns, way, degree, step, high, inputs, noisy)
-        task = replace(task, iterations=iterations, report=reporter(progress))
-        sigma = _noise(plant, task, noise)
+    def by(way: FitMethod, ran: Sequence[Trajectory]) -> Found:
+        task = asked.task(plant, ran, wanted, way)
+        sigma = asked.sigma(task)
         if way != "simulation":  # which meets kinks as they are
-            task = _narrowed(task, sigma, (low, high), roundings)
-        return _fitted(task, sigma, (low, high), noise is not None, degree)
+            task = _narrowed(task, sigma, asked.delays, roundings)
+        return _fitted(asked, task, sigma)
 
-    def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
-        found = at_first(ran)
-        many = len(unknowns.groups) > 1
-        if not many or found[0].status == TIMED or not _poor(found[0]) or process_noise or noisy:
-            return found
-        return _not_worse(found, unknowns, lambda u, p: again(found[0].method, ran, u, p))
-
-    def again(
-        way: FitMethod, ran: Sequence[Trajectory], u: Unknowns, start: Plant
-    ) -> tuple[PlantFit, float]:
-        task = _task(start, ran, u, way, degree, step, high, inputs, noisy)
-        task = replace(task, iterations=iterations, report=reporter(progress))
-        return _fitted(task, _noise(plant, task, noise), (low, high), noise is not None, degree)
-
-    def at_first(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
+    def at_first(ran: Sequence[Trajectory]) -> Found:
         first, *rest = ways
         try:
             found = by(first, ran)
@@ -199,9 +197,87 @@ def fit_plant(
                 raise
         return by(rest[0], ran)
 
+    def fitted(ran: Sequence[Trajectory]) -> Found:
+        found = at_first(ran)
+        many = len(wanted) > 1
+        if not many or found[0].status == TIMED or not _poor(found[0]) or process_noise or noisy:
+            return found
+        return _not_worse(asked, found, ran, wanted)
+
     fit, between, words = decided(plant, chosen, fitted)
     seconds = time.perf_counter() - began
     return replace(fit, seconds=seconds, interpolation=between, inputs_ran=words)
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What is asked of records, whatever the plant's values and the method.
+
+    delays : [s], lowest and highest. sensors : names by argument of :func:`unknowns_of`. noise : in
+    nominals, where it is known.
+    """
+
+    names: Sequence[str]
+    delays: tuple[float, float]
+    sensors: Mapping[str, Sequence[str]]
+    process: Sequence[tuple[int, float]]
+    noise: Array | None
+    degree: int | None
+    step: float | None
+    inputs: Mapping[str, float]
+    input_noise: Mapping[str, float]
+    iterations: int | None
+    report: Report
+
+    @property
+    def free_delay(self) -> bool:
+        return self.delays[0] < self.delays[1]
+
+    def task(
+        self,
+        plant: Plant,
+        records: Sequence[Trajectory],
+        wanted: Sequence[ParameterGroup],
+        method: Any,
+    ) -> FitTask:
+        if method not in METHODS:
+            raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
+        if self.step is not None:
+            require_positive("step", self.step, "s")
+        order = ORDERS[method][0] if self.degree is None else self.degree
+        require_count("degree", order, 1, 9)
+        low, high = self.delays
+        experiments = [
+            prepare(plant, r, self.names, high, self.step, self.inputs, self.input_noise)
+            for r in records
+        ]
+        width = max(e.coefficients.shape[1] for e in experiments)
+        if not self.input_noise:  # held and joined inputs side by side
+            experiments = [
+                replace(e, coefficients=_padded(e.coefficients, width)) for e in experiments
+            ]
+        delay = self.delays if self.free_delay else low
+        unknowns = unknowns_with_starts(
+            plant, wanted, self.names, experiments, delay=delay, **self.sensors
+        )
+        return FitTask(
+            FitProblem(plant, experiments, self.names, unknowns, low, self.process),
+            method,
+            order,
+            self.step,
+            self.inputs,
+            self.input_noise,
+            self.iterations,
+            self.report,
+        )
+
+    def sigma(self, task: FitTask) -> Array:
+        """Standard deviations in nominals; at first a part of what each variable spreads over."""
+        if self.noise is not None:
+            return self.noise
+        measured = np.concatenate([e.measured for e in task.problem.experiments])
+        spread = measured.std(axis=0) / task.problem.nominal
+        return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
 
 
 def _ways(plant: Plant, records: Sequence[Trajectory], method: Any, noisy: bool) -> list[FitMethod]:
@@ -227,57 +303,41 @@ def _poor(fit: PlantFit) -> bool:
 
 
 def _not_worse(
-    found: tuple[PlantFit, float],
-    unknowns: Unknowns,
-    fitted: Callable[[Unknowns, Plant], tuple[PlantFit, float]],
-) -> tuple[PlantFit, float]:
-    """The same, or what is found from where a fit leads that has one parameter less: no freedom
-    makes a fit worse.
-    """
-    best, plant = found, found[0].plant
-    start = {plant.parameters[m].name: g.value for g in unknowns.groups for m in g.members}
-    for j in range(len(unknowns.groups))[-FEWER:]:
-        fewer = [g for i, g in enumerate(unknowns.groups) if i != j]
-        try:
-            poorer = fitted(replace(unknowns, groups=fewer), plant.with_values(start))
-            if not poorer[1] < best[1]:
-                continue
-            values = {v.name: float(v.start or 0.0) for v in poorer[0].plant.parameters}
-            groups_ = [
-                replace(
-                    g,
-                    value=float(
-                        np.clip(values[plant.parameters[g.members[0]].name], g.low, g.high)
-                    ),
-                )
-                for g in unknowns.groups
-            ]
-            richer = fitted(replace(unknowns, groups=groups_), poorer[0].plant)
-        except FitError:
-            continue
-        if richer[1] < best[1]:
-            best = richer
-    return best
+    asked: _Asked, found: Found, records: Sequence[Trajectory], wanted: Sequence[ParameterGroup]
+) -> Found:
+    """The same, or what is found from where fits with one parameter less lead."""
+    plant, way = found[0].plant, found[0].method
+    start = {plant.parameters[m].name: g.value for g in wanted for m in g.members}
+
+    def fitted(at: Plant, free: Sequence[ParameterGroup]) -> Found:
+        task = asked.task(at, records, free, way)
+        return _fitted(asked, task, asked.sigma(task))
+
+    def without(j: int) -> Found:
+        return fitted(plant.with_values(start), [g for i, g in enumerate(wanted) if i != j])
+
+    def again(poorer: Found) -> Found:
+        at = [float(v.start or 0.0) for v in poorer[0].plant.parameters]
+        free = [replace(g, value=float(np.clip(at[g.members[0]], g.low, g.high))) for g in wanted]
+        return fitted(poorer[0].plant, free)
+
+    return from_fewer(found, lambda f: f[1], range(len(wanted)), without, again)
 
 
-def _fitted(
-    task: FitTask, sigma: Array, delays: tuple[float, float], known: bool, degree: int | None
-) -> tuple[PlantFit, float]:
-    """The fit, and its deviance. known : whether ``sigma`` was given."""
-    low, high = delays
-    process = bool(task.unknowns.process)
-    require_influence(task, task.program(low, None), sigma)
+def _fitted(asked: _Asked, task: FitTask, sigma: Array) -> Found:
+    """The fit, and its deviance."""
+    delays, known = asked.delays, asked.noise is not None
+    process = bool(asked.process)
+    require_influence(task, task.program(delays[0]), sigma)
     found = estimate(task, sigma, delays, known)
-    with spared(GRACE if found.solution.timed else 0.0):
-        fit = outcome(task, found, high > low)
-    for order in ORDERS[task.method][1:] if degree is None else ():
+    fit = _told(task, found)
+    for order in ORDERS[task.method][1:] if asked.degree is None else ():
         if found.solution.timed or (fit.integration_error < ACCURATE and not process):
             break
         before, error = found.solution.residuals, fit.integration_error
         task = task.refined(found, order)
         found = estimate(task, found.sigma, delays, known, found.delay)
-        with spared(GRACE if found.solution.timed else 0.0):
-            fit = outcome(task, found, high > low)
+        fit = _told(task, found)
         if process and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
             break
         if not process and fit.integration_error > SLOW * error:
@@ -285,7 +345,12 @@ def _fitted(
     if not process:
         found, fit = _deferred(task, found, fit, delays, known)
     jumps = float(np.sum(found.solution.jumps**2))
-    return fit, deviance(found.solution.residuals, sigma if known else None) + jumps
+    return fit, deviance(found.solution.residuals, asked.noise) + jumps
+
+
+def _told(task: FitTask, found: PlantEstimate) -> PlantFit:
+    with spared(GRACE if found.solution.timed else 0.0):
+        return outcome(task, found)
 
 
 def _deferred(
@@ -296,20 +361,20 @@ def _deferred(
 
     At the fixed point the residuals are those of an accurate simulation, whatever the degree.
     """
-    exact = [e.measured for e in task.experiments]
+    exact = [e.measured for e in task.problem.experiments]
     for _ in range(CORRECTIONS):
         if found.solution.timed or fit.integration_error < ACCURATE:
             break
         experiments = []
         for e, own, left, run in zip(
-            task.experiments, exact, fit.residuals, fit.simulated, strict=True
+            task.problem.experiments, exact, fit.residuals, fit.simulated, strict=True
         ):
             simulated = run.array(list(fit.measured))[-len(left) :]
             experiments.append(replace(e, measured=own + (e.measured - left) - simulated))
-        moved = replace(task, experiments=experiments).refined(found, task.degree)
+        problem = replace(task.problem, experiments=experiments)
+        moved = replace(task, problem=problem).refined(found, task.degree)
         again = estimate(moved, found.sigma, delays, known, found.delay)
-        with spared(GRACE if again.solution.timed else 0.0):
-            better = outcome(moved, again, delays[1] > delays[0])
+        better = _told(moved, again)
         if not better.integration_error < fit.integration_error:
             break
         task, found, fit = moved, again, better
@@ -317,10 +382,10 @@ def _deferred(
 
 
 def _roundings(
-    plant: Plant, given: Mapping[str, float] | bool, unknowns: Unknowns
+    plant: Plant, given: Mapping[str, float] | bool, wanted: Sequence[ParameterGroup]
 ) -> dict[str, float]:
     """Widths with which the search begins, of parameters that are not sought themselves."""
-    sought = {plant.parameters[m].name for g in unknowns.groups for m in g.members}
+    sought = {plant.parameters[m].name for g in wanted for m in g.members}
     if isinstance(given, bool):
         declared = {v.name: v.widest for v in plant.parameters if given and v.widest > 0}
         found = {n: w for n, w in declared.items() if w > float(plant.variable(n).start or 0.0)}
@@ -336,7 +401,7 @@ def _narrowed(
     task: FitTask, sigma: Array, delays: tuple[float, float], widths: Mapping[str, float]
 ) -> FitTask:
     """The task, starting from what was found with wide roundings, step by step down to its own."""
-    plant = task.plant
+    plant = task.problem.plant
     own = {n: float(plant.variable(n).start or 0.0) for n in widths}
     delay = None
     for part in (0.0, 0.5) if widths else ():
@@ -346,14 +411,16 @@ def _narrowed(
         }
         stage = replace(
             task,
-            plant=plant.with_values(wide),
+            problem=replace(task.problem, plant=plant.with_values(wide)),
             iterations=min(task.iterations or NARROWING, NARROWING),
         )
         found = estimate(stage, sigma, delays, True, delay)
         if not found.solution.found:
             break  # where this led is no better a start than the plant's own values
         delay = found.delay if delays[0] < delays[1] else None
-        task = replace(stage.refined(found, stage.degree), plant=plant, iterations=task.iterations)
+        stage = stage.refined(found, stage.degree)
+        problem = replace(stage.problem, plant=plant)
+        task = replace(stage, problem=problem, iterations=task.iterations)
     return task
 
 
@@ -368,22 +435,6 @@ def _delays(delay: Any) -> tuple[float, float]:
         return low, high
     value = require_positive("delay", delay, "s", zero=True)
     return value, value
-
-
-def _places(
-    argument: str, given: Sequence[str], plant: Plant, names: Sequence[str]
-) -> tuple[int, ...]:
-    if isinstance(given, str):
-        given = [given]
-    found = []
-    for name in given:
-        known = plant.variable(name).name
-        if known not in names:
-            raise InputError(
-                f"{argument}: {known} is not measured; measured are {', '.join(names)}"
-            )
-        found.append(names.index(known))
-    return tuple(found)
 
 
 def _process(
@@ -404,13 +455,9 @@ def _process(
         )
     order, found = [v.name for v in plant.states], []
     for name, value in given.items():
-        variable = plant.variable(name)
-        if variable.name not in order:
-            raise InputError(
-                f"process_noise: {variable.name} is a {variable.causality}, not a state"
-            )
-        size = require_positive(f"process_noise[{name!r}]", value, f"{variable.unit}/sqrt(s)")
-        found.append((order.index(variable.name), size))
+        v = named("process_noise", name, plant, "state")
+        size = require_positive(f"process_noise[{name!r}]", value, f"{v.unit}/sqrt(s)")
+        found.append((order.index(v.name), size))
     return tuple(found)
 
 
@@ -424,45 +471,16 @@ def _input_noise(
         )
     found = {}
     for name, value in (given or {}).items():
-        variable = plant.variable(name)
-        if variable.causality != "input":
-            raise InputError(
-                f"input_noise: {variable.name} is a {variable.causality}, not an input"
-            )
-        found[variable.name] = require_positive(f"input_noise[{name!r}]", value, variable.unit)
+        v = named("input_noise", name, plant, "input")
+        found[v.name] = require_positive(f"input_noise[{name!r}]", value, v.unit)
     return found
 
 
-def _task(
-    plant: Plant,
-    records: Sequence[Trajectory],
-    unknowns: Unknowns,
-    method: Any,
-    degree: int | None,
-    step: float | None,
-    longest_delay: float,
-    inputs: Mapping[str, float] | None,
-    input_noise: Mapping[str, float],
-) -> FitTask:
-    if method not in METHODS:
-        raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
-    if step is not None:
-        require_positive("step", step, "s")
-    order = ORDERS[method][0] if degree is None else degree
-    require_count("degree", order, 1, 9)
-    constant = {}
-    for name, value in (inputs or {}).items():
-        if plant.variable(name).causality != "input":
-            raise InputError(f"inputs: {name} is a {plant.variable(name).causality}, not an input")
-        constant[plant.variable(name).name] = require_finite(name, value)
-    experiments = [
-        prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise)
-        for r in records
-    ]
-    width = max(e.coefficients.shape[1] for e in experiments)
-    if not input_noise:  # held and joined inputs side by side
-        experiments = [replace(e, coefficients=_padded(e.coefficients, width)) for e in experiments]
-    return FitTask(plant, experiments, unknowns, method, order, step, constant, input_noise)
+def _constant(plant: Plant, given: Mapping[str, float] | None) -> dict[str, float]:
+    return {
+        named("inputs", name, plant, "input").name: require_finite(name, value)
+        for name, value in (given or {}).items()
+    }
 
 
 def _padded(coefficients: Array, width: int) -> Array:
@@ -470,15 +488,12 @@ def _padded(coefficients: Array, width: int) -> Array:
     return np.pad(coefficients, ((0, 0), (0, width - coefficients.shape[1]), (0, 0)))
 
 
-def _noise(plant: Plant, task: FitTask, noise: Mapping[str, float] | None) -> Array:
-    """Standard deviations in nominals; at first a part of what each variable spreads over."""
-    names = task.unknowns.names
-    nominal = np.array([plant.variable(n).nominal for n in names])
+def _noise(plant: Plant, names: Sequence[str], noise: Mapping[str, float] | None) -> Array | None:
+    """Standard deviations in nominals, if they are known."""
     if noise is None:
-        spread = np.concatenate([e.measured for e in task.experiments]).std(axis=0) / nominal
-        return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
+        return None
     given = {plant.variable(n).name: require_positive("noise", v) for n, v in noise.items()}
     missing = [n for n in names if n not in given]
     if missing:
         raise InputError(f"noise: {missing[0]} is measured too; give its standard deviation")
-    return np.asarray(np.array([given[n] for n in names]) / nominal)
+    return np.array([given[n] / plant.variable(n).nominal for n in names])

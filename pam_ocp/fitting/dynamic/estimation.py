@@ -1,5 +1,5 @@
-"""Estimation: is there anything to learn, which delay, and a solution as accurate as the noise
-asks.
+"""Estimation: is there anything to learn, which delay, a solution as accurate as the noise asks;
+and from there to a PlantFit: statistics of the unknowns, simulations of the records.
 """
 
 from __future__ import annotations
@@ -10,13 +10,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...core.errors import FitError
+from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
-from ..statistics import Array
-from .experiment import Experiment
+from ...simulation.compare import RecordComparison, compare_with_record
+from ..statistics import Array, Linearisation
+from .descent import Report
+from .experiment import Experiment, measured_names, prepare, recorded
 from .gauss_newton import GaussNewtonResult, reduced_jacobian, solve
-from .progress import Report
-from .simulated import SimulatedProgram
-from .transcribe import FitMethod, FitProgram, Unknowns, transcribe
+from .plant_fit import PlantFit
+from .rig import Rig
+from .transcribe import (
+    FitMethod,
+    FitProblem,
+    FitProgram,
+    SimulatedProgram,
+    sensed,
+    transcribe,
+    unknowns_with_starts,
+    usual,
+)
 
 __all__ = [
     "ORDERS",
@@ -24,8 +36,9 @@ __all__ = [
     "NoInfluence",
     "PlantEstimate",
     "estimate",
-    "head_names",
+    "outcome",
     "require_influence",
+    "validate",
 ]
 
 SCANNED_DELAYS = 5
@@ -53,11 +66,9 @@ class NoInfluence(FitError):
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """What is to be solved, for any delay."""
+    """A problem and how it is solved."""
 
-    plant: Plant
-    experiments: Sequence[Experiment]
-    unknowns: Unknowns
+    problem: FitProblem
     method: FitMethod
     degree: int
     step: float | None = None
@@ -68,44 +79,39 @@ class FitTask:
     report: Report | None = None
 
     def program(
-        self, delay: float, bounds: tuple[float, float] | None
+        self, delay: float, bounds: tuple[float, float] | None = None
     ) -> FitProgram | SimulatedProgram:
         """The program at a delay, or with one that is free within bounds."""
-        unknowns = replace(self.unknowns, delay=delay, delay_bounds=bounds)
+        problem, u = self.problem, self.problem.unknowns
+        if u.delays:
+            low, high = bounds or (delay, delay)
+            problem = replace(problem, unknowns=u.moved("delays", delay, low, high))
         if self.method == "simulation":
-            return SimulatedProgram(self.plant, self.experiments, unknowns)
-        return transcribe(self.plant, self.experiments, unknowns, self.method, self.degree)
+            return SimulatedProgram(problem)
+        return transcribe(problem, self.method, self.degree)
 
     def refined(self, estimate: PlantEstimate, order: int) -> FitTask:
         """The same with another degree, starting from what an estimate found."""
-        w, plant = estimate.solution.w, self.plant
-        values = (
-            w[: len(self.unknowns.groups)]
-            * estimate.program.head_scale[: len(self.unknowns.groups)]
+        problem, w, head = self.problem, estimate.solution.w, estimate.program.head
+        nx, x_nominal = (
+            len(problem.plant.states),
+            problem.plant.vector("state", attribute="nominal"),
         )
-        found = [
-            replace(g, value=float(np.clip(v, g.low, g.high)))
-            for g, v in zip(self.unknowns.groups, values, strict=True)
-        ]
-        nx, x_nominal = len(plant.states), plant.vector("state", attribute="nominal")
-        head, first, experiments = estimate.program.head, 0, list(self.experiments)
-        x0 = w[head - nx * len(experiments) : head].reshape(-1, nx) * x_nominal
         per = nx * (self.degree if self.method == "collocation" else 1)
         inner = w[head : w.size - estimate.program.jumps]
         ends = inner.reshape(-1, per)[:, -nx:] * x_nominal  # none in single shooting
-        for r, e in enumerate(experiments):
+        u, first, experiments = problem.unknowns, 0, []
+        starts = (w[:head] * u.scale)[u.shared :].reshape(-1, nx)
+        for e, start in zip(problem.experiments, starts, strict=True):
             states = e.states.copy()
-            states[0] = x0[r]
+            states[0] = start
             if ends.size:
                 states[1:] = ends[first : first + len(e.mesh) - 1]
             first += len(e.mesh) - 1
-            experiments[r] = replace(e, states=states)
-        return replace(
-            self,
-            experiments=experiments,
-            unknowns=replace(self.unknowns, groups=found),
-            degree=order,
-        )
+            experiments.append(replace(e, states=states))
+        unknowns = replace(u, guess=np.clip(w[:head], u.low, u.high))
+        moved = replace(problem, experiments=experiments, unknowns=unknowns)
+        return replace(self, problem=moved, degree=order)
 
     def solved(
         self,
@@ -121,7 +127,7 @@ class FitTask:
 
     @property
     def usual(self) -> float:
-        return float(np.median(np.concatenate([np.diff(e.mesh) for e in self.experiments])))
+        return usual(self.problem.experiments)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +166,10 @@ def estimate(
             sigma = last  # exact records: the rest is rounding, and weighs too much to go on
             break
         program, solution = again, weighed
-        found = _delay_of(task, program, solution, found)
+        found = task.problem.delay(solution.w)
     if not solution.found and not solution.timed and task.iterations is None:
         raise FitError(
-            f"the fit of {task.plant.name!r} came to no solution ({solution.status} after "
+            f"the fit of {task.problem.plant.name!r} came to no solution ({solution.status} after "
             f"{solution.iterations} iterations); start nearer with plant.with_values(...), free "
             "fewer parameters or give bounds"
         )
@@ -171,31 +177,20 @@ def estimate(
 
 
 # ---- is there anything to learn ------------------------------------------------------------------
-def head_names(task: FitTask, delay: bool) -> list[str]:
-    u = task.unknowns
-    names = [g.name for g in u.groups]
-    names += [f"{u.names[i]}.gain" for i in u.gains] + [f"{u.names[i]}.offset" for i in u.offsets]
-    names += ["delay"] if delay else []
-    several = len(task.experiments) > 1
-    for r in range(len(task.experiments)):
-        where = f", record {r + 1}" if several else ""
-        names += [f"{v.name}(0{where})" for v in task.plant.states]
-    return names
-
-
 def require_influence(task: FitTask, program: FitProgram | SimulatedProgram, sigma: Array) -> None:
     """Refuse parameters that nothing measured depends on, and inputs that do not move."""
     jacobian = reduced_jacobian(program, 1 / sigma, program.guess)
-    names = head_names(task, False)[: len(task.unknowns.groups)]
+    problem = task.problem
+    names = [g.name for g in problem.unknowns.groups]
     lengths = np.linalg.norm(jacobian, axis=0)
     if not np.all(np.isfinite(lengths)):
         raise FitError("the plant's start values give no finite motion; set them with with_values")
     least = (BLIND_BY_RUNS if task.method == "simulation" else BLIND) * lengths.max()
     blind = [n for n, size in zip(names, lengths, strict=False) if size <= least]
-    still = all(_constant(e) for e in task.experiments)
+    still = all(_constant(e) for e in problem.experiments)
     if blind and not still:
         raise NoInfluence(
-            f"{', '.join(blind)}: no influence on {', '.join(task.unknowns.names)} in these "
+            f"{', '.join(blind)}: no influence on {', '.join(problem.measured)} in these "
             "records; leave it out of free, or measure something that depends on it (in a "
             "symmetric pair an equal constant of both muscles cancels)"
         )
@@ -226,34 +221,22 @@ def _around(task: FitTask, delay: float, limits: tuple[float, float]) -> tuple[f
     return max(limits[0], delay - task.usual), min(limits[1], delay + task.usual)
 
 
-def _delay_of(
-    task: FitTask, program: FitProgram | SimulatedProgram, solution: GaussNewtonResult, known: float
-) -> float:
-    u = task.unknowns
-    place = len(u.groups) + len(u.gains) + len(u.offsets)
-    free = program.head - place - len(task.experiments) * len(task.plant.states)
-    return float(solution.w[place] * program.head_scale[place]) if free else known
-
-
 def _seek_delay(
     task: FitTask, sigma: Array, limits: tuple[float, float], start: float | None
 ) -> tuple[GaussNewtonResult, FitProgram | SimulatedProgram, float]:
     """Solve at a few fixed delays, then let the best one move until it stays within an interval."""
     low, high = limits
     if low == high:
-        program = task.program(low, None)
+        program = task.program(low)
         return task.solved(program, 1 / sigma, program.guess, "fit"), program, low
     if start is None:
         delay, w = _scanned(task, sigma, limits)
     else:
-        delay, w = start, task.program(start, _around(task, start, limits)).guess
-    place = len(task.unknowns.groups) + len(task.unknowns.gains) + len(task.unknowns.offsets)
+        delay, w = start, task.program(start).guess
     for _ in range(int(np.ceil((high - low) / task.usual)) + 3):
-        bounds = _around(task, delay, limits)
-        program = task.program(delay, bounds)
-        w = np.insert(w, place, delay / task.usual) if w.size < program.guess.size else w
+        program = task.program(delay, _around(task, delay, limits))
         solution = task.solved(program, 1 / sigma, w, "delay", 6 * SCAN_ITERATIONS)
-        w, moved = solution.w, _delay_of(task, program, solution, delay)
+        w, moved = solution.w, task.problem.delay(solution.w)
         settled = abs(moved - delay) < 0.5 * task.usual
         delay = moved
         if settled or solution.timed:
@@ -263,15 +246,15 @@ def _seek_delay(
         return solution, program, delay
     program = task.program(delay, _around(task, delay, limits))
     solution = task.solved(program, 1 / sigma, w, "fit")
-    return solution, program, _delay_of(task, program, solution, delay)
+    return solution, program, task.problem.delay(solution.w)
 
 
 def _scanned(task: FitTask, sigma: Array, limits: tuple[float, float]) -> tuple[float, Array]:
     """The best of a few fixed delays, followed for some iterations, and the unknowns there."""
     best: tuple[float, float, Array] | None = None
-    guess = task.program(limits[0], None).guess
+    guess = task.program(limits[0]).guess
     for delay in np.linspace(*limits, SCANNED_DELAYS):
-        program = task.program(float(delay), None)
+        program = task.program(float(delay))
         answer = task.solved(program, 1 / sigma, guess, f"delay {delay:.3g} s", SCAN_ITERATIONS)
         cost = float(np.sum((answer.residuals / sigma) ** 2))
         if best is None or cost < best[0]:
@@ -281,3 +264,156 @@ def _scanned(task: FitTask, sigma: Array, limits: tuple[float, float]) -> tuple[
             break
     assert best is not None
     return best[1], best[2]
+
+
+# ---- what comes of it -------------------------------------------------------------------------
+def outcome(task: FitTask, estimate: PlantEstimate) -> PlantFit:
+    """Statistics, fitted plant and simulations of a solution."""
+    solution, sigma, problem = estimate.solution, estimate.sigma, task.problem
+    plant, u, names, nominal = problem.plant, problem.unknowns, problem.measured, problem.nominal
+    head = solution.w[: estimate.program.head]
+    ends = [(g.low, g.high) for g in u.groups for _ in g.members]
+    found = u.parameters(plant, head).items()
+    fitted = plant.with_values(
+        {n: float(np.clip(v, *within)) for (n, v), within in zip(found, ends, strict=True)}
+    )
+    rig, starts = u.rig(plant, names, Rig(), head), u.begins(plant, head)
+    sizes = np.cumsum([len(e.t) for e in problem.experiments])[:-1]
+    residuals = tuple(np.split(solution.residuals * nominal, sizes))
+    simulated = (
+        _smoothed(problem, residuals)
+        if problem.process
+        else tuple(
+            _simulated(fitted, e, s, estimate.delay, names, rig)
+            for e, s in zip(_corrected(problem, solution.jumps), starts, strict=True)
+        )
+    )
+    if solution.timed and not problem.process:
+        # the states of a search that did not end need not move as the plant does
+        residuals = tuple(
+            e.record.array(names)[-len(e.t) :] - s.array(names)
+            for e, s in zip(problem.experiments, simulated, strict=True)
+        )
+        solution = replace(solution, residuals=np.concatenate(residuals) / nominal)
+    # of a smoothed motion the residuals are smaller than the noise, which is given then
+    scatter = sigma if problem.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
+    linearisation, at_bound = _linearised(problem, replace(estimate, solution=solution))
+    return PlantFit(
+        plant=fitted,
+        records=tuple(e.record for e in problem.experiments),
+        simulated=simulated,
+        measured=tuple(names),
+        parameters=u.names[: u.shared],
+        linearisation=linearisation,
+        delay=estimate.delay,
+        offsets=rig.offsets,
+        gains=rig.gains,
+        starts=tuple(starts),
+        noise=dict(zip(names, (scatter * nominal).tolist(), strict=True)),
+        residuals=residuals,
+        descriptions={g.name: g.description for g in u.groups},
+        at_bound=at_bound,
+        method=task.method,
+        degree=task.degree,
+        step=task.step,
+        inputs=task.inputs,
+        process_noise={plant.states[i].name: size for i, size in problem.process},
+        input_noise=task.input_noise,
+        status=solution.status,
+        iterations=solution.iterations,
+        seconds=0.0,
+    )
+
+
+def _linearised(
+    problem: FitProblem, estimate: PlantEstimate
+) -> tuple[Linearisation, tuple[str, ...]]:
+    """The unknowns with their statistics, and which of them ended at a bound."""
+    solution, program, sigma = estimate.solution, estimate.program, estimate.sigma
+    u = problem.unknowns
+    jacobian = reduced_jacobian(program, 1 / sigma, solution.w)
+    w, low, high = (a[: program.head] for a in (solution.w, program.low, program.high))
+    tight = (w - low < 1e-6) | (high - w < 1e-6)
+    tight[len(u.groups) : u.shared] = False
+    dof = max(solution.residuals.size - len(u.names) + int(tight.sum()), 0)
+    squares = float(np.sum((solution.residuals / sigma) ** 2) + np.sum(solution.jumps**2))
+    values = w * u.scale
+    values[u.places("gains")] += 1.0
+    linearisation = Linearisation(
+        list(u.names),
+        values,
+        list(u.units),
+        jacobian / program.head_scale,
+        np.sqrt(squares / max(dof, 1)),
+        dof,
+        np.eye(len(u.names))[tight] if tight.any() else None,
+    )
+    return linearisation, tuple(n for n, edge in zip(u.names, tight, strict=True) if edge)
+
+
+def _corrected(problem: FitProblem, jumps: Array) -> list[Experiment]:
+    """The records with their inputs as estimated;
+    errors of inputs stand at the end of the jumps.
+    """
+    first = jumps.size - sum(e.errors.count for e in problem.experiments if e.errors is not None)
+    found = []
+    for e in problem.experiments:
+        if e.errors is not None:
+            own = jumps[first : first + e.errors.count]
+            first += e.errors.count
+            e = replace(e, coefficients=e.errors.added(e.coefficients, own))
+        found.append(e)
+    return found
+
+
+def _smoothed(problem: FitProblem, residuals: Sequence[Array]) -> tuple[Trajectory, ...]:
+    """The most probable motions, as the sensors would have shown them without noise."""
+    variables = [problem.plant.variable(n) for n in problem.measured]
+    return tuple(
+        Trajectory(
+            e.t, {v.name: e.measured[:, i] - r[:, i] for i, v in enumerate(variables)}, variables
+        )
+        for e, r in zip(problem.experiments, residuals, strict=True)
+    )
+
+
+def _simulated(
+    plant: Plant,
+    experiment: Experiment,
+    start: Mapping[str, float],
+    delay: float,
+    names: Sequence[str],
+    rig: Rig,
+) -> Trajectory:
+    """The plant under the measured inputs, as its sensors would have shown it."""
+    run = sensed(plant, experiment, start, delay, names, rig)
+    columns = dict(zip(names, run.T, strict=True))
+    return Trajectory(experiment.t, columns, [plant.variable(n) for n in names])
+
+
+def _replay(fit: PlantFit, record: Trajectory) -> Trajectory:
+    """The fitted plant along another record, only its initial states estimated from it."""
+    names = measured_names(fit.plant, [record], fit.measured)
+    corrected = {
+        n: (record[n] - fit.offsets.get(n, 0.0)) / fit.gains.get(n, 1.0) for n in record.names
+    }
+    between = record.interpolation if record.interpolation_known else fit.interpolation
+    clean = Trajectory(record.t, corrected, record.variables, between)
+    noisy = {n: s for n, s in fit.input_noise.items() if n in clean}
+    experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs, noisy)
+    unknowns = unknowns_with_starts(fit.plant, [], names, [experiment])
+    problem = FitProblem(fit.plant, [experiment], names, unknowns, fit.delay)
+    task = FitTask(problem, fit.method, fit.degree)
+    sigma = np.maximum(np.array([fit.noise[n] for n in names]) / problem.nominal, 1e-9)
+    program = task.program(fit.delay)
+    solution = solve(program, 1 / sigma, program.guess)
+    (start,) = unknowns.begins(fit.plant, solution.w[: program.head])
+    (experiment,) = _corrected(problem, solution.jumps)
+    rig = Rig(gains=fit.gains, offsets=fit.offsets)
+    return _simulated(fit.plant, experiment, start, fit.delay, names, rig)
+
+
+def validate(fit: PlantFit, records: Trajectory | Sequence[Trajectory]) -> list[RecordComparison]:
+    """See :meth:`PlantFit.validate`."""
+    chosen = recorded(records)
+    return [compare_with_record(_replay(fit, r), r, fit.measured) for r in chosen]

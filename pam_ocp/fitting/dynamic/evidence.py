@@ -8,7 +8,7 @@ nuisance: they are projected out of each motion by itself, so there may be many 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,12 +17,11 @@ from ...core.errors import FitError, PamError
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .experiment import ParameterGroup
-from .fineness import LEAST_STEPS, MOST_STEPS
-from .hidden import settled_starts
+from .experiment import ParameterGroup, with_inputs
 from .rig import Rig, RunUnknowns
 from .rollout import Rollout
-from .runs import Runs, runs_of
+from .run_statistics import LEAST_STEPS, MOST_STEPS
+from .runs import Runs, runs_of, settled_starts
 from .suspects import Suspect, suspected
 
 __all__ = ["Evidence", "Motion", "evidence_of"]
@@ -128,7 +127,18 @@ def evidence_of(
     values. None where the plant cannot be followed through the records.
     """
     try:
-        case = _case(plant, records, outputs, unknowns, rig, z, LEAST_STEPS)
+        still = {v.name: float(v.start or 0.0) for v in plant.inputs}
+        # only what belongs to the model: no observer, and every motion with a start of its own
+        case = _Case(
+            plant,
+            [with_inputs(plant, r, still) for r in records],
+            outputs,
+            unknowns.groups,
+            unknowns.of_motions(plant, 0),
+            replace(rig, corrections={}, starts={}),
+            np.asarray(z)[unknowns.of_model],
+            LEAST_STEPS,
+        )
         runs, x0 = _followed(case)
         z, x0 = _least_squares(case, runs, runs, case.z, x0)
         fine, ready = runs, _with_starts(case, runs)
@@ -152,71 +162,9 @@ def evidence_of(
         return None
 
 
-def _case(
-    plant: Plant,
-    records: Sequence[Trajectory],
-    outputs: Sequence[str],
-    u: RunUnknowns,
-    rig: Rig,
-    z: Array,
-    steps: int,
-) -> _Case:
-    """Only what belongs to the model: no observer, and every motion with a start of its own."""
-    kept = [*u.places("groups"), *u.places("delays"), *u.places("gains"), *u.places("offsets")]
-    x_nominal = plant.vector("state", attribute="nominal")
-    nx = len(x_nominal)
-    shared = RunUnknowns(
-        groups=u.groups,
-        delays=u.delays,
-        gains=u.gains,
-        offsets=u.offsets,
-        own_starts=tuple(range(nx)),
-        names=tuple(u.names[i] for i in kept),
-        scale=u.scale[kept],
-    )
-    columns = {
-        v.name: np.full(len(records[0]), float(v.start or 0.0))
-        for v in plant.inputs
-        if any(v.name not in r for r in records)
-    }
-    whole = [
-        r
-        if not columns
-        else Trajectory(
-            r.t,
-            {n: r[n] for n in r.names}
-            | {n: np.full(len(r), c[0]) for n, c in columns.items() if n not in r},
-            interpolation=r.interpolation,
-        )
-        for r in records
-    ]
-    return _Case(
-        plant,
-        whole,
-        outputs,
-        u.groups,
-        shared,
-        replace(rig, corrections={}, starts={}),
-        np.asarray(z)[kept],
-        steps,
-    )
-
-
 def _with_starts(case: _Case, runs: Runs) -> _Case:
-    """With names and scales of as many starts as there are motions."""
-    n, nominal = len(runs.record), case.plant.vector("state", attribute="nominal")
-    u, k = case.unknowns, len(case.z)
-    every = RunUnknowns(
-        groups=u.groups,
-        delays=u.delays,
-        gains=u.gains,
-        offsets=u.offsets,
-        own_starts=u.own_starts,
-        records=n,
-        names=(*u.names[:k], *(f"start {i}" for i in range(n * len(nominal)))),
-        scale=np.concatenate([u.scale[:k], np.tile(nominal, n)]),
-    )
-    return replace(case, unknowns=every)
+    """With as many starts as there are motions."""
+    return replace(case, unknowns=case.unknowns.of_motions(case.plant, len(runs.record)))
 
 
 def _followed(case: _Case) -> tuple[Runs, Array]:
@@ -383,7 +331,8 @@ def _evidence(
     case: _Case, runs: Runs, z: Array, x0: Array, modelled: Array, gap: Array
 ) -> Evidence:
     ready, k = _with_starts(case, runs), len(z)
-    found = suspected(case.plant, case.records, case.groups, _delays(case, z))
+    delays = case.unknowns.rig(case.plant, runs.names, case.rig, z).delays
+    found = suspected(case.plant, case.records, case.groups, delays)
     suspects = found.suspects
     u, m, count = ready.unknowns, len(suspects), len(case.groups)
     wide = replace(
@@ -417,11 +366,3 @@ def _evidence(
         np.asarray(gap),
         tuple(r[:n] for r, n in zip(runs.measured, runs.length, strict=True)),
     )
-
-
-def _delays(case: _Case, z: Array) -> Mapping[str, float]:
-    u = case.unknowns
-    found = dict(case.rig.delays)
-    for place, members in zip(u.places("delays"), u.delays, strict=True):
-        found |= {case.plant.inputs[i].name: float(z[place] * u.scale[place]) for i in members}
-    return found

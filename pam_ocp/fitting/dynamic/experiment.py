@@ -1,10 +1,15 @@
-"""Records made ready for a dynamic fit: mesh, inputs, measurements, and guesses of the states."""
+"""Records made ready for a dynamic fit: mesh, inputs, measurements, and guesses of the states.
+
+Where a record does not say how its inputs ran between samples, both ways are fitted, and the
+likelier stays (:func:`decided`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +23,10 @@ from ...core.errors import (
     require_instance,
     require_names,
 )
-from ...core.signals import merged, signals
+from ...core.signals import Interpolation, merged, signals
+from ...core.stop import TimeIsUp
 from ...core.trajectory import Trajectory
+from ...core.variables import Variable
 from ...plants.plant import Plant
 from ...simulation.simulator import simulate
 from ..statistics import Array
@@ -29,10 +36,15 @@ __all__ = [
     "InputErrors",
     "ParameterGroup",
     "bounds_of",
+    "decided",
+    "deviance",
     "groups",
     "measured_names",
+    "named",
     "prepare",
     "recorded",
+    "running",
+    "with_inputs",
 ]
 
 
@@ -215,6 +227,30 @@ def recorded(records: Trajectory | Sequence[Trajectory]) -> list[Trajectory]:
     return [records] if isinstance(records, Trajectory) else list(records)
 
 
+def named(argument: str, name: str, plant: Plant, kind: Literal["state", "input"]) -> Variable:
+    """The state or input of the plant that an argument names."""
+    variable = plant.variable(name)
+    if variable.causality != kind:
+        article = "an" if kind == "input" else "a"
+        raise InputError(
+            f"{argument}: {variable.name} is a {variable.causality}, not {article} {kind}"
+        )
+    return variable
+
+
+def with_inputs(plant: Plant, record: Trajectory, values: Mapping[str, Any]) -> Trajectory:
+    """The record with these values (numbers or samples) as columns, and with what the plant's
+    disturbances are by themselves, where it has no such columns.
+    """
+    still = {v.name: v.start or 0.0 for v in plant.inputs if v.disturbance}
+    missing = {n: v for n, v in (still | dict(values)).items() if n not in record}
+    if not missing:
+        return record
+    columns = {n: record[n] for n in record.names}
+    columns |= {n: np.broadcast_to(np.asarray(v, float), len(record)) for n, v in missing.items()}
+    return Trajectory(record.t, columns, interpolation=record.interpolation)
+
+
 def measured_names(
     plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str] | None
 ) -> list[str]:
@@ -340,3 +376,71 @@ def _guess(
     if not np.all(np.isfinite(states)):
         raise FitError("the plant's start values give no finite motion; set them with with_values")
     return np.asarray(states)
+
+
+Result = TypeVar("Result")
+WAYS: tuple[Interpolation, Interpolation] = ("previous", "linear")
+WORDS = {"previous": "held", "linear": "joined by lines"}
+TOLD = 6.0
+"""Difference of -2 ln(likelihood) from which a record tells which of both it was."""
+
+
+def deviance(residuals: Array, noise: Array | None = None) -> float:
+    """-2 ln(likelihood) of normal residuals (n, ny), up to a constant; of unknown size without
+    ``noise``.
+    """
+    if noise is not None:
+        return float(np.sum((residuals / noise) ** 2))
+    squares = np.maximum(np.mean(residuals**2, axis=0), 1e-300)
+    return float(len(residuals) * np.sum(np.log(squares)))
+
+
+def running(records: Sequence[Trajectory], between: Interpolation) -> list[Trajectory]:
+    """The records, their inputs running so where they do not say how."""
+    return [r if r.interpolation_known else r.running(between) for r in records]
+
+
+def decided(
+    plant: Plant,
+    records: Sequence[Trajectory],
+    fitted: Callable[[Sequence[Trajectory]], tuple[Result, float]],
+) -> tuple[Result, Interpolation, str]:
+    """A fit, how inputs count as having run where that was not known, and what decided it, in
+    words.
+
+    fitted : records to a fit and its deviance. Called once where all records say how inputs ran, or
+    where none of them moves.
+    """
+    if all(r.interpolation_known or not _moves(plant, r) for r in records):
+        return fitted(records)[0], "linear", ""
+    found: dict[Interpolation, tuple[Result, float]] = {}
+    failed: FitError | None = None
+    for way in WAYS:
+        try:
+            found[way] = fitted(running(records, way))
+        except FitError as error:
+            failed = error
+        except TimeIsUp:
+            if not found:
+                raise
+            break
+    if not found:
+        assert failed is not None
+        raise failed
+    best = min(found, key=lambda way: found[way][1])
+    if len(found) == 1:
+        return found[best][0], best, f"inputs count as {WORDS[best]}: the other way gave no fit"
+    other = next(way for way in WAYS if way != best)
+    gap = found[other][1] - found[best][1]
+    words = (
+        f"inputs count as {WORDS[best]} between samples, which the records do not say: -2 "
+        f"ln(likelihood) is {gap:.4g} less than {WORDS[other]}"
+    )
+    if not gap > TOLD:
+        words += "; that hardly tells, so say it: read_record(..., inputs='held' or 'linear')"
+    return found[best][0], best, words
+
+
+def _moves(plant: Plant, record: Trajectory) -> bool:
+    inputs = [record[v.name] for v in plant.inputs if v.name in record]
+    return any(np.ptp(u) > 1e-9 * np.abs(u).max(initial=1.0) for u in inputs)

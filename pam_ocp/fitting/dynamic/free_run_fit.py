@@ -23,31 +23,23 @@ from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .between import decided
-from .descent import Descent, descend
+from .descent import GRACE, Descent, Progress, descend, from_fewer, reporter
 from .disturbances import Disturbances, disturbed
-from .experiment import groups, measured_names, recorded
-from .fineness import LEAST_STEPS, MOST_STEPS, fine_runs, fineness
+from .experiment import decided, groups, measured_names, recorded
 from .free_run_result import FreeRunFit, ran
-from .hidden import hidden_states, settled_starts
-from .progress import Progress, reporter
 from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
-from .rollout import ASTRAY, Rollout
-from .run_statistics import spread_of
-from .runs import FreeRun, Runs, runs_of
+from .rollout import Rollout, require_followed
+from .run_statistics import LEAST_STEPS, MOST_STEPS, fine_runs, fineness, spread_of
+from .runs import FreeRun, Runs, hidden_states, runs_of, settled_starts
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
-GRACE = 20.0
-"""For what is told of a fit that a time limit ended [s]."""
 ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
 POOR = 1e-3
 """Mean squared error, in parts of the measured variance, above which fits with one unknown less are
-tried as starts, ...
+tried as starts.
 """
-FEWER = 6
-"""... at most so many."""
 FIRST = 4
 """A search over many runs begins with horizons of so many samples, which grow this many times."""
 
@@ -316,24 +308,22 @@ class _Search:
     def _not_worse(
         self, records: Sequence[Trajectory], rollout: Rollout, found: Descent, z: Array
     ) -> Descent:
-        """The same, or what is found from where a fit leads that has one unknown less: no freedom
-        makes a fit worse.
-        """
-        u, best = self.unknowns, found
+        """The same, or what is found from where fits with one unknown less lead."""
+        u = self.unknowns
         spare = [j for j in range(u.shared) if j not in u.places("corrections")]
-        for j in spare[-FEWER:] if len(spare) > 1 else ():
+        budget = max(self.evaluations - found.evaluations, 4)
+
+        def without(j: int) -> Descent:
             low, high = u.low.copy(), u.high.copy()
             low[j] = high[j] = z[j]
             fixed = replace(self, unknowns=replace(u, low=low, high=high))
-            try:
-                poorer = fixed._descended(records, rollout, z)[1]
-            except (FitError, TimeIsUp):
-                continue
-            if poorer.timed:
-                break
-            if poorer.cost < best.cost:
-                name, budget = u.names[j], max(self.evaluations - found.evaluations, 4)
-                best = self._search(rollout, poorer.z, f"from without {name}", 0, budget)
+            return fixed._descended(records, rollout, z)[1]
+
+        def again(poorer: Descent) -> Descent:
+            return self._search(rollout, poorer.z, "from fewer unknowns", 0, budget)
+
+        places = spare if len(spare) > 1 else ()
+        best = from_fewer(found, lambda f: f.cost, places, without, again)
         return replace(best, evaluations=max(best.evaluations, found.evaluations))
 
     def _search(self, rollout: Rollout, z: Array, stage: str, spent: int, budget: int) -> Descent:
@@ -344,7 +334,7 @@ class _Search:
             u.low,
             u.high,
             budget,
-            lambda count, cost, _: self.report(stage, spent + count, cost),
+            progress=lambda count, cost, _: self.report(stage, spent + count, cost),
         )
         return replace(found, evaluations=spent + found.evaluations)
 
@@ -390,13 +380,9 @@ class _Search:
         found: Descent,
     ) -> FreeRunFit:
         u = self.unknowns
-        values = {
-            self.plant.parameters[m].name: float(z * g.scale)
-            for g, z in zip(u.groups, found.z, strict=False)
-            for m in g.members
-        }
+        values = u.parameters(self.plant, found.z)
         fitted = self.plant.with_values(values)
-        rig = _rig_of(self.plant, runs, u, self.rig, found.z)
+        rig = u.rig(self.plant, runs.names, self.rig, found.z)
         predicted = rollout.predicted(found.z)
         training = runs.result(predicted)
         halved = replace(runs, steps=2 * runs.steps)
@@ -434,31 +420,8 @@ class _Search:
         )
 
 
-def _rig_of(plant: Plant, runs: Runs, u: RunUnknowns, known: Rig, z: Array) -> Rig:
-    """The rig with what was found."""
-    value = z * u.scale
-    delays = dict(known.delays)
-    for place, members in zip(u.places("delays"), u.delays, strict=True):
-        delays |= {plant.inputs[i].name: float(value[place]) for i in members}
-    names, states = runs.names, [v.name for v in plant.states]
-    return Rig(
-        delays,
-        {names[i]: 1 + float(value[j]) for j, i in zip(u.places("gains"), u.gains, strict=True)},
-        {names[i]: float(value[j]) for j, i in zip(u.places("offsets"), u.offsets, strict=True)},
-        {states[i]: float(value[j]) for j, i in zip(u.places("starts"), u.starts, strict=True)},
-        {
-            (states[i], names[k]): float(value[j])
-            for j, (i, k) in zip(u.places("corrections"), u.corrections, strict=True)
-        },
-    )
-
-
 def _require_sense(rollout: Rollout, z: Array, unknowns: RunUnknowns) -> None:
-    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
-        raise FitError(
-            "the free runs diverge at the plant's values; start elsewhere with "
-            "plant.with_values(...), or raise steps"
-        )
+    require_followed(rollout, z)
     _, _, square, damped = rollout.normal(z)
     # a correction may begin where the runs need none, and a hidden start may be forgotten at once
     fixed = unknowns.places("corrections").tolist()

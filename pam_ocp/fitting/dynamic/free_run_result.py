@@ -6,38 +6,33 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ... import courtesy
-from ...core.errors import UnknownNameError
 from ...core.plausible import outside
 from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..static.report import coefficient_line
-from ..statistics import Array, Coefficient, student_t
+from ..statistics import Array, Coefficient
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .descent import descend
 from .evidence import evidence_of
-from .experiment import recorded
-from .hidden import settled_starts
+from .experiment import recorded, running
+from .fit_result import FittedPlant
 from .rig import Rig, RunUnknowns, unknowns_of
 from .rollout import Rollout, spreads
 from .run_statistics import Spread
-from .runs import FreeRun, Runs, runs_of
-
-if TYPE_CHECKING:
-    from .coverage import Coverage
+from .runs import FreeRun, Runs, runs_of, settled_starts
 
 __all__ = ["FreeRunFit", "ran"]
 
 
 @shown
 @dataclass(frozen=True, eq=False)
-class FreeRunFit:
+class FreeRunFit(FittedPlant):
     """A plant fitted to free runs.
 
     plant : with the fitted values. rig : dead times, sensors, starts and corrections, known and
@@ -90,9 +85,7 @@ class FreeRunFit:
         if self.spread is None or not self.records or pushed or np.any(self.training.diverged):
             return Adequacy()  # a model with a disturbance says itself that it lacks something
         u, names = self.unknowns, list(self.training.names)
-        known = [
-            r if r.interpolation_known else r.running(self.interpolation) for r in self.records
-        ]
+        known = running(self.records, self.interpolation)
         evidence = evidence_of(self.plant, known, names, u, self.rig, self.z)
         if evidence is None and self.at_bound:  # a mass of nothing: no motion can be followed there
             edge = [n in self.at_bound for n in u.names]
@@ -126,32 +119,22 @@ class FreeRunFit:
         a = self.adequacy
         told = {} if self.at_bound and a.adequate else a.stderr
         return {
-            n: c if n in self.at_bound else replace(c, stderr=told.get(n, c.stderr))
+            n: c
+            if n in self.at_bound or c.stderr == np.inf
+            else replace(c, stderr=told.get(n, c.stderr))
             for n, c in self.spread.coefficients.items()
         }
 
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the ``coefficients``, in their order."""
+    def _freedom(self, name: str) -> int:
+        assert self.spread is not None
+        a = self.adequacy
+        own = self._whole and name in a.stderr and not self.at_bound
+        return a.dof if own else self.spread.dof
+
+    def _plain(self) -> Array:
         assert self.spread is not None
         k = len(self.coefficients)
-        plain = np.sqrt(np.maximum(np.diag(self.spread.covariance)[:k], 1e-300))
-        ratio = np.array([c.stderr for c in self.coefficients.values()]) / plain
-        return np.asarray(self.spread.covariance[:k, :k] * np.outer(ratio, ratio))
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval; residuals may be autocorrelated (see ``coefficients``)."""
-        if name not in self.coefficients:
-            raise UnknownNameError("fitted parameter", name, self.coefficients)
-        assert self.spread is not None
-        c, a = self.coefficients[name], self.adequacy
-        own = self._whole and name in a.stderr and not self.at_bound
-        half = student_t(level, a.dof if own else self.spread.dof) * c.stderr
-        return c.value - half, c.value + half
-
-    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence intervals of all fitted parameters."""
-        return {n: self.interval(n, level) for n in self.coefficients}
+        return self.spread.covariance[:k, :k]
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -186,8 +169,7 @@ class FreeRunFit:
         Starts that each record has for itself are estimated from it; nothing else is. ``options``
         of the runs that differ, such as ``every``.
         """
-        chosen = recorded(records)
-        known = [r if r.interpolation_known else r.running(self.interpolation) for r in chosen]
+        known = running(recorded(records), self.interpolation)
         options = {**self.options, "outputs": list(self.training.names), **options}
         if not self.own_starts:
             return ran(self.plant, runs_of(self.plant, known, **options), (), self.rig)
@@ -207,12 +189,6 @@ class FreeRunFit:
         rollout = Rollout(self.plant, runs, unknowns, self.rig)
         found = descend(rollout, unknowns.guess, unknowns.low, unknowns.high, 30)
         return ran(self.plant, runs, unknowns, self.rig, found.z)
-
-    def coverage(self, other: Any, **options: Any) -> Coverage:
-        """Where the records of this fit have been, against a record or a signal that is to be
-        predicted: see :func:`pam_ocp.fitting.coverage`.
-        """
-        return courtesy.coverage(self, other, **options)
 
     def __str__(self) -> str:
         shown = self.plant.variable

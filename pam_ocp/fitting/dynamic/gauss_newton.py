@@ -12,11 +12,10 @@ from ...core.errors import FitError
 from ...core.stop import TimeIsUp, native, spared
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..statistics import Array
-from .progress import Report
-from .simulated import SimulatedProgram
-from .transcribe import FitProgram
+from .descent import GRACE, Report, descend
+from .transcribe import FitProgram, SimulatedProgram
 
-__all__ = ["GRACE", "TIMED", "GaussNewtonResult", "reduced_jacobian", "solve"]
+__all__ = ["DONE", "TIMED", "GaussNewtonResult", "reduced_jacobian", "solve"]
 
 LEVENBERG = 1e-6
 """Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
@@ -26,8 +25,10 @@ It changes steps, not the solution. Unknowns are of size 1, residuals are in uni
 DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 TIMED = "Time_Limit"
 """Status of a search that a time limit ended with something to show."""
-GRACE = 20.0
-"""For what is told of a fit that a time limit ended [s]."""
+CAREFUL = 1.0
+"""Damping of the first step of a search through kinks, where long steps lead to other minima."""
+EXACT = 1e-9
+"""Relative gain of a step below which a search without defects ends."""
 DEFECT = 1e3
 """Weight of the largest defect (in nominals) against the cost, where iterates are compared."""
 
@@ -68,14 +69,12 @@ def solve(
     report : called with ``stage``, iterations and cost at each of them. A time limit ends the
     search with the best that was seen, where there is any.
 
-    Without states among the unknowns (single shooting, simulation) by SciPy's trust-region method,
+    Without states among the unknowns (single shooting, simulation) by :func:`.descent.descend`,
     else by IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do
     not need; where that does not settle, with the exact Hessian.
     """
-    if isinstance(program, SimulatedProgram):
-        return _simulated(program, weights, guess, iterations or 300, _Seen(report, stage))
-    if not program.defects.numel():
-        return _trust_region(program, weights, guess, iterations or 300, _Seen(report, stage))
+    if isinstance(program, SimulatedProgram) or not program.defects.numel():
+        return _descended(program, weights, guess, iterations or 300, report, stage)
     seen = _Seen(report, stage)
     first = _interior_point(program, weights, guess, False, iterations or 150, seen)
     if first.found or first.timed or iterations is not None:
@@ -155,49 +154,66 @@ def _ipopt(program: FitProgram, exact: bool, iterations: int) -> tuple[Any, list
     return solver, tell
 
 
-def _trust_region(
-    program: FitProgram, weights: Array, guess: Array, evaluations: int, seen: _Seen
+class _Squares:
+    """The sum of squares of a program without defects, for :func:`descend`."""
+
+    def __init__(self, program: FitProgram | SimulatedProgram, weights: Array) -> None:
+        self._weights = weights
+        self._runs: SimulatedProgram | None = None
+        if isinstance(program, SimulatedProgram):
+            self._runs = program
+            return
+        w, given = program.w, program.weights
+        self._value = ca.Function("residuals", [w, given], [program.residuals])
+        self._slope = ca.Function("slope", [w, given], [program.slopes[0]])
+
+    def residuals(self, z: Array) -> Array:
+        if self._runs is not None:
+            return (self._runs.residuals(z) * self._weights).ravel()
+        found = np.asarray(native(self._value, z, self._weights)).ravel()
+        return np.where(np.isfinite(found), found, 1e6)  # a motion that diverged is a bad one
+
+    def cost(self, z: Array, /) -> float:
+        found = self.residuals(z)
+        return float(found @ found)
+
+    def normal(self, z: Array, /) -> tuple[float, Array, Array, int]:
+        r = self.residuals(z)
+        if self._runs is not None:
+            base = r.reshape(-1, len(self._weights)) / self._weights
+            slope = self._runs.jacobian(self._weights, z, base)
+        else:
+            slope = np.nan_to_num(np.asarray(native(self._slope, z, self._weights)))
+        return float(r @ r), slope.T @ r, slope.T @ slope, 0
+
+
+def _descended(
+    program: FitProgram | SimulatedProgram,
+    weights: Array,
+    guess: Array,
+    evaluations: int,
+    report: Report | None,
+    stage: str,
 ) -> GaussNewtonResult:
-    from scipy.optimize import least_squares
+    def told(count: int, cost: float, _: Array) -> None:
+        if report is not None:
+            report(stage, count, cost / 2)
 
-    w, residuals = program.w, program.residuals
-    value = ca.Function("residuals", [w, program.weights], [residuals])
-    slope = ca.Function("slope", [w, program.weights], [program.slopes[0]])
-
-    def compute(z: Array) -> Array:
-        found = np.asarray(native(value, z, weights)).ravel()
-        found = np.where(np.isfinite(found), found, 1e6)  # a motion that diverged is a bad one
-        seen(z, found @ found / 2, 0.0)
-        return found
-
-    inside = 1e-9 * (1 + np.abs(guess))
-    try:
-        answer = least_squares(
-            compute,
-            np.clip(guess, program.low + inside, program.high - inside),
-            jac=lambda z: np.nan_to_num(np.asarray(native(slope, z, weights))),
-            bounds=(program.low, program.high),
-            x_scale="jac",
-            xtol=1e-10,
-            ftol=1e-12,
-            gtol=1e-10,
-            max_nfev=evaluations,
-        )
-    except TimeIsUp:
-        return seen.kept(program, weights)
-    status = DONE[0] if answer.success else "Maximum_Iterations_Exceeded"
-    return _solution(program, weights, answer.x, status, int(answer.nfev))
-
-
-def _simulated(
-    program: SimulatedProgram, weights: Array, guess: Array, evaluations: int, seen: _Seen
-) -> GaussNewtonResult:
-    try:
-        answer = program.solve(weights, guess, evaluations, seen)
-    except TimeIsUp:
-        return seen.kept(program, weights)
-    status = DONE[0] if answer.success else "Maximum_Iterations_Exceeded"
-    return _solution(program, weights, answer.x, status, int(answer.nfev))
+    found = descend(
+        _Squares(program, weights),
+        guess,
+        program.low,
+        program.high,
+        evaluations,
+        enough=EXACT,
+        damping=CAREFUL,
+        progress=told,
+    )
+    if found.timed:
+        with spared(GRACE):
+            return _solution(program, weights, found.z, TIMED, found.evaluations)
+    status = DONE[0] if found.converged else "Maximum_Iterations_Exceeded"
+    return _solution(program, weights, found.z, status, found.evaluations)
 
 
 def _solution(

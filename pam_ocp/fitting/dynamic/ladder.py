@@ -2,7 +2,7 @@
 predicts of the parts that it was not fitted to.
 
 Every rung is fitted to all records, and once without each fold of them; the parts left out are
-predicted by free runs through the whole record (see :mod:`.whole_runs`). Rungs are compared part by
+predicted by free runs through the whole record (see :mod:`.rungs`). Rungs are compared part by
 part, so that what makes a part hard for all of them drops out: the simplest rung that is not
 significantly worse than the best is marked.
 """
@@ -10,38 +10,62 @@ significantly worse than the best is marked.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.cases import Place
-from ...core.errors import FitError, InputError, OutOfTime, UnknownNameError, require_count
+from ...core.errors import (
+    FitError,
+    InputError,
+    OutOfTime,
+    UnknownNameError,
+    require_count,
+    require_instance,
+)
 from ...core.interrupts import interruptible
 from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared
 from ...core.trajectory import Trajectory
-from ...plants.feeds import Regulator
+from ...plants.feeds import DeadTime, Regulator
+from ...plants.losses import CoulombFriction, Creep, MaxwellSlip
 from ...plants.plant import Plant
-from ...plants.undelayed import without_dead_times
+from ..static.report import coefficient_line
 from ..statistics import student_t
 from .adequacy import Adequacy, adequacy_of
-from .climbing import Task, climbed
+from .choice import paired
 from .evidence import evidence_of
-from .experiment import ParameterGroup, bounds_of, groups, measured_names, recorded
-from .ladder_result import Ladder, Part, RungFit, compared
+from .experiment import bounds_of, groups, measured_names, recorded
 from .rig import Rig, unknowns_of
-from .rungs import LADDER, Builder, Rung, rungs_of
-from .whole_runs import usual_steps
+from .run_statistics import BLOCKS
+from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
 
-__all__ = ["Ladder", "RungFit", "fit_ladder"]
+__all__ = ["LADDER", "Builder", "Ladder", "fit_ladder"]
 
-FIRST_RATE = 1e6
-"""Of pressures [Pa/s], where no rung before tells it."""
+LADDER = ("static", "lag", "dead time", "slew", "friction", "memory", "creep")
+"""What there is to climb, in this order."""
+SLIP_YIELDS = (0.003, 0.015)
+"""Contractions at which the elements of the memory slide; their forces are fitted."""
+
+
+MARGIN = 0.01
+"""Models whose errors differ by less than this part count as equally good, however sure it is."""
+
+
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
+
+
+class Builder(Protocol):
+    """What makes the plant of a rung: ``partial(pam.AntagonisticSlide, muscle, 2.0)``, a class, or
+    a function of one's own.
+    """
+
+    def __call__(self, *, feed: Any, losses: Any) -> Plant: ...
 
 
 @interruptible()
@@ -135,7 +159,7 @@ def fit_ladder(
                 tuple(r.name for r in ladder[len(found) :]),
             )
             rung = next(r for r in ladder if r.name == result.chosen.name)
-            adequacy = Adequacy() if rung.static else _adequacy(result, rung, chosen)
+            adequacy = Adequacy() if rung.static else _adequacy(result)
             return replace(result, adequacy=adequacy, seconds=time.perf_counter() - began)
 
 
@@ -154,34 +178,18 @@ def _bounds(
     return given
 
 
-def _adequacy(ladder: Ladder, rung: Rung, records: Sequence[Trajectory]) -> Adequacy:
-    """Of the chosen rung, its dead times exact as in its runs."""
+def _adequacy(ladder: Ladder) -> Adequacy:
+    """Of the chosen rung, its dead times as they were found."""
     fit, names = ladder.chosen, list(ladder.outputs)
-    lines, times = fit.plant.delay_lines, {}
-    plant = without_dead_times(fit.plant)
-    for line in lines:
-        times[line.outlet] = float(fit.plant.variable(line.time).start or 0.0)
-        records = [
-            Trajectory(
-                r.t,
-                {n: r[n] for n in r.names} | {line.outlet: r[line.source]},
-                interpolation=r.interpolation,
-            )
-            for r in records
-        ]
-    known = {v.name for v in plant.parameters}
-    every = zip(rung.free, groups(fit.plant, rung.free), strict=True)
-    free = [entry for entry, group in every if _all_in(fit.plant, group, known)]
-    unknowns, _ = unknowns_of(plant, groups(plant, free), names, len(records), 1.0)
-    rig = Rig({n: d for n, d in times.items() if d})
-    evidence = evidence_of(plant, records, names, unknowns, rig, unknowns.guess)
+    m = fit.model
+    plant = m.plant.with_values(m.unknowns.parameters(m.plant, m.z))
+    found = zip(m.unknowns.groups, m.z, strict=False)
+    free = [replace(g, value=float(v * g.scale)) for g, v in found]
+    unknowns, _ = unknowns_of(plant, free, names, len(m.records), 1.0)
+    rig = m.unknowns.rig(plant, names, m.rig, m.z)
+    evidence = evidence_of(plant, m.records, names, unknowns, Rig(rig.delays), unknowns.guess)
     weights = 1 / np.array([max(fit.rmse[n], 1e-300) for n in names])
-    given = {n: c.stderr for n, c in fit.coefficients.items()}
-    return adequacy_of(evidence, weights, given)
-
-
-def _all_in(plant: Plant, group: ParameterGroup, known: Collection[str]) -> bool:
-    return all(plant.parameters[m].name in known for m in group.members)
+    return adequacy_of(evidence, weights, {n: c.stderr for n, c in fit.coefficients.items()})
 
 
 def _climbed_all(
@@ -243,3 +251,246 @@ def _parts(records: Sequence[Trajectory], folds: int) -> list[Part]:
 def _folds(records: Sequence[Trajectory], parts: Sequence[Part], folds: int) -> NDArray[np.intp]:
     """The fold of each part: in turn, so that a fold has parts of early and of late."""
     return np.arange(len(parts), dtype=np.intp) % min(folds, len(parts))
+
+
+# ---- the usual candidates ---
+def rungs_of(
+    build: Builder,
+    free: Sequence[str | Sequence[str]] = (),
+    *,
+    feed: Regulator | None = None,
+    dynamic: Sequence[str | Sequence[str]] | None = None,
+    names: Sequence[str] = LADDER,
+) -> list[Rung]:
+    """The rungs of :func:`fit_ladder` for an arrangement; see there.
+
+    One start of each is (nearly) the rung before, so that no rung fits worse than it.
+    """
+    regulator = require_instance(
+        "feed", feed or Regulator(), Regulator, "give a Regulator or PairRegulator"
+    )
+    unknown = [n for n in names if n not in LADDER]
+    if unknown:
+        raise UnknownNameError("rung", unknown[0], LADDER)
+    steps = [n for n in LADDER if n in names]
+    if not steps:
+        raise InputError(f"rungs is empty: name some of {', '.join(LADDER)}")
+    found: list[Rung] = []
+    parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
+    losses: tuple[Any, ...] = ()
+    own: list[str] = []
+    for name in steps:
+        starts: list[dict[str, float]] = [{}]
+        fast: dict[str, Sequence[float]] = {}
+        if name == "lag":
+            own += ["lag"] + (["venting_lag"] if regulator.venting_lag is not None else [])
+            starts = [dict.fromkeys(own, value) for value in (0.002, 0.02, 0.1)]
+        elif name == "dead time":
+            given = regulator.dead_time
+            line = given if isinstance(given, DeadTime) else DeadTime(0.01, order=3)
+            parts["dead_time"] = line
+            starts = [{"dead_time": value} for value in (0.001, 0.004, 0.02, 0.06)]
+            own += ["dead_time"]
+        elif name == "slew":
+            parts["slew"] = regulator.slew or 1e6
+            fast = {"slew": (3.0, 0.9, 0.5, 0.25)}
+            own += ["slew"]
+        elif name == "friction":
+            losses += (CoulombFriction(5.0, speed=3e-3),)
+            starts = [{"friction_constant": value} for value in (0.0, 1.0, 8.0)]
+            own += ["friction_constant"]
+        elif name == "memory":
+            losses += (MaxwellSlip((2.0, 2.0), SLIP_YIELDS, edge=1.0),)
+            starts = [{"slip1_force": v, "slip2_force": v} for v in (0.0, 1.0, 6.0)]
+            own += ["slip1_force", "slip2_force"]
+        elif name == "creep":
+            losses += (Creep((200.0,), (1.0,)),)
+            starts = [
+                {"creep1_stiffness": k, "creep1_time": v}
+                for k, v in ((0.1, 1.0), (100.0, 0.3), (100.0, 3.0))
+            ]
+            own += ["creep1_stiffness", "creep1_time"]
+        plant = build(feed=replace(regulator, **parts), losses=losses)
+        static = name == "static"
+        chosen = [*_present(plant, free)]
+        if not static:
+            moving = ("damping", "damping_ratio") if dynamic is None else dynamic
+            chosen += _present(plant, moving, dynamic is not None)
+            chosen += [_tied(plant, key) for key in own]
+        by_name = tuple({n: v for k, v in s.items() for n in _tied(plant, k)} for s in starts)
+        by_rate = {n: p for k, p in fast.items() for n in _tied(plant, k)}
+        label = name if not found else f"+ {name}"
+        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate))
+    return found
+
+
+def _tied(plant: Plant, key: str) -> tuple[str, ...]:
+    """All parameters called so, of whatever muscle: equal in a ladder."""
+    names = [v.name for v in plant.parameters if v.name.rpartition(".")[2] == key]
+    return tuple(names)
+
+
+def _present(
+    plant: Plant, wanted: Sequence[str | Sequence[str]], required: bool = True
+) -> list[str | tuple[str, ...]]:
+    """Entries of free; of defaults those that the plant has."""
+    known = {v.name for v in plant.parameters}
+    found: list[str | tuple[str, ...]] = []
+    for entry in wanted:
+        plain = entry if isinstance(entry, str) else tuple(entry)
+        if required or plain in known:
+            found.append(plain)
+    groups(plant, found)  # refuses what is no parameter
+    return found
+
+
+# ---- what it tells ---
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """What :func:`fit_ladder` found.
+
+    rungs : from the simplest up. parts : what was left out, each once. best : the rung of the least
+    error; chosen : the simplest that is not significantly worse. unclimbed : names of rungs for
+    which there was no time.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
+    >>> commanded = pam.Trajectory(
+    ...     record.t,
+    ...     {n: record[n] for n in ("muscle.command", "x")},
+    ...     [plant.variable(n) for n in ("muscle.command", "x")],
+    ...     "previous",
+    ... )
+    >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
+    >>> ladder.best.name
+    '+ lag'
+    """
+
+    rungs: tuple[RungFit, ...]
+    parts: tuple[Part, ...] = field(repr=False)
+    fold: NDArray[np.intp] = field(repr=False)
+    outputs: tuple[str, ...]
+    records: int
+    level: float
+    seconds: float
+    unclimbed: tuple[str, ...] = ()
+    adequacy: Adequacy = field(default_factory=Adequacy)
+    """What the residuals of the chosen rung tell; nothing is tested of a static one."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the chosen rung is used; empty when there is nothing."""
+        return tuple(filter(None, (self.adequacy.sentence,)))
+
+    def __getitem__(self, name: str) -> RungFit:
+        return next(r for r in self.rungs if r.name.removeprefix("+ ") == name.removeprefix("+ "))
+
+    @property
+    def best(self) -> RungFit:
+        return min(self.rungs, key=lambda r: r.score)
+
+    @property
+    def chosen(self) -> RungFit:
+        return next(r for r in self.rungs if not r.worse and not r.failure)
+
+    @property
+    def plant(self) -> Plant:
+        """The chosen one, fitted to all records."""
+        return self.chosen.plant
+
+    def intervals(
+        self, rung: str | None = None, level: float | None = None
+    ) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of a rung's values (by default the chosen one's, at the ladder's
+        level); blocks of the records count as independent, not samples.
+        """
+        if rung is not None and rung.removeprefix("+ ") not in self._names:
+            raise UnknownNameError("rung", rung, self._names)
+        found = self.chosen if rung is None else self[rung]
+        blocks = max(1, -(-BLOCKS // self.records)) * self.records
+        t = student_t(self.level if level is None else level, blocks - 1)
+        told = self.adequacy.stderr if found is self.chosen else {}
+        halves = {n: t * told.get(n, c.stderr) for n, c in found.coefficients.items()}
+        return {
+            n: (c.value - halves[n], c.value + halves[n]) for n, c in found.coefficients.items()
+        }
+
+    @property
+    def _names(self) -> list[str]:
+        return [r.name.removeprefix("+ ") for r in self.rungs]
+
+    def report(self) -> str:
+        """The ladder as text: error of what was left out, gain, cost, and the chosen rung."""
+        shown = [self.rungs[0].plant.variable(n) for n in self.outputs]
+        heads = [f"{v.name} [{v.display_unit}]" for v in shown]
+        wide = [max(len(h), 9) + 2 for h in heads]
+        name = max(12, *(len(r.name) + 2 for r in self.rungs))
+        lines = [
+            f"[[Ladder]] {self.rungs[0].plant.name}",
+            f"    {self.records} record{'s' * (self.records > 1)} of {', '.join(self.outputs)}; "
+            f"{len(self.parts)} parts in {int(self.fold.max()) + 1} folds, each predicted by a fit "
+            f"without it; {self.seconds:.1f} s",
+            "[[Rungs]] error (RMS) of free runs in the parts left out",
+            f"      {'model':<{name}}{'free':>5}{'states':>7}"
+            + "".join(f"{h:>{w}}" for h, w in zip(heads, wide, strict=True))
+            + f"{'error':>9}{'against the rung before':>26}{'fit [s]':>9}",
+        ]
+        for r in self.rungs:
+            mark = "*" if r is self.chosen else " "
+            row = f"    {mark} {r.name:<{name}}{len(r.coefficients):>5}{r.states:>7}"
+            if r.failure:
+                lines.append(f"{row}  failed: {r.failure}")
+                continue
+            row += "".join(
+                f"{r.rmse[v.name] / v.display_factor:>{w}.4g}"
+                for v, w in zip(shown, wide, strict=True)
+            )
+            gain, half = r.against
+            said = "" if np.isnan(gain) else f"{100 * gain:+.1f} % ± {100 * half:.1f}"
+            lines.append(f"{row}{r.score:>9.4f}{said:>26}{r.seconds:>9.2f}")
+        lines += [f"      {n:<{name}} no time left" for n in self.unclimbed]
+        lines += [
+            f"    error: of all variables, in parts of their spread; ±: {100 * self.level:g} % of "
+            "paired differences over the parts",
+            f"    * the simplest that is not significantly (and by 1 %) worse than the best "
+            f"({self.best.name.removeprefix('+ ')})",
+            "    free: fitted parameters; fit: processor time of the fit to all records",
+            f"[[Parameters]] of '{self.chosen.name}', ± standard error, {100 * self.level:g} % "
+            "interval; SI",
+        ]
+        intervals = self.intervals()
+        lines += [coefficient_line(c, intervals[n]) for n, c in self.chosen.coefficients.items()]
+        lines += [f"    warning: {text}" for text in self.warnings]
+        return "\n".join(lines)
+
+    __str__ = report
+
+
+# ---- comparison ---------------------------------------------------------------------------------
+def compared(found: Sequence[RungFit], level: float) -> list[RungFit]:
+    """Each rung against the one before, and against the best; paired over the parts."""
+    best = min((r for r in found if not r.failure), key=lambda r: r.score)
+    compared: list[RungFit] = []
+    last: RungFit | None = None
+    for rung in found:
+        if rung.failure:
+            compared.append(rung)
+            continue
+        against = (np.nan, np.nan)
+        if last is not None:
+            gain, half = _ratio(rung, last, level)
+            against = (float(np.expm1(gain)), float(np.exp(gain) * np.sinh(min(half, 50.0))))
+        behind, half = _ratio(rung, best, 2 * level - 1 if level > 0.5 else level)
+        compared.append(replace(rung, against=against, worse=behind - half > np.log1p(MARGIN)))
+        last = rung
+    return compared
+
+
+def _ratio(rung: RungFit, other: RungFit, level: float) -> tuple[float, float]:
+    """Mean of ln(error/other's error) over the parts, and the half width of its interval."""
+    tiny = 1e-30
+    gaps = 0.5 * np.log((rung.losses + tiny) / (other.losses + tiny))
+    mean, _, half = paired(gaps, level)
+    return mean, half

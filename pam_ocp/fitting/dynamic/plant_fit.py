@@ -7,31 +7,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import courtesy
-from ...core.errors import UnknownNameError
 from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ..static.correlation import neighbours, widening
-from ..statistics import Array, Coefficient, Linearisation, coefficient_frame, student_t
+from ..static.report import coefficient_line
+from ..statistics import Array, Coefficient, Linearisation
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .evidence import Evidence, evidence_of
-from .experiment import groups
+from .experiment import groups, running, with_inputs
+from .fit_result import FittedPlant
 from .gauss_newton import DONE
 from .rig import Rig, unknowns_of
 from .transcribe import FitMethod
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
-
-    from .coverage import Coverage
 
 __all__ = ["PlantFit"]
 
@@ -48,7 +46,7 @@ COLOURED = 0.3
 
 @shown
 @dataclass(frozen=True, eq=False)
-class PlantFit:
+class PlantFit(FittedPlant):
     """A plant fitted to records.
 
     plant : with the fitted values. linearisation : of all unknowns (parameters, sensors' gains and
@@ -151,10 +149,8 @@ class PlantFit:
         z = np.array([found[n] for n in unknowns.names]) / unknowns.scale
         z[unknowns.places("gains")] -= 1.0
         rig = Rig({v.name: self.delay for v in self.plant.inputs if self.delay})
-        records = [
-            _complete(r if r.interpolation_known else r.running(self.interpolation), self.inputs)
-            for r in self.records
-        ]
+        known = running(self.records, self.interpolation)
+        records = [with_inputs(self.plant, r, self.inputs) for r in known]
         return evidence_of(self.plant, records, names, unknowns, rig, z)
 
     @cached_property
@@ -186,28 +182,12 @@ class PlantFit:
         """Fitted values by name."""
         return {n: c.value for n, c in self.coefficients.items()}
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval by Student's t, of as many residuals as are independent."""
-        if name not in self.coefficients:
-            raise UnknownNameError("fitted parameter", name, self.coefficients)
-        c = self.coefficients[name]
-        a = self.adequacy
-        half = student_t(level, self.linearisation.dof if a.adequate else a.dof) * c.stderr
-        return c.value - half, c.value + half
+    def _freedom(self, name: str) -> int:
+        return self.linearisation.dof if self.adequacy.adequate else self.adequacy.dof
 
-    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence intervals of all fitted parameters."""
-        return {n: self.interval(n, level) for n in self.coefficients}
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the parameters, in the order of ``coefficients``."""
+    def _plain(self) -> Array:
         places = [self.linearisation.names.index(n) for n in self.coefficients]
-        plain = np.asarray(self.linearisation.covariance[np.ix_(places, places)])
-        size = np.sqrt(np.maximum(np.diag(plain), 1e-300))
-        wider = np.array([c.stderr for c in self.coefficients.values()])
-        ratio = np.where(np.isfinite(wider), wider / size, 1.0)
-        return np.asarray(plain * np.outer(ratio, ratio))
+        return np.asarray(self.linearisation.covariance[np.ix_(places, places)])
 
     @property
     def rank(self) -> int:
@@ -310,25 +290,15 @@ class PlantFit:
     # ---- text ----------------------------------------------------------------------------------
     def report(self, level: float = 0.95) -> str:
         """The fit as text: agreement, parameters ± standard error, correlations, warnings."""
-        return courtesy.plant_report(self, level)
+        return _report(self, level)
 
     def plot(self) -> Figure:
         """Each record and the fitted plant's motion over each other, and their difference."""
         return courtesy.plot_records(self.comparisons)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """The parameters as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
-        return coefficient_frame(self.coefficients, self.intervals())
-
     def to_excel(self, path: str | os.PathLike[str]) -> Path:
         """Write a workbook (.xlsx): parameters with intervals; measured and simulated, charts."""
         return courtesy.write_plant_fit_book(self, path)
-
-    def coverage(self, other: Any, **options: Any) -> Coverage:
-        """Where the records of this fit have been, against a record or a signal that is to be
-        predicted: see :func:`pam_ocp.fitting.coverage`.
-        """
-        return courtesy.coverage(self, other, **options)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
@@ -357,10 +327,41 @@ def _strays(evidence: Evidence, rmse: Array) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-300)))))
 
 
-def _complete(record: Trajectory, inputs: Mapping[str, float]) -> Trajectory:
-    """With the inputs that were constant as columns."""
-    missing = {n: np.full(len(record), v) for n, v in inputs.items() if n not in record}
-    if not missing:
-        return record
-    columns = {n: record[n] for n in record.names} | missing
-    return Trajectory(record.t, columns, interpolation=record.interpolation)
+def _report(fit: PlantFit, level: float) -> str:
+    """See :meth:`PlantFit.report`."""
+    linear = fit.linearisation
+    samples = sum(len(r) for r in fit.residuals)
+    known = set(fit.coefficients)
+    pairs = [(r, a, b) for r, a, b in linear.correlated(0.8) if a in known and b in known]
+    lines = [
+        "[[Plant]]",
+        f"    {fit.plant.name}: {fit.plant.description}",
+        "[[Records]]",
+        f"    {len(fit.records)} with {samples} samples of {', '.join(fit.measured)}",
+        *([f"    {fit.inputs_ran}"] if fit.inputs_ran else []),
+        "[[Fit]]" + (" of the smoothed motion" if fit.process_noise else ""),
+        *(
+            f"    {n}: RMSE {fit.plant.variable(n).shown(e)}, fit {fit.fit_percent[n]:.2f} %"
+            for n, e in fit.rmse.items()
+        ),
+        f"    condition {linear.condition:.3g}, rank {fit.rank} of {len(linear.names)} unknowns "
+        f"(initial states included), {linear.dof} degrees of freedom",
+        f"    {fit.method}: {fit.status}, {fit.iterations} iterations, {fit.seconds:.2f} s",
+        *(
+            f"    process noise of {n}: {size:.4g} {fit.plant.variable(n).unit}/sqrt(s)"
+            for n, size in fit.process_noise.items()
+        ),
+        *(
+            f"    measured {n} with noise of {fit.plant.variable(n).shown(size)}: its errors are "
+            "estimated, too"
+            for n, size in fit.input_noise.items()
+        ),
+    ]
+    if fit.warnings:
+        lines += ["[[Warnings]]", *(f"    {text}" for text in fit.warnings)]
+    lines.append(f"[[Parameters]] ± standard error (relative), {100 * level:g} % interval; SI")
+    lines += [coefficient_line(c, fit.interval(c.name, level)) for c in fit.coefficients.values()]
+    if pairs:
+        lines.append("[[Correlations]] (beyond 0.8)")
+        lines += [f"    C({a}, {b}) = {r:+.4f}" for r, a, b in pairs]
+    return "\n".join(lines)

@@ -5,10 +5,11 @@ is measured; each known, or to be estimated along with the plant's parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from ...core.errors import InputError, require_finite, require_names, require_po
 from ...plants.plant import Plant
 from ..statistics import Array
 from .disturbances import GAIN
-from .experiment import ParameterGroup
+from .experiment import ParameterGroup, named
 
 __all__ = ["Delay", "Rig", "RunUnknowns", "given_starts", "known_rig", "unknowns_of"]
 
@@ -85,6 +86,113 @@ class RunUnknowns:
             first += count
         return np.arange(first, len(self.names))
 
+    def moved(self, kind: str, value: float, low: float, high: float) -> RunUnknowns:
+        """With all unknowns of a kind at a value, within bounds."""
+        at, found = self.places(kind), {}
+        for name, number in (("guess", value), ("low", low), ("high", high)):
+            found[name] = getattr(self, name).copy()
+            found[name][at] = number / self.scale[at]
+        return replace(self, **found)
+
+    def with_delay(
+        self,
+        inputs: tuple[int, ...],
+        name: str,
+        scale: float,
+        guess: float,
+        low: float,
+        high: float,
+    ) -> RunUnknowns:
+        """With one more dead time [s], that of the inputs at these positions."""
+        at = len(self.groups) + len(self.delays)
+        return replace(
+            self,
+            delays=(*self.delays, inputs),
+            names=(*self.names[:at], name, *self.names[at:]),
+            units=(*self.units[:at], "s", *self.units[at:]),
+            guess=np.insert(self.guess, at, guess / scale),
+            scale=np.insert(self.scale, at, scale),
+            low=np.insert(self.low, at, low / scale),
+            high=np.insert(self.high, at, high / scale),
+        )
+
+    @property
+    def of_model(self) -> NDArray[np.intp]:
+        """Positions in z of what belongs to plant and sensors, not to an observer or a start."""
+        kinds = ("groups", "delays", "gains", "offsets")
+        return np.concatenate([self.places(k) for k in kinds]).astype(np.intp)
+
+    def of_motions(self, plant: Plant, motions: int) -> RunUnknowns:
+        """What belongs to the model, and where every state begins in each of so many motions."""
+        kept, nominal = self.of_model, plant.vector("state", attribute="nominal")
+        starts = [f"start {i}" for i in range(motions * len(nominal))]
+        return RunUnknowns(
+            groups=self.groups,
+            delays=self.delays,
+            gains=self.gains,
+            offsets=self.offsets,
+            own_starts=tuple(range(len(nominal))),
+            records=motions,
+            names=(*(self.names[i] for i in kept), *starts),
+            scale=np.concatenate([self.scale[kept], np.tile(nominal, motions)]),
+        )
+
+    def parameters(self, plant: Plant, z: Array) -> dict[str, float]:
+        """Values of the plant's parameters at z."""
+        return {
+            plant.parameters[m].name: float(v * g.scale)
+            for g, v in zip(self.groups, z, strict=False)
+            for m in g.members
+        }
+
+    def vector(self, plant: Plant, z: Any) -> Any:
+        """All parameters of the plant at z, a vector of CasADi."""
+        base = plant.vector("parameter")
+        place = np.zeros((len(base), len(self.groups)))
+        for j, group in enumerate(self.groups):
+            place[list(group.members), j] = group.scale
+            base[list(group.members)] = 0.0
+        return ca.DM(base) + ca.sparsify(ca.DM(place)) @ z[: len(self.groups)]
+
+    def sensors(self, measured: Sequence[str], known: Rig, z: Any) -> tuple[list[Any], list[Any]]:
+        """Gains and offsets of the sensors at z, numbers or symbols."""
+        gains: list[Any] = [known.gains.get(n, 1.0) for n in measured]
+        offsets: list[Any] = [known.offsets.get(n, 0.0) for n in measured]
+        for i, j in zip(self.gains, self.places("gains").tolist(), strict=True):
+            gains[i] = 1 + z[j]
+        for i, j in zip(self.offsets, self.places("offsets").tolist(), strict=True):
+            offsets[i] = z[j] * self.scale[j]
+        return gains, offsets
+
+    def begins(self, plant: Plant, z: Array) -> list[dict[str, float]]:
+        """Where the states with starts of their own begin in each record at z."""
+        own = [plant.states[i] for i in self.own_starts]
+        rows = (z * self.scale)[self.shared :].reshape(self.records, len(own))
+        return [
+            {v.name: float(np.clip(x, v.min, v.max)) for v, x in zip(own, row, strict=True)}
+            for row in rows
+        ]
+
+    def rig(self, plant: Plant, measured: Sequence[str], known: Rig, z: Array) -> Rig:
+        """The rig at z, with what was ``known`` of its dead times."""
+        value, states = z * self.scale, [v.name for v in plant.states]
+
+        def found(kind: str, keys: Sequence[Any], first: float = 0.0) -> dict[Any, float]:
+            return {
+                k: first + float(value[j]) for k, j in zip(keys, self.places(kind), strict=True)
+            }
+
+        delays = dict(known.delays)
+        for members, late in found("delays", self.delays).items():
+            delays |= {plant.inputs[i].name: late for i in members}
+        return Rig(
+            delays,
+            found("gains", [measured[i] for i in self.gains], 1.0),
+            found("offsets", [measured[i] for i in self.offsets]),
+            found("starts", [states[i] for i in self.starts]),
+            found("corrections", [(states[i], measured[k]) for i, k in self.corrections]),
+        )
+
 
 def known_rig(
     plant: Plant,
@@ -112,12 +220,12 @@ def known_rig(
             for n, v in (offsets or {}).items()
         },
         {
-            _state("starts", n, plant): require_finite("starts", v)
+            named("starts", n, plant, "state").name: require_finite("starts", v)
             for n, v in (starts or {}).items()
         },
         {
             (
-                _state("corrections", s, plant),
+                named("corrections", s, plant, "state").name,
                 _seen("corrections", y, plant, measured),
             ): require_finite("corrections", v)
             for (s, y), v in (corrections or {}).items()
@@ -253,13 +361,6 @@ def _seen(argument: str, name: str, plant: Plant, measured: Sequence[str]) -> st
     return known
 
 
-def _state(argument: str, name: str, plant: Plant) -> str:
-    variable = plant.variable(name)
-    if variable.causality != "state":
-        raise InputError(f"{argument}: {variable.name} is a {variable.causality}, not a state")
-    return variable.name
-
-
 def given_starts(
     plant: Plant, given: Mapping[str, str] | Sequence[str]
 ) -> list[tuple[str, str, list[str]]]:
@@ -270,14 +371,13 @@ def given_starts(
         if isinstance(given, Mapping)
         else dict.fromkeys(require_names("starts", given), "all")
     )
-    return [
-        (
-            e,
-            w,
-            [n for n in order if fnmatchcase(n, e)] if "*" in e else [_state("starts", e, plant)],
-        )
-        for e, w in ways.items()
-    ]
+
+    def states(entry: str) -> list[str]:
+        if "*" in entry:
+            return [n for n in order if fnmatchcase(n, entry)]
+        return [named("starts", entry, plant, "state").name]
+
+    return [(entry, way, states(entry)) for entry, way in ways.items()]
 
 
 def _starts(
@@ -328,7 +428,7 @@ def _corrections(
     own = {n: [n] for n in order if n in measured} | {v: [p] for v, p in velocities.items()}
     if isinstance(given, Mapping):
         own |= {
-            _state("correct", s, plant): [
+            named("correct", s, plant, "state").name: [
                 _seen("correct", y, plant, measured) for y in require_names("correct", ys)
             ]
             for s, ys in given.items()

@@ -11,16 +11,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.errors import FitError
 from ...core.stop import check, native
-from ...numerics.rosenbrock import ros2
+from ...numerics.rosenbrock import ros2_with_slopes
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup
 from .rig import Rig, RunUnknowns
-from .run_inputs import RunSteps
-from .runs import Runs
+from .runs import Runs, RunSteps
 
-__all__ = ["ASTRAY", "Rollout", "spreads"]
+__all__ = ["Rollout", "require_followed", "spreads"]
 
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
@@ -48,7 +48,8 @@ class Rollout:
     """Runs, residuals and their exact Jacobian in the scaled unknowns z.
 
     A residual is an error in units of the variable's spread times the root of its sample's weight,
-    so their sum of squares is the mean squared error.
+    so their sum of squares is the mean squared error. weigh : factors of the measured variables on
+    top of that. static : the plant counts as at rest under its inputs at each sample.
     """
 
     def __init__(
@@ -57,6 +58,9 @@ class Rollout:
         runs: Runs,
         unknowns: RunUnknowns | Sequence[ParameterGroup] = (),
         rig: Rig | None = None,
+        *,
+        weigh: Array | None = None,
+        static: bool = False,
     ) -> None:
         if not isinstance(unknowns, RunUnknowns):
             unknowns = RunUnknowns(
@@ -64,14 +68,17 @@ class Rollout:
             )
         self._plant, self.runs, self._unknowns, self._rig = plant, runs, unknowns, rig or Rig()
         self.spread = spreads(plant, runs.names, runs.measured)
-        self.weights = np.sqrt(runs.weights / len(runs.names))
+        every = np.ones(len(runs.names)) if weigh is None else weigh
+        self.weights = np.sqrt(runs.weights / len(runs.names))[..., None] * every
         self._whole: dict[Any, ca.Function] = {}
         self._steps: tuple[bytes, list[Array]] = (b"", [])
         self._late = _late(plant, runs, unknowns, self._rig)
         self._count = runs.steps + len(self._late)
         self._local = unknowns.shared + len(unknowns.own_starts)
         self._reach = self._reaches()
-        self._move, self._tangent = _functions(plant, runs, unknowns, self._rig, self._count)
+        self._move, self._tangent = _functions(
+            plant, runs, unknowns, self._rig, self._count, static
+        )
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
 
     # ---- what is asked for --------------------------------------------------------------------
@@ -128,7 +135,7 @@ class Rollout:
             if damped:
                 with np.errstate(invalid="ignore", divide="ignore"):
                     per_spread *= np.where(wild, WILD / size, 1.0)[..., None]
-            weight = self.weights[part.rows, :k, None, None]
+            weight = self.weights[part.rows, :k, :, None]
             rows = np.nan_to_num(per_spread * weight, nan=0.0, posinf=0.0, neginf=0.0)
             rows[np.isnan(self.runs.measured[part.rows, :k])] = 0.0
             whole = self._scattered(part.rows, rows.reshape(m, k * ny, -1), len(z))
@@ -142,7 +149,7 @@ class Rollout:
         error = np.nan_to_num(error, nan=ASTRAY, posinf=ASTRAY, neginf=-ASTRAY)
         error = np.clip(error, -ASTRAY, ASTRAY)
         error[np.isnan(measured)] = 0.0
-        return np.asarray(error * self.weights[rows, : predicted.shape[1], None])
+        return np.asarray(error * self.weights[rows, : predicted.shape[1]])
 
     def _reaches(self) -> Array:
         """How far local unknowns may move, in their scales, for WILD: the start of a motion that is
@@ -191,6 +198,18 @@ class Rollout:
         """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing); local are the
         unknowns that all runs share and a record's own starts.
         """
+        ny = len(self.runs.names)
+        for part, _, both in self._run(z, deep):
+            slopes = both[..., ny:].reshape(*both.shape[:2], self._local if deep else 0, ny)
+            yield part, both[..., :ny], slopes.transpose(0, 1, 3, 2)
+
+    def states(self, z: Array) -> Iterator[tuple[_Part, Array]]:
+        """(part, states (m, K, nx)) at the samples."""
+        for part, x, _ in self._run(z, False):
+            yield part, x
+
+    def _run(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
+        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it."""
         runs, ny = self.runs, len(self.runs.names)
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
@@ -207,11 +226,11 @@ class Rollout:
             y[:ny, :, : runs.warm] = runs.seen[part.rows].transpose(2, 0, 1)
             y[ny, :, : runs.warm] = 1.0
             arguments = (start, u, y.reshape(ny + 1, -1), np.concatenate([shared, delays]))
-            found = native(self._along(deep, total, m), *arguments)[1]
-            block = np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
-            values = block[..., :ny]
-            slopes = block[..., ny:].reshape(m, part.samples, self._local if deep else 0, ny)
-            yield part, values, slopes.transpose(0, 1, 3, 2)
+            x, both = (
+                np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
+                for found in native(self._along(deep, total, m), *arguments)
+            )
+            yield part, x, both
 
     def _along(self, deep: bool, samples: int, count: int) -> ca.Function:
         key = (deep, samples, count)
@@ -240,7 +259,7 @@ class Rollout:
         for name, value in self._rig.starts.items():
             x0[:, order.index(name)] = value
         velocity = plant.positions
-        gain, offset = self._sensors(z)
+        gain, offset = u.sensors(runs.names, self._rig, z)
         for i, name in enumerate(runs.names):
             if name not in order:
                 continue
@@ -287,13 +306,14 @@ class Rollout:
             if deep:
                 slopes[row, hidden] = last[nx:].reshape(-1, nx).T[hidden]
 
-    def _sensors(self, z: Array) -> tuple[Array, Array]:
-        u, names = self._unknowns, self.runs.names
-        gain = np.array([self._rig.gains.get(n, 1.0) for n in names])
-        offset = np.array([self._rig.offsets.get(n, 0.0) for n in names])
-        gain[list(u.gains)] = 1 + z[u.places("gains")]
-        offset[list(u.offsets)] = z[u.places("offsets")] * u.scale[u.places("offsets")]
-        return gain, offset
+
+def require_followed(rollout: Rollout, z: Array) -> None:
+    """FitError where runs go beyond what can be searched from."""
+    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
+        raise FitError(
+            "the free runs diverge at the plant's values; start elsewhere with "
+            "plant.with_values(...), or raise steps"
+        )
 
 
 def spreads(plant: Plant, names: Sequence[str], measured: Array) -> Array:
@@ -307,14 +327,14 @@ def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tu
     """Inputs whose jumps lie between samples, those of one dead time together; none where all run
     along lines.
     """
-    if not any(e.held for e in runs.inputs):
+    samplings = np.array([np.ptp(e.t) / (len(e.t) - 1) for e in runs.inputs if e.held])
+    if not samplings.size:
         return ()
-    sampling = float(runs.t[0])
     free = {i for members in unknowns.delays for i in members}
     known: dict[float, list[int]] = {}
     for i, v in enumerate(plant.inputs):
-        part = (rig.delays.get(v.name, 0.0) / sampling) % 1.0
-        if i not in free and 1e-9 < part < 1 - 1e-9:
+        part = (rig.delays.get(v.name, 0.0) / samplings) % 1.0
+        if i not in free and np.any((part > 1e-9) & (part < 1 - 1e-9)):
             known.setdefault(rig.delays[v.name], []).append(i)
     return (*unknowns.delays, *(tuple(members) for members in known.values()))
 
@@ -324,8 +344,7 @@ def _numbers(steps: RunSteps, free: bool) -> Array:
     times are sought, what these three gain per second of them.
     """
     shape = steps.begin.shape
-    length = np.broadcast_to(steps.length[:, None], (*shape[:2], 1))
-    found = [steps.begin, steps.end, length]
+    found = [steps.begin, steps.end, steps.length[..., None]]
     if free:
         slope = np.broadcast_to(steps.length_slope, shape)
         found += [steps.begin_slope, steps.end_slope, slope]
@@ -346,7 +365,7 @@ def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], sample
 
 # ---- expressions --------------------------------------------------------------------------
 def _functions(
-    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, steps: int
+    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, steps: int, static: bool
 ) -> tuple[ca.Function, ca.Function]:
     """From sample to sample, without and with sensitivities: (state, inputs, (measured, whether it
     corrects), (z, dead times)) -> (state, outputs).
@@ -361,59 +380,70 @@ def _functions(
     z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, local)
     at = ca.SX.sym("at", nu)
     u = ca.SX.sym("u", per_step)
-    p = ca.SX(plant.vector("parameter"))
-    for j, group in enumerate(unknowns.groups):
-        for member in group.members:
-            p[member] = z[j] * group.scale
-    shift = ca.SX.zeros(nu)
-    for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
-        for i in members:
-            shift[i] = z[int(place)] * unknowns.scale[place] - at[i]
-    early, late, h = u[:nu], u[nu : 2 * nu], u[2 * nu]
-    if unknowns.delays:
-        gained = ca.reshape(u[2 * nu + 1 :], nu, 3)
-        early, late = early + gained[:, 0] * shift, late + gained[:, 1] * shift
-        h = h + ca.dot(gained[:, 2], shift)
+    p, more = unknowns.vector(plant, z), local - nz
+    early, late, h = _driving(unknowns, z, at, u)
 
-    def along(after: ca.SX) -> ca.SX:
-        own = ca.horzcat(ca.jacobian(after, z), ca.SX.zeros(nx, local - nz))
-        return ca.jacobian(after, x) @ s + own
+    def along(value: ca.SX) -> ca.SX:
+        own = ca.horzcat(ca.jacobian(value, z), ca.SX.zeros(value.numel(), more))
+        return ca.jacobian(value, x) @ s + own
 
-    first = plant.function(x, early, p)[0]
-    after = ros2(
-        lambda _: (first, ca.jacobian(first, x)),
-        lambda q: plant.function(q, late, p)[0],
-        x,
-        h,
-    )
+    def rates(q: ca.SX, inputs: ca.SX) -> ca.SX:
+        return plant.function(q, inputs, p)[0]
+
+    if static:  # a step of Newton's method towards rest
+        slope = ca.jacobian(rates(x, late), x)
+        after = x - ca.solve(slope, rates(x, late))
+        over_z = ca.solve(slope, ca.jacobian(rates(x, late), z)) if nz else ca.SX(nx, 0)
+        after_slopes = ca.horzcat(-over_z, ca.SX.zeros(nx, more))
+    else:
+        first = rates(x, early)
+        after, after_slopes = ros2_with_slopes(
+            first, lambda q: rates(q, late), (x, s), (z, more), h
+        )
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
     y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, late, p)
-    gain, offset = _sensor(runs, unknowns, rig, z)
+    gain, offset = (ca.vertcat(*c) for c in unknowns.sensors(runs.names, rig, z))
     y = ca.densify(y * gain + offset)
-    y_slopes = ca.jacobian(y, x) @ s + ca.horzcat(ca.jacobian(y, z), ca.SX.zeros(ny, local - nz))
     measured = ca.SX.sym("measured", ny + 1)
     behind = (measured[:ny] - y) * measured[ny]
     corrected = x + _gains(plant, runs, unknowns, rig, z) @ behind if runs.warm else x
     corrected_slopes = along(corrected) if runs.warm else s
     given, column = ca.vertcat(z, at), ca.vec(s)
     wide = ca.vertcat(x, column)
-    step = ca.Function("step", [x, u, given], [after])
+    step = ca.Function("step", [x, u, given], [after], {"cse": True})
     read = ca.Function("read", [x, u, measured, given], [corrected, y])
     deep_step = ca.Function(
-        "deep_step", [wide, u, given], [ca.vertcat(after, ca.vec(along(after)))]
+        "deep_step", [wide, u, given], [ca.vertcat(after, ca.vec(after_slopes))], {"cse": True}
     )
     deep_read = ca.Function(
         "deep_read",
         [wide, u, measured, given],
         [
             ca.vertcat(corrected, ca.vec(corrected_slopes)),
-            ca.vertcat(y, ca.vec(ca.densify(y_slopes))),
+            ca.vertcat(y, ca.vec(ca.densify(along(y)))),
         ],
     )
     return (
         _sampled("move", step, read, per_step, steps),
         _sampled("tangent", deep_step, deep_read, per_step, steps),
     )
+
+
+def _driving(unknowns: RunUnknowns, z: ca.SX, at: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Inputs at the begin and end of a step and its length, at the dead times of z; ``u`` holds
+    them at the dead times ``at``, with their slopes where some are sought.
+    """
+    nu = at.numel()
+    early, late, h = u[:nu], u[nu : 2 * nu], u[2 * nu]
+    if not unknowns.delays:
+        return early, late, h
+    shift = ca.SX.zeros(nu)
+    for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
+        for i in members:
+            shift[i] = z[int(place)] * unknowns.scale[place] - at[i]
+    gained = ca.reshape(u[2 * nu + 1 :], nu, 3)
+    moved = early + gained[:, 0] * shift, late + gained[:, 1] * shift
+    return *moved, h + ca.dot(gained[:, 2], shift)
 
 
 def _sampled(
@@ -427,16 +457,6 @@ def _sampled(
     end = step.fold(steps)(x, columns, given) if steps > 1 else step(x, columns, given)
     after, y = read(end, columns[:, steps - 1], measured, given)
     return ca.Function(name, [x, u, measured, given], [after, y])
-
-
-def _sensor(runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> tuple[ca.SX, ca.SX]:
-    gain = ca.SX([rig.gains.get(n, 1.0) for n in runs.names])
-    offset = ca.SX([rig.offsets.get(n, 0.0) for n in runs.names])
-    for place, i in zip(unknowns.places("gains"), unknowns.gains, strict=True):
-        gain[i] = 1 + z[int(place)]
-    for place, i in zip(unknowns.places("offsets"), unknowns.offsets, strict=True):
-        offset[i] = z[int(place)] * unknowns.scale[place]
-    return gain, offset
 
 
 def _gains(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> ca.SX:

@@ -1,38 +1,71 @@
-"""The rungs of a ladder of models: a plant of an arrangement, each with one thing more."""
+"""Candidates of a ladder of models: each a plant with free parameters, fitted to all records and to
+those without a fold, and what it predicts of that.
+
+Fits are those of free runs (:mod:`.rollout`) that are as long as the records are.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ...core.errors import InputError, UnknownNameError, require_instance
-from ...plants.feeds import DeadTime, Regulator
-from ...plants.losses import CoulombFriction, Creep, MaxwellSlip
+from ...core.cases import Place, results_of
+from ...core.errors import FitError
+from ...core.stop import TimeIsUp, verb
+from ...core.trajectory import Trajectory
+from ...plants.dead_time import DelayLine
 from ...plants.plant import Plant
-from .experiment import groups
+from ...plants.undelayed import without_dead_times
+from ..statistics import Array, Coefficient
+from .descent import Descent, descend
+from .experiment import ParameterGroup, groups, measured_names, with_inputs
+from .rig import Rig, RunUnknowns, unknowns_of
+from .rollout import Rollout, require_followed
+from .run_statistics import fineness, spread_of
+from .runs import Runs, runs_of, settled_starts
 
-__all__ = ["LADDER", "Builder", "Rung", "rungs_of"]
+__all__ = [
+    "FIRST_RATE",
+    "HISTORY",
+    "Part",
+    "Rung",
+    "RungFit",
+    "RungModel",
+    "Task",
+    "climbed",
+    "model_of",
+    "usual_steps",
+]
 
-LADDER = ("static", "lag", "dead time", "slew", "friction", "memory", "creep")
-"""What there is to climb, in this order."""
-SLIP_YIELDS = (0.003, 0.015)
-"""Contractions at which the elements of the memory slide; their forces are fitted."""
-
-
-class Builder(Protocol):
-    """What makes the plant of a rung: ``partial(pam.AntagonisticSlide, muscle, 2.0)``, a class, or
-    a function of one's own.
-    """
-
-    def __call__(self, *, feed: Any, losses: Any) -> Plant: ...
+Part: TypeAlias = "tuple[int, int, int]"
+"""(record, first sample, last sample + 1)."""
+FIRST_RATE = 1e6
+"""Of pressures [Pa/s], where no candidate before tells it."""
+TRIED = 6
+"""Evaluations by which starts are compared; the best goes on."""
+EVALUATIONS = 40
+"""Of a fit, at most."""
+MOST_STEPS = 32
+"""In a sampling interval, however small the residuals are."""
+STEP = 1.25e-3
+"""Longest step [s] where no number of steps is given."""
+HISTORY = 3
+"""Samples at the begin of a record that tell where a run begins, and are not compared."""
+LOST = 1e3
+"""Stands for an error, in spreads, that is no number or beyond: a run that diverged."""
+NEWTON = 8
+"""Steps of Newton's method from one sample's point of rest to the next, in static runs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """A model to be tried.
+    """A model to be tried: by :func:`fit_ladder`, or, as a structure, by :func:`choose`.
 
     plant : with start values; where it has a parameter of the rung before, it begins with what was
     found there. free : as for :func:`fit_plant`. starts : values of parameters [SI], from each of
@@ -54,95 +87,231 @@ class Rung:
     static: bool = False
     fast: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
+    @property
+    def complexity(self) -> float:
+        """Number of free parameters."""
+        return float(len(groups(self.plant, self.free)))
 
-def rungs_of(
-    build: Builder,
-    free: Sequence[str | Sequence[str]] = (),
-    *,
-    feed: Regulator | None = None,
-    dynamic: Sequence[str | Sequence[str]] | None = None,
-    names: Sequence[str] = LADDER,
-) -> list[Rung]:
-    """The rungs of :func:`fit_ladder` for an arrangement; see there.
+    def fit(self, records: Sequence[Trajectory], /) -> RungModel:
+        """Least squares of free runs through whole records, where these begin sought, too."""
+        task = _whole(self.plant, records)
+        _, model = _best_start(task, starting(self, {}, FIRST_RATE), self)
+        return _accurate(model)[0]
 
-    One start of each is (nearly) the rung before, so that no rung fits worse than it.
+    def losses(self, model: RungModel, records: Sequence[Trajectory], /) -> Array:
+        """Mean squared error of each record, variable by variable [its unit squared]; only where it
+        begins is estimated from it.
+        """
+        plant = self.plant.with_values(_values(self.plant, model))
+        task = replace(_whole(plant, records), steps=model.steps)
+        again = model_of(task, plant, replace(self, free=()))
+        rollout = again.rollout()
+        squares = _squares(rollout, again.fitted(rollout, EVALUATIONS).z)
+        return np.asarray(np.nanmean(squares, axis=1) * rollout.spread**2)
+
+
+@dataclass(frozen=True, eq=False)
+class RungFit:
+    """One rung: fitted to all records, and what it predicts of parts that it was not fitted to.
+
+    plant : with the fitted values. coefficients : the free parameters with standard errors.
+    rmse : of each measured variable over all parts left out [its unit]. losses : mean squared error
+    of each part, in parts of the variables' variances, averaged over the variables (n,).
+    against : how the error (a root mean square) compares with the rung before, as (ratio - 1, half
+    width of its interval). worse : whether it is significantly worse than the best rung.
+    seconds : processor time of its fit to all records. failure : why there is none.
     """
-    regulator = require_instance(
-        "feed", feed or Regulator(), Regulator, "give a Regulator or PairRegulator"
-    )
-    unknown = [n for n in names if n not in LADDER]
-    if unknown:
-        raise UnknownNameError("rung", unknown[0], LADDER)
-    steps = [n for n in LADDER if n in names]
-    if not steps:
-        raise InputError(f"rungs is empty: name some of {', '.join(LADDER)}")
-    found: list[Rung] = []
-    parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
-    losses: tuple[Any, ...] = ()
-    own: list[str] = []
-    for name in steps:
-        starts: list[dict[str, float]] = [{}]
-        fast: dict[str, Sequence[float]] = {}
-        if name == "lag":
-            own += ["lag"] + (["venting_lag"] if regulator.venting_lag is not None else [])
-            starts = [dict.fromkeys(own, value) for value in (0.002, 0.02, 0.1)]
-        elif name == "dead time":
-            given = regulator.dead_time
-            line = given if isinstance(given, DeadTime) else DeadTime(0.01, order=3)
-            parts["dead_time"] = line
-            starts = [{"dead_time": value} for value in (0.001, 0.004, 0.02, 0.06)]
-            own += ["dead_time"]
-        elif name == "slew":
-            parts["slew"] = regulator.slew or 1e6
-            fast = {"slew": (3.0, 0.9, 0.5, 0.25)}
-            own += ["slew"]
-        elif name == "friction":
-            losses += (CoulombFriction(5.0, speed=3e-3),)
-            starts = [{"friction_constant": value} for value in (0.0, 1.0, 8.0)]
-            own += ["friction_constant"]
-        elif name == "memory":
-            losses += (MaxwellSlip((2.0, 2.0), SLIP_YIELDS, edge=1.0),)
-            starts = [{"slip1_force": v, "slip2_force": v} for v in (0.0, 1.0, 6.0)]
-            own += ["slip1_force", "slip2_force"]
-        elif name == "creep":
-            losses += (Creep((200.0,), (1.0,)),)
-            starts = [
-                {"creep1_stiffness": k, "creep1_time": v}
-                for k, v in ((0.1, 1.0), (100.0, 0.3), (100.0, 3.0))
-            ]
-            own += ["creep1_stiffness", "creep1_time"]
-        plant = build(feed=replace(regulator, **parts), losses=losses)
-        static = name == "static"
-        chosen = [*_present(plant, free)]
-        if not static:
-            moving = ("damping", "damping_ratio") if dynamic is None else dynamic
-            chosen += _present(plant, moving, dynamic is not None)
-            chosen += [_tied(plant, key) for key in own]
-        by_name = tuple({n: v for k, v in s.items() for n in _tied(plant, k)} for s in starts)
-        by_rate = {n: p for k, p in fast.items() for n in _tied(plant, k)}
-        label = name if not found else f"+ {name}"
-        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate))
-    return found
+
+    name: str
+    plant: Plant
+    coefficients: Mapping[str, Coefficient]
+    rmse: Mapping[str, float]
+    losses: Array = field(repr=False)
+    states: int
+    seconds: float
+    against: tuple[float, float] = (np.nan, np.nan)
+    worse: bool = False
+    failure: str = ""
+    model: Any = field(default=None, repr=False)
+    """As it was run through the records."""
+
+    @property
+    def score(self) -> float:
+        """Root of the mean loss: 1 is what a constant predicts."""
+        return float(np.sqrt(np.mean(self.losses))) if self.losses.size else float("inf")
 
 
-def _tied(plant: Plant, key: str) -> tuple[str, ...]:
-    """All parameters called so, of whatever muscle: equal in a ladder."""
-    names = [v.name for v in plant.parameters if v.name.rpartition(".")[2] == key]
-    return tuple(names)
+def usual_steps(records: Sequence[Trajectory]) -> int:
+    """Steps in each sampling interval where none are given."""
+    usual = min(float(np.median(np.diff(r.t))) for r in records)
+    return max(1, int(np.ceil(usual / STEP - 1e-6)))
 
 
-def _present(
-    plant: Plant, wanted: Sequence[str | Sequence[str]], required: bool = True
-) -> list[str | tuple[str, ...]]:
-    """Entries of free; of defaults those that the plant has."""
-    known = {v.name for v in plant.parameters}
-    found: list[str | tuple[str, ...]] = []
-    for entry in wanted:
-        plain = entry if isinstance(entry, str) else tuple(entry)
-        if required or plain in known:
-            found.append(plain)
-    groups(plant, found)  # refuses what is no parameter
-    return found
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What all fits have in common."""
+
+    records: Sequence[Trajectory]
+    outputs: Sequence[str]
+    parts: Sequence[Part]
+    fold: NDArray[np.intp]
+    steps: int
+    bounds: Mapping[str, tuple[float, float]]
+
+    def counted(self, without: int) -> list[Array]:
+        """1 for samples that count, 0 for those of a fold left out, of each record."""
+        found = [np.ones(len(r)) for r in self.records]
+        for (r, a, b), k in zip(self.parts, self.fold, strict=True):
+            if k == without:
+                found[r][a:b] = 0.0
+        return found
+
+    def losses(self, squares: Array, fold: int) -> dict[int, Array]:
+        """{part of a fold: mean (ny,) of squared errors (records, K, ny) in it}."""
+        return {
+            i: np.mean(squares[r, max(a - HISTORY, 0) : b - HISTORY], axis=0)
+            for i, ((r, a, b), k) in enumerate(zip(self.parts, self.fold, strict=True))
+            if k == fold
+        }
+
+
+# ---- a model ------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class RungModel:
+    """A rung from a plant's values on, run through whole records. What is not measured begins at
+    rest; where positions, velocities and pressures begin is unknown in each record, too.
+
+    plant, records : as they are run, dead times apart. x0 (records, nx) : guesses of the starts.
+    z : where a search begins, or ended.
+    """
+
+    plant: Plant
+    records: Sequence[Trajectory]
+    outputs: Sequence[str]
+    unknowns: RunUnknowns
+    rig: Rig
+    x0: Array
+    z: Array
+    static: bool
+    steps: int
+    """Of the integration in each sampling interval."""
+    weigh: Array | None = field(default=None)
+    """Factors of the measured variables."""
+
+    def rollout(self, counted: Sequence[Array] | None = None) -> Rollout:
+        """counted : weights of the samples of each record."""
+        runs = _runs(self.plant, self.records, self.outputs, self.steps, self.static)
+        runs = replace(runs, x0=self.x0)
+        if counted is not None:
+            weights = np.zeros(runs.weights.shape)
+            for row, own in zip(weights, counted, strict=True):
+                row[: len(own) - HISTORY] = own[HISTORY:]
+            runs = replace(runs, weights=weights / weights.sum())
+        return Rollout(
+            self.plant, runs, self.unknowns, self.rig, weigh=self.weigh, static=self.static
+        )
+
+    def fitted(self, rollout: Rollout, evaluations: int, starts: bool = True) -> Descent:
+        """starts : whether those of the records are sought, too."""
+        require_followed(rollout, self.z)
+        low, high = self.unknowns.low.copy(), self.unknowns.high.copy()
+        if not starts:
+            own = slice(self.unknowns.shared, None)
+            low[own] = high[own] = self.z[own]
+        if not self.z.size:
+            return Descent(self.z, rollout.cost(self.z), 0, "nothing is free", True, 0)
+        found = descend(rollout, self.z, low, high, evaluations)
+        if found.timed:
+            raise TimeIsUp
+        return found
+
+
+def _runs(
+    plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str], steps: int, static: bool
+) -> Runs:
+    steps = NEWTON if static else steps
+    runs = runs_of(plant, records, None, None, outputs, HISTORY, steps, even=False)
+    if not static:
+        return runs
+    # at rest under the input of the sample itself, even where that has only just been set
+    later = [
+        replace(e, u=np.concatenate([e.u[1:], e.u[-1:]])) if e.held else e for e in runs.inputs
+    ]
+    return replace(runs, inputs=later)
+
+
+def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
+    """Dead times are those of inputs, and exact, where each record has equal steps or its inputs
+    run along lines; else delay lines are integrated.
+    """
+    own = {g.name for g in groups(plant, rung.free)}
+    wanted = groups(plant, rung.free, {n: b for n, b in task.bounds.items() if n in own})
+    late = _dead_times(task, plant, wanted)
+    bare = plant if late is None else without_dead_times(plant)
+    lines = plant.delay_lines if late is not None else ()
+    records = [with_inputs(bare, _at_outlets(r, lines), {}) for r in task.records]
+    names, places = ({v.name: i for i, v in enumerate(p.parameters)} for p in (plant, bare))
+    kept = [
+        replace(g, members=tuple(places[n] for n, i in names.items() if i in g.members))
+        for g in wanted
+        if g not in (late or ())
+    ]
+    runs = _runs(bare, records, task.outputs, task.steps, rung.static)
+    x0 = settled_starts(bare, runs, len(records), range(len(bare.states)))
+    seen = {*task.outputs, *(v for q, v in bare.positions.items() if q in task.outputs)}
+    free = [i for i, v in enumerate(bare.states) if v.name in seen or v.unit == "Pa"]
+    hidden = {} if rung.static else {i: x0[:, i] for i in free}
+    sampling = float(runs.t[0])
+    unknowns, _ = unknowns_of(bare, kept, task.outputs, len(records), sampling, hidden=hidden)
+    inputs = [v.name for v in bare.inputs]
+    for g in late or ():
+        members = [inputs.index(n.outlet) for n in lines if names[n.time] in g.members]
+        ends = (g.value, g.low, g.high)
+        unknowns = unknowns.with_delay(tuple(members), g.name, sampling, *ends)
+    times = {line.outlet: float(plant.variable(line.time).start or 0.0) for line in lines}
+    rig = Rig({n: d for n, d in times.items() if d})
+    start, static = unknowns.guess, rung.static
+    return RungModel(bare, records, task.outputs, unknowns, rig, x0, start, static, task.steps)
+
+
+def _at_outlets(record: Trajectory, lines: Sequence[DelayLine]) -> Trajectory:
+    """With what goes into a delay line as a column called as what comes out of it."""
+    if not lines:
+        return record
+    columns = {n: record[n] for n in record.names} | {n.outlet: record[n.source] for n in lines}
+    return Trajectory(record.t, columns, interpolation=record.interpolation)
+
+
+def _dead_times(
+    task: Task, plant: Plant, wanted: Sequence[ParameterGroup]
+) -> list[ParameterGroup] | None:
+    """The unknowns that are dead times; None where delay lines have to be integrated: inputs held
+    over unequal steps, a dead time that is to be equal to something else.
+    """
+    held = [np.diff(r.t) for r in task.records if r.interpolation == "previous"]
+    times = {line.time for line in plant.delay_lines}
+    found = [(g, [plant.parameters[m].name in times for m in g.members]) for g in wanted]
+    uneven = any(np.ptp(steps) > 1e-3 * np.median(steps) for steps in held)
+    if uneven or any(any(t) != all(t) for _, t in found):
+        return None
+    return [g for g, late in found if all(late)]
+
+
+def _whole(plant: Plant, records: Sequence[Trajectory]) -> Task:
+    """Of records as they are, without parts."""
+    names, nothing = measured_names(plant, records, None), np.empty(0, dtype=np.intp)
+    return Task(records, names, (), nothing, usual_steps(records), {})
+
+
+def _values(plant: Plant, model: RungModel) -> dict[str, float]:
+    """Of all parameters that were fitted, dead times among them."""
+    found = model.unknowns.parameters(model.plant, model.z)
+    delays = model.unknowns.rig(model.plant, model.outputs, model.rig, model.z).delays
+    if model.plant is not plant:
+        found |= {line.time: delays.get(line.outlet, 0.0) for line in plant.delay_lines}
+    return {
+        n: float(np.clip(v, plant.variable(n).min, plant.variable(n).max)) for n, v in found.items()
+    }
 
 
 def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant]:
@@ -163,3 +332,115 @@ def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant
         inside = {n: float(np.clip(v, known[n].min, known[n].max)) for n, v in values.items()}
         found.append(rung.plant.with_values(inside))
     return found
+
+
+# ---- a rung -------------------------------------------------------------------------------------
+def climbed(
+    task: Task,
+    rung: Rung,
+    before: Mapping[str, float],
+    rate: float,
+    executor: Place,
+) -> tuple[RungFit, dict[str, float], float]:
+    """The rung fitted; values and the fastest rate of a pressure, for the next."""
+    clock = time.process_time()
+    try:
+        plant, model = _best_start(task, starting(rung, before, rate), rung)
+        model, coefficients = _accurate(model)
+        seconds = time.process_time() - clock
+        folds = range(int(task.fold.max()) + 1)
+        one = partial(_one_fold, task, model)
+        found = results_of(one, folds, executor=executor, chunk=1, what="folds")
+    except FitError as error:
+        nothing = RungFit(rung.name, rung.plant, {}, {}, np.empty(0), len(rung.plant.states), 0.0)
+        return replace(nothing, failure=str(error), worse=True), dict(before), rate
+    losses = {i: loss for losses in found for i, loss in losses.items()}
+    squares = np.array([losses[i] for i in range(len(task.parts))])
+    samples = np.array([b - a for _, a, b in task.parts], float)
+    mean = (samples @ squares) / samples.sum()
+    rollout = model.rollout()
+    values = _values(plant, model)
+    fit = RungFit(
+        rung.name,
+        plant.with_values(values),
+        coefficients,
+        dict(zip(task.outputs, (np.sqrt(mean) * rollout.spread).tolist(), strict=True)),
+        squares.mean(axis=1),
+        0 if rung.static else len(plant.states),
+        seconds,
+        model=model,
+    )
+    fastest = 0.0 if rung.static else _fastest_pressure(model, rollout)
+    return fit, {**before, **values}, fastest or rate
+
+
+@verb
+def _best_start(task: Task, plants: Sequence[Plant], rung: Rung) -> tuple[Plant, RungModel]:
+    """A few evaluations from each start; where the best led."""
+    found, failure = [], FitError("no start")
+    for plant in plants:
+        model = model_of(task, plant, rung)
+        try:
+            tried = model.fitted(model.rollout(), TRIED)
+        except FitError as error:
+            failure = error
+            continue
+        found.append((tried.cost, plant, replace(model, z=tried.z)))
+    if not found:
+        raise failure
+    return min(found, key=lambda f: f[0])[1:]
+
+
+@verb
+def _accurate(model: RungModel) -> tuple[RungModel, dict[str, Coefficient]]:
+    """Each variable weighed by its residuals, with steps so short that halving them changes little;
+    and the values with standard errors.
+    """
+    rollout = model.rollout()
+    model = replace(model, z=model.fitted(rollout, EVALUATIONS).z)
+    sizes = np.sqrt(np.nanmean(_squares(rollout, model.z), axis=(0, 1)))
+    model = replace(model, weigh=1 / np.maximum(sizes, 1e-6))
+    while True:
+        rollout, u = model.rollout(), model.unknowns
+        z = model.fitted(rollout, EVALUATIONS).z
+        model = replace(model, z=z)
+        if not z.size:
+            return model, {}
+        edge = (z - u.low < 1e-9) | (u.high - z < 1e-9)
+        found = spread_of(rollout, rollout.runs, u, z, edge).coefficients
+        stderr = np.array([c.stderr for c in found.values()]) / u.scale[: u.shared]
+        finer = replace(model, steps=2 * model.steps)
+        if model.static or finer.steps > MOST_STEPS:
+            return model, found
+        if fineness(rollout, z, finer.rollout().predicted(z), ~edge, stderr).fine:
+            return model, found
+        model = finer
+
+
+@verb
+def _one_fold(task: Task, model: RungModel, fold: int) -> dict[int, Array]:
+    """As to a validation, where records begin is known to a fit without a part."""
+    rollout = model.rollout(task.counted(fold))
+    found = model.fitted(rollout, EVALUATIONS, starts=False)
+    return task.losses(_squares(rollout, found.z), fold)
+
+
+def _squares(rollout: Rollout, z: Array) -> Array:
+    """Squared errors (records, K, ny) in spreads; NaN behind the end of a record."""
+    measured = rollout.runs.measured
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = (rollout.predicted(z) - measured) / rollout.spread
+    error = np.clip(np.nan_to_num(error, nan=LOST, posinf=LOST, neginf=LOST), -LOST, LOST)
+    return np.where(np.isnan(measured), np.nan, error**2)
+
+
+def _fastest_pressure(model: RungModel, rollout: Rollout) -> float:
+    """The largest rate of a pressure from sample to sample [Pa/s]; 0 where there is none."""
+    pressures = [i for i, v in enumerate(model.plant.states) if v.unit == "Pa"]
+    rates = [0.0]
+    for part, x in rollout.states(model.z):
+        for row, own in zip(part.rows, x[..., pressures], strict=True):
+            t = model.records[row].t[HISTORY:]
+            change = np.diff(own[: len(t)], axis=0) / np.diff(t)[:, None]
+            rates.append(float(np.abs(change).max(initial=0.0)))
+    return max(rates)

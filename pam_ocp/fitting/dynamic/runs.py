@@ -1,23 +1,128 @@
-"""Where free runs of a plant begin in records, and what they are compared with."""
+"""Where free runs of a plant begin in records, and what they are compared with.
+
+Where the states begin that nobody measured: pressures, spools, heat, creep, slip.
+
+Each record gets a start of its own for them, estimated with all else. Runs from moments in the
+middle of a record begin where the plant has brought these states by then, along the measured
+inputs, the measured states set to what was measured at each start.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_positive
 from ...core.shown import shown
 from ...core.trajectory import Trajectory
+from ...numerics.rosenbrock import ros2
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import measured_names, recorded
-from .run_inputs import RunInputs
 
-__all__ = ["FreeRun", "Runs", "runs_of"]
+__all__ = ["FreeRun", "RunInputs", "RunSteps", "Runs", "hidden_states", "runs_of", "settled_starts"]
+
+
+@dataclass(frozen=True, eq=False)
+class RunSteps:
+    """Inputs at the begins and ends of steps, and what they gain per second of delay, (n - 1,
+    steps, nu) each; lengths of the steps (n - 1, steps) [s], and what these gain per second of each
+    input's delay (steps, nu).
+    """
+
+    begin: Array
+    end: Array
+    begin_slope: Array
+    end_slope: Array
+    length: Array
+    length_slope: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RunInputs:
+    """t (n,), u (n, nu): samples, joined by lines or ``held``. Before the first sample its value
+    held.
+    """
+
+    t: Array
+    u: Array
+    held: bool
+
+    def steps(self, delays: Array, late: Sequence[tuple[int, ...]], count: int) -> RunSteps:
+        """In ``count`` steps of each sampling interval.
+
+        delays : of each input [s]. late : inputs that are late, those of one delay together. Held
+        ones jump inside of the intervals: there a step ends and the next begins, so that none has
+        to do with two values and their motion depends on the delay without jumps.
+        """
+        if self.held:
+            return self._between_jumps(delays, late, count)
+        part = np.arange(count + 1) / count
+        spans = np.diff(self.t)
+        grid = self.t[:-1, None] + part * spans[:, None]
+        found = [self._line(i, grid - d) for i, d in enumerate(delays)]
+        length = np.repeat(spans[:, None] / count, count, axis=1)
+        still = np.zeros((count, len(delays)))
+        if not found:
+            empty = np.empty((len(spans), count, 0))
+            return RunSteps(empty, empty, empty, empty, length, still)
+        value, slope = (np.stack(c, axis=-1) for c in zip(*found, strict=True))
+        edges = value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:]
+        return RunSteps(*edges, length, still)
+
+    def _line(self, i: int, at: Array) -> tuple[Array, Array]:
+        """Values, and what they gain per second of delay."""
+        t, u = self.t, self.u[:, i]
+        slopes = np.concatenate([[0.0], np.diff(u) / np.diff(t)])
+        # the line that a moment lies on when the delay grows: the one to its left
+        left = np.clip(np.searchsorted(t, at - 1e-9 * (t[1] - t[0])), 0, len(t) - 1)
+        return np.interp(at, t, u), -slopes[left]
+
+    def _between_jumps(
+        self, delays: Array, late: Sequence[tuple[int, ...]], count: int
+    ) -> RunSteps:
+        n = len(self.t) - 1
+        sampling = (self.t[-1] - self.t[0]) / n
+        whole, part = _whole_and_part(delays / sampling)
+        rank = sorted(range(len(late)), key=lambda g: part[late[g][0]])
+        jumps = np.array([part[late[g][0]] for g in rank])
+        ends = np.concatenate([[0.0], jumps, [1.0]])
+        shares = _shared(np.diff(ends), count)
+        between = np.repeat(np.arange(len(shares)), shares)  # the jumps that each step lies behind
+        order = np.full(len(delays), -1)
+        for k, g in enumerate(rank):
+            order[list(late[g])] = k
+        passed = between[None, :] > order[:, None]
+        place = np.arange(n)[:, None, None] - (whole[:, None] + 1 - passed).T
+        value = np.take_along_axis(self.u[:, None, :], np.clip(place, 0, n), axis=0)
+        slope = np.zeros((len(shares), len(delays)))
+        for k, g in enumerate(rank):
+            slope[k, late[g][0]] += 1.0
+            slope[k + 1, late[g][0]] -= 1.0
+        still = np.zeros_like(value)
+        length = np.diff(self.t)[:, None] * (np.diff(ends) / shares)[between]
+        return RunSteps(value, value, still, still, length, (slope / shares[:, None])[between])
+
+
+def _whole_and_part(number: Array) -> tuple[NDArray[np.intp], Array]:
+    whole = np.floor(number + 1e-9)
+    return whole.astype(np.intp), np.clip(number - whole, 0.0, 1.0)
+
+
+def _shared(spans: Array, count: int) -> NDArray[np.intp]:
+    """``count`` steps over parts of an interval: one to each at least, the others to where steps
+    are longest.
+    """
+    found = np.ones(len(spans), dtype=np.intp)
+    for _ in range(count - len(spans)):
+        found[int(np.argmax(spans / found))] += 1
+    return found
+
 
 FAR = 100.0
 """Ranges of a measured variable by which a run must be off to count as diverged."""
@@ -181,12 +286,16 @@ def runs_of(
     history: int,
     steps: int,
     warm_up: float = 0.0,
+    even: bool = True,
 ) -> Runs:
+    """even : whether all records must be sampled at the same equal steps; else times along the
+    runs are nominal.
+    """
     chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
     require_count("history", history, 2)
     require_count("steps", steps)
-    sampling = _sampling(chosen)
+    sampling = _sampling(chosen) if even else float(np.median(np.diff(chosen[0].t)))
     warm = 0
     if require_positive("warm_up", warm_up, "s", zero=True):
         warm = _multiple("warm_up", warm_up, sampling)
@@ -321,3 +430,62 @@ def _start(plant: Plant, record: Trajectory, i: int, history: int) -> Array:
             values[velocity] = float(since @ record[position][past] / (since @ since))
     values.update({n: float(record[n][i]) for n in values if n in record})
     return np.array([values[v.name] for v in plant.states])
+
+
+SETTLING = np.concatenate([2e-3 * 2.0 ** np.arange(12), np.full(8, 0.5)])
+"""Steps [s] of rest before a record: 12 s in all."""
+
+
+def hidden_states(
+    plant: Plant, measured: Sequence[str], known: Collection[str], whole: bool
+) -> list[int]:
+    """Positions of the states whose starts are found by default: those that were not measured and
+    are not ``known``; of ``whole`` records all, as one sample's noise would count in all of it.
+    """
+    given = set(known)
+    if not whole:
+        given |= {*measured, *(v for q, v in plant.positions.items() if q in measured)}
+    return [i for i, v in enumerate(plant.states) if v.name not in given]
+
+
+def settled_starts(plant: Plant, runs: Runs, records: int, places: Sequence[int]) -> Array:
+    """Guesses (records, len(places)): the measured states and their velocities as at the first run
+    of a record, the others at rest under its first inputs; at the plant's start values where they
+    do not come to rest.
+    """
+    order = [v.name for v in plant.states]
+    seen = {*runs.names, *(v for q, v in plant.positions.items() if q in runs.names)}
+    loose = [i for i, n in enumerate(order) if n not in seen]
+    step = _settling(plant, loose) if loose else ca.Function()
+    low, high = (plant.vector("state", attribute=a) for a in ("min", "max"))
+    found = np.empty((records, len(places)))
+    for r in range(records):
+        rows = np.nonzero(runs.record == r)[0]
+        if not rows.size:
+            found[r] = plant.vector("state")[list(places)]
+            continue
+        first = rows[np.argmin(runs.first[rows])]
+        begin = runs.x0[first].copy()
+        part = begin[loose]
+        now = runs.inputs[r].u[int(runs.first[first])]
+        for length in SETTLING if loose else ():
+            part = np.asarray(step(part, begin, now, length)).ravel()
+        if np.all(np.isfinite(part)) and np.all((part >= low[loose]) & (part <= high[loose])):
+            begin[loose] = part
+        found[r] = np.clip(begin, low, high)[list(places)]
+    return found
+
+
+def _settling(plant: Plant, loose: list[int]) -> ca.Function:
+    """A step of these states towards rest: (they, all states, inputs, its length) -> they."""
+    nx = len(plant.states)
+    x, u, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(plant.inputs)), ca.SX.sym("h")
+    own, p = ca.SX.sym("own", len(loose)), ca.SX(plant.vector("parameter"))
+
+    def rates(part: ca.SX) -> ca.SX:
+        every = ca.SX(x)
+        every[loose] = part
+        return plant.function(every, u, p)[0][loose]
+
+    after = ros2(lambda q: (rates(q), ca.jacobian(rates(q), q)), rates, own, h)
+    return ca.Function("settle", [own, x, u, h], [after])

@@ -18,7 +18,7 @@ import numpy as np
 from ...core.trajectory import Trajectory
 from ...core.units import per_second
 from ...plants.plant import Plant
-from ...plants.undelayed import attributes_of
+from ...plants.undelayed import Redeclared
 from ..statistics import Array
 from .experiment import ParameterGroup
 
@@ -62,22 +62,16 @@ class Suspected:
 
 
 class _Builder:
-    """Declares the plant once more, with more inputs and parameters."""
+    """Declares the plant once more, with more inputs and parameters. meant : what stands for each
+    variable in its equations.
+    """
 
     def __init__(self, plant: Plant) -> None:
-        self.plant, self.made = plant, Plant(plant.name, plant.description)
-        self.symbols: dict[str, ca.SX] = {}
-        for v in plant.variables:
-            attributes = attributes_of(v)
-            if v.causality == "parameter":
-                start = attributes.pop("start")
-                self.symbols[v.name] = self.made.parameter(v.name, start, **attributes)
-            elif v.causality in ("state", "input"):
-                declare = self.made.state if v.causality == "state" else self.made.input
-                self.symbols[v.name] = declare(v.name, **attributes)
-        self.meant = dict(self.symbols)
+        again = Redeclared(plant)
+        self.again, self.plant, self.made = again, plant, again.made
+        self.symbols, self.meant = again.own, again.symbols
         self.push: dict[str, ca.SX] = {}
-        self.memory: list[tuple[ca.SX, ca.SX]] = []
+        self.memory: dict[str, ca.SX] = {}
         self.suspects: list[Suspect] = []
         self.columns: dict[str, list[Array]] = {}
         self.delays: dict[str, float] = {}
@@ -94,24 +88,10 @@ class _Builder:
         return self.made.input(name)
 
     def finished(self) -> Plant:
-        plant = self.plant
-        defined = [v for v in plant.variables if v.causality == "output"]
-        states = [v.name for v in plant.states]
-        wanted = [*(f"der({n})" for n in states), *(v.name for v in defined)]
-        found = ca.substitute(
-            [ca.vertcat(*map(plant.expression, wanted))],
-            [ca.vertcat(*map(plant.expression, self.meant))],
-            [ca.vertcat(*self.meant.values())],
-        )[0]
-        parts = ca.vertsplit(found)
-        for name, rate in zip(states, parts, strict=False):
-            self.made.der(self.symbols[name], rate + self.push.get(name, ca.SX(0)))
-        for state, rate in self.memory:
-            self.made.der(state, rate)
-        for v, value in zip(defined, parts[len(states) :], strict=True):
-            attributes = {n: a for n, a in attributes_of(v).items() if n != "start"}
-            self.made.output(v.name, value, **attributes)
-        return self.made
+        found = self.again.equations()
+        for name, push in self.push.items():
+            found[name] += push
+        return self.again.finished(found | self.memory, constraints=False)
 
 
 def suspected(
@@ -192,8 +172,8 @@ def _force_suspects(
     q, w = b.symbols[position], b.symbols[velocity]
     unit = per_second(b.plant.variable(velocity).unit)
     middle, reach, speed = _sizes(b.plant, position, velocity, records)
-    held = b.made.state(f"{velocity}.suspect")
-    b.memory.append((held, (w - ca.fabs(w) * held) / (PRESLIDING * reach)))
+    held = b.again.state(f"{velocity}.suspect")
+    b.memory[f"{velocity}.suspect"] = (w - ca.fabs(w) * held) / (PRESLIDING * reach)
     x, v = (q - middle) / reach, w / speed
     pushes = [
         ("friction or hysteresis", -ca.tanh(w / (STICK * speed))),

@@ -3,52 +3,84 @@
 Time runs as the inputs' clock does. What was measured at t left the plant at t - delay, since a
 delay of the inputs is, for a plant that knows no time of its own, a delay of all that is measured.
 So the mesh stays with the inputs, and the delay only moves the places where it is read.
+
+For plants whose equations have kinks that no polynomial over a sampling interval follows (slip
+elements, play, softening) a program by simulation: residuals of accurate runs, slopes by
+differences. Nothing but parameters and starts is unknown; a simulation meets every kink where it
+is, and where a step of a parameter moves it, the residuals follow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from ...core.errors import PamError
+from ...core.signals import PiecewisePolynomial
 from ...numerics.collocation import collocation_matrices, collocation_points, lagrange
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
+from ...simulation.simulator import simulate
 from ..statistics import Array
 from .experiment import Experiment, ParameterGroup
+from .rig import Rig, RunUnknowns, unknowns_of
 
-__all__ = ["METHODS", "FitMethod", "FitProgram", "Unknowns", "head_of", "transcribe"]
+__all__ = [
+    "METHODS",
+    "FitMethod",
+    "FitProblem",
+    "FitProgram",
+    "SimulatedProgram",
+    "sensed",
+    "transcribe",
+    "unknowns_with_starts",
+    "usual",
+]
 
 FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting", "simulation"]
 METHODS = ("collocation", "multiple-shooting", "single-shooting", "simulation")
 
 
-@dataclass(frozen=True)
-class Unknowns:
-    """What is sought beside the states along the records.
+@dataclass(frozen=True, eq=False)
+class FitProblem:
+    """A plant, records and what is sought: parameters, one delay at most, sensors, and where every
+    state begins in each record.
 
-    offsets, gains : positions among the measured names. delay : bounds [s] and value.
+    known_delay : [s], where the delay is no unknown. process : positions of states that are
+    disturbed, and the intensities [unit/sqrt(s)].
     """
 
-    groups: Sequence[ParameterGroup]
-    names: Sequence[str]
-    offsets: Sequence[int] = ()
-    gains: Sequence[int] = ()
-    delay: float = 0.0
-    delay_bounds: tuple[float, float] | None = None
+    plant: Plant
+    experiments: Sequence[Experiment]
+    measured: Sequence[str]
+    unknowns: RunUnknowns
+    known_delay: float = 0.0
     process: Sequence[tuple[int, float]] = ()
-    """Positions of states that are disturbed, and the intensities [unit/sqrt(s)]."""
+
+    def delay(self, head: Array) -> float:
+        """At these values of the unknowns [s]."""
+        u = self.unknowns
+        if not u.delays:
+            return self.known_delay
+        (place,) = u.places("delays")
+        return float(head[place] * u.scale[place])
+
+    @property
+    def nominal(self) -> Array:
+        """Of what is measured."""
+        return np.array([self.plant.variable(n).nominal for n in self.measured])
 
 
 @dataclass(frozen=True, eq=False)
 class FitProgram:
     """min |W residuals|^2 subject to ``defects`` = 0, in scaled unknowns w = (head, states, jumps).
 
-    head : (parameters, gains - 1, offsets, delay, initial states of every record).
+    head : the unknowns of the problem.
     residuals : in units of the measured variables' nominals; one weight each is the parameter.
     jumps : how many unknowns at the end of w are jumps of disturbed states where intervals begin,
         and errors of measured inputs, in units of their standard deviations; residuals ends with
@@ -91,56 +123,51 @@ class _Mesh:
     offset: Array  # (K,) time since the interval's begin at zero delay
 
 
-def transcribe(
-    plant: Plant,
-    experiments: Sequence[Experiment],
-    unknowns: Unknowns,
-    method: FitMethod,
-    degree: int,
-) -> FitProgram:
+def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgram:
     """State the program for a method; ``degree`` is that of the collocation, or steps of RK4."""
-    mesh = _mesh(experiments, unknowns.delay)
-    x_nominal = plant.vector("state", attribute="nominal")
-    y_nominal = np.array([plant.variable(name).nominal for name in unknowns.names])
-    records, usual = len(experiments), float(np.median(mesh.h))
-    theta, x0 = ca.MX.sym("theta", len(unknowns.groups)), ca.MX.sym("x0", len(x_nominal), records)
-    gain = ca.MX.sym("gain", len(unknowns.gains))
-    offset = ca.MX.sym("offset", len(unknowns.offsets))
-    delay = ca.MX.sym("delay", 1 if unknowns.delay_bounds else 0)
-    p = _parameters(plant, unknowns.groups, theta)
-    lift = _jumps(mesh, records, unknowns.process, x_nominal)
+    u, experiments, nominal = problem.unknowns, problem.experiments, problem.nominal
+    mesh = _mesh(experiments, problem.delay(u.guess))
+    x_nominal = problem.plant.vector("state", attribute="nominal")
+    head = ca.MX.sym("head", len(u.names))
+    lift = _jumps(mesh, len(experiments), problem.process, x_nominal)
     errors = _input_errors(experiments, mesh)
     jumps = ca.MX.sym("jumps", lift.shape[1] + errors.shape[1])
-    u = ca.MX(ca.DM(mesh.u))
+    inputs = ca.MX(ca.DM(mesh.u))
     if errors.shape[1]:
-        u += ca.reshape(errors @ jumps[lift.shape[1] :], *mesh.u.shape)
-    given = (x0, p, lift @ jumps[: lift.shape[1]], u)
-    way = _way(plant, experiments, unknowns, mesh, method, degree, given)
+        inputs += ca.reshape(errors @ jumps[lift.shape[1] :], *mesh.u.shape)
+    x0 = ca.reshape(head[u.shared :], len(x_nominal), len(experiments))
+    p = u.vector(problem.plant, head)
+    given = (x0, p, lift @ jumps[: lift.shape[1]], inputs)
+    way = _way(problem, mesh, method, degree, given)
 
     rows = mesh.interval.tolist()
-    since = mesh.offset[None] - (delay * usual if unknowns.delay_bounds else unknowns.delay)
+    late: Any = problem.known_delay
+    for place in u.places("delays").tolist():
+        late = head[place] * u.scale[place]
     modelled = way.read.map(len(rows))(
-        way.begins[:, rows], way.inside[:, rows], since, mesh.h[rows][None], u[:, rows], p
+        way.begins[:, rows],
+        way.inside[:, rows],
+        mesh.offset[None] - late,
+        mesh.h[rows][None],
+        inputs[:, rows],
+        p,
     )
-    sensor = _sensor(unknowns, gain, offset, len(unknowns.names))
-    residuals = (mesh.measured / y_nominal[:, None]) - modelled * sensor[0] - sensor[1]
-    weights = ca.MX.sym("weights", len(unknowns.names))
-    residuals = ca.vertcat(ca.vec(residuals * ca.repmat(weights, 1, len(rows))), jumps)
-
-    head = ca.veccat(theta, gain, offset, delay, x0)
-    guess, low, high = _guess(plant, experiments, unknowns, method, degree, x_nominal)
-    head_scale = head_of(plant, experiments, unknowns)[3]
-    open_ = np.full(jumps.numel(), np.inf)
+    gains, offsets = (ca.vertcat(*c) for c in u.sensors(problem.measured, Rig(), head))
+    errors_ = ca.MX(ca.DM(mesh.measured / nominal[:, None])) - modelled * gains - offsets / nominal
+    weights = ca.MX.sym("weights", len(nominal))
+    residuals = ca.vertcat(ca.vec(errors_ * ca.repmat(weights, 1, len(rows))), jumps)
+    inner = _points(experiments, method, degree, x_nominal)
+    open_ = np.full(inner.size + jumps.numel(), np.inf)
     return FitProgram(
         ca.veccat(head, way.points, jumps),
         weights,
         residuals,
         way.defects,
         head.numel(),
-        head_scale,
-        np.concatenate([guess, np.zeros(jumps.numel())]),
-        np.concatenate([low, -open_]),
-        np.concatenate([high, open_]),
+        u.scale,
+        np.concatenate([u.guess, inner, np.zeros(jumps.numel())]),
+        np.concatenate([u.low, -open_]),
+        np.concatenate([u.high, open_]),
         jumps.numel(),
     )
 
@@ -160,9 +187,7 @@ class _Way:
 
 
 def _way(
-    plant: Plant,
-    experiments: Sequence[Experiment],
-    unknowns: Unknowns,
+    problem: FitProblem,
     mesh: _Mesh,
     method: FitMethod,
     degree: int,
@@ -172,20 +197,21 @@ def _way(
     inputs.
     """
     x0, p, jumps, u = given
+    plant, experiments = problem.plant, problem.experiments
     x_nominal = plant.vector("state", attribute="nominal")
     nx, n = len(x_nominal), mesh.h.size
 
     def begins(ends: ca.MX) -> ca.MX:
         found = ca.horzcat(x0, ends)[:, mesh.begin.tolist()]
-        return found + ca.reshape(jumps, nx, n) if unknowns.process else found
+        return found + ca.reshape(jumps, nx, n) if problem.process else found
 
     if method == "collocation":
         points = ca.MX.sym("x", nx * degree, n)
-        step, read = _collocation(plant, x_nominal, mesh, unknowns.names, degree)
+        step, read = _collocation(plant, x_nominal, mesh, problem.measured, degree)
         begin = begins(points[nx * (degree - 1) :, :])
         defects = step.map(n)(begin, points, mesh.h[None], u, p)
         return _Way(points, begin, points, ca.vec(defects), read)
-    step, read = _shooting(plant, x_nominal, mesh, unknowns.names, degree)
+    step, read = _shooting(plant, x_nominal, mesh, problem.measured, degree)
     if method == "single-shooting":
         begin = begins(_rolled(step, experiments, x0, mesh, (u, p)))
         return _Way(ca.MX(nx, 0), begin, ca.MX(0, n), ca.MX(0, 1), read)
@@ -253,24 +279,33 @@ def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:
     )
 
 
-def _parameters(plant: Plant, groups: Sequence[ParameterGroup], theta: ca.MX) -> ca.MX:
-    """All parameters of the plant."""
-    base = plant.vector("parameter")
-    place = np.zeros((len(base), len(groups)))
-    for j, group in enumerate(groups):
-        place[list(group.members), j] = group.scale
-        base[list(group.members)] = 0.0
-    return ca.DM(base) + ca.sparsify(ca.DM(place)) @ theta
+def unknowns_with_starts(
+    plant: Plant,
+    groups: Sequence[ParameterGroup],
+    measured: Sequence[str],
+    experiments: Sequence[Experiment],
+    **sensed: Any,
+) -> RunUnknowns:
+    """What is sought beside the motion: with where all states begin in each record. sensed : delay,
+    gains and offsets.
+    """
+    starts = np.array([e.states[0] for e in experiments]).T
+    u, _ = unknowns_of(
+        plant,
+        groups,
+        measured,
+        len(experiments),
+        usual(experiments),
+        hidden=dict(enumerate(starts)),
+        **sensed,
+    )
+    names = u.names if len(experiments) > 1 else [n.replace(", record 1)", ")") for n in u.names]
+    return replace(u, names=tuple(names), guess=np.clip(u.guess, u.low, u.high))
 
 
-def _sensor(unknowns: Unknowns, gain: ca.MX, offset: ca.MX, ny: int) -> tuple[ca.MX, ca.MX]:
-    """(gains, offsets) of all measured variables; a gain's unknown is its excess over 1."""
-    gains, offsets = ca.MX.ones(ny), ca.MX.zeros(ny)
-    for i, place in enumerate(unknowns.gains):
-        gains[place] = 1 + gain[i]
-    for i, place in enumerate(unknowns.offsets):
-        offsets[place] = offset[i]
-    return gains, offsets
+def usual(experiments: Sequence[Experiment]) -> float:
+    """Length of an interval [s]."""
+    return float(np.median(np.concatenate([np.diff(e.mesh) for e in experiments])))
 
 
 def _symbols(plant: Plant, x_nominal: Array, mesh: _Mesh) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -362,60 +397,92 @@ def _rolled(
     return ca.horzcat(*parts)
 
 
-def _guess(
-    plant: Plant,
-    experiments: Sequence[Experiment],
-    unknowns: Unknowns,
-    method: FitMethod,
-    degree: int,
-    x_nominal: Array,
-) -> tuple[Array, Array, Array]:
-    """Start, lower and upper bounds of w."""
-    head, low, high, _ = head_of(plant, experiments, unknowns)
+def _points(
+    experiments: Sequence[Experiment], method: FitMethod, degree: int, x_nominal: Array
+) -> Array:
+    """Guesses of the states inside and at the ends of intervals, in nominals."""
+    if method == "single-shooting":
+        return np.empty(0)
+    tau = collocation_points("radau", degree) if method == "collocation" else np.ones(1)
     states = []
-    if method != "single-shooting":
-        tau = collocation_points("radau", degree) if method == "collocation" else np.ones(1)
-        for e in experiments:
-            times = (e.mesh[:-1, None] + np.diff(e.mesh)[:, None] * tau).ravel()
-            columns = [np.interp(times, e.mesh, e.states[:, i]) for i in range(len(x_nominal))]
-            states.append((np.stack(columns, 1) / x_nominal).ravel())
-    inner = np.concatenate(states) if states else np.empty(0)
-    free = np.full(inner.size, np.inf)
-    return (
-        np.concatenate([head, inner]),
-        np.concatenate([low, -free]),
-        np.concatenate([high, free]),
-    )
+    for e in experiments:
+        times = (e.mesh[:-1, None] + np.diff(e.mesh)[:, None] * tau).ravel()
+        columns = [np.interp(times, e.mesh, e.states[:, i]) for i in range(len(x_nominal))]
+        states.append((np.stack(columns, 1) / x_nominal).ravel())
+    return np.concatenate(states)
 
 
-def head_of(
-    plant: Plant, experiments: Sequence[Experiment], unknowns: Unknowns
-) -> tuple[Array, Array, Array, Array]:
-    """Start, bounds and sizes of parameters, gains, offsets, delay and initial states."""
-    g, bounds = unknowns.groups, unknowns.delay_bounds
-    x_nominal = plant.vector("state", attribute="nominal")
-    y_nominal = np.array([plant.variable(name).nominal for name in unknowns.names])
-    usual = float(np.median(_mesh(experiments, unknowns.delay).h))
-    records = len(experiments)
-    x0 = np.concatenate([e.states[0] / x_nominal for e in experiments])
-    fixed = len(unknowns.gains) + len(unknowns.offsets)
-    lows = [np.array([v.low / v.scale for v in g]), np.full(fixed, -np.inf)]
-    highs = [np.array([v.high / v.scale for v in g]), np.full(fixed, np.inf)]
-    start = [np.array([v.value / v.scale for v in g]), np.zeros(fixed)]
-    if bounds is not None:
-        start.append(np.array([unknowns.delay / usual]))
-        lows.append(np.array([bounds[0] / usual]))
-        highs.append(np.array([bounds[1] / usual]))
-    x_low, x_high = (plant.vector("state", attribute=a) / x_nominal for a in ("min", "max"))
-    lows.append(np.tile(x_low, records))
-    highs.append(np.tile(x_high, records))
-    sizes = [
-        np.array([v.scale for v in g]),
-        np.ones(len(unknowns.gains)),
-        y_nominal[list(unknowns.offsets)],
-        np.full(0 if bounds is None else 1, usual),
-        np.tile(x_nominal, records),
-    ]
-    low, high = np.concatenate(lows), np.concatenate(highs)
-    guess = np.concatenate([*start, np.clip(x0, lows[-1], highs[-1])])
-    return guess, low, high, np.concatenate(sizes)
+RTOL = 1e-8
+STEP = 1e-4
+"""Of differences, in the unknowns' own sizes: the runs' error is some 1e-4 of what it moves."""
+DIVERGED = 1e3
+"""Residual, in nominals, of a motion that cannot be simulated."""
+
+
+class SimulatedProgram:
+    """What a search asks of a program, with nothing unknown but its head; see FitProgram."""
+
+    jumps = 0
+
+    def __init__(self, problem: FitProblem) -> None:
+        self._problem, u = problem, problem.unknowns
+        self.guess, self.low, self.high, self.head_scale = u.guess, u.low, u.high, u.scale
+        self.head = self.guess.size
+
+    def residuals(self, w: Array) -> Array:
+        """Measured less simulated, (K, ny) in nominals."""
+        problem = self._problem
+        plant, u, names = problem.plant, problem.unknowns, problem.measured
+        rig, late = u.rig(plant, names, Rig(), w), problem.delay(w)
+        values = u.parameters(plant, w)
+        parts = []
+        for e, start in zip(problem.experiments, u.begins(plant, w), strict=True):
+            try:
+                modelled = sensed(plant, e, start, late, names, rig, values)
+                parts.append((e.measured - modelled) / problem.nominal)
+            except PamError:
+                parts.append(np.full(e.measured.shape, DIVERGED))
+        return np.concatenate(parts)
+
+    def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
+        """d(weighted residuals)/d(w), (K ny, head): central differences, one-sided at bounds.
+
+        base : residuals at w, from which differences to one side are enough for a search.
+        """
+        columns = []
+        for i in range(w.size):
+            size = STEP * max(1.0, abs(w[i]))
+            ends = np.clip([w[i] - size, w[i] + size], self.low[i], self.high[i])
+            if base is not None:  # to the side where there is room
+                ends[int(ends[1] - w[i] < w[i] - ends[0])] = w[i]
+                ends = np.sort(ends)
+            moved = [np.where(np.arange(w.size) == i, end, w) for end in ends]
+            below, above = (
+                self.residuals(z) if base is None or end != w[i] else base
+                for z, end in zip(moved, ends, strict=True)
+            )
+            width = ends[1] - ends[0]
+            columns.append(((above - below) * weights).ravel() / (width or 1.0))
+        return np.stack(columns, axis=1)
+
+
+def sensed(
+    plant: Plant,
+    experiment: Experiment,
+    start: Mapping[str, float],
+    delay: float,
+    names: Sequence[str],
+    rig: Rig,
+    parameters: Mapping[str, float] | None = None,
+) -> Array:
+    """The plant under the measured inputs (K, ny), as its sensors would have shown it."""
+    times = experiment.t - delay
+    times[0] = max(times[0], experiment.mesh[0])
+    grid = times
+    if times[0] > experiment.mesh[0]:
+        grid = np.concatenate([experiment.mesh[:1], times])
+    inputs = PiecewisePolynomial(experiment.mesh, experiment.coefficients)
+    run = simulate(plant, inputs, t=grid, start=start, parameters=dict(parameters or {}), rtol=RTOL)
+    gains = np.array([rig.gains.get(n, 1.0) for n in names])
+    offsets = np.array([rig.offsets.get(n, 0.0) for n in names])
+    return np.asarray(run.array(names)[len(grid) - len(times) :] * gains + offsets)
