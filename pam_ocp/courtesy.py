@@ -58,9 +58,6 @@ if TYPE_CHECKING:
     from .fitting.dynamic.outcome import validate as validate
     from .fitting.dynamic.plant_report import plant_report as plant_report
     from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
-    from .fitting.static.report import force_report as force_report
-    from .fitting.static.saved_force import read_fit as read_fit
-    from .fitting.static.saved_force import write_fit as write_fit
     from .operating.linear import linearize as linearize
     from .operating.resting_point import OperatingPoint as OperatingPoint
     from .operating.resting_point import equilibrium as equilibrium
@@ -81,7 +78,6 @@ _HOMES: dict[str, str] = {
     "closed_loop": "control.loop",
     "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
-    "force_report": "fitting.static.report",
     "plot_fit_surface": "figures.surface",
     "plot_surface": "figures.surface",
     "frame_of": "figures.tables",
@@ -116,7 +112,6 @@ _HOMES: dict[str, str] = {
     "plot_robust": "figures.plan",
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
-    "read_fit": "fitting.static.saved_force",
     "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
@@ -126,7 +121,6 @@ _HOMES: dict[str, str] = {
     "write_plan_book": "figures.workbook.motion_book",
     "write_plant_fit_book": "figures.workbook.motion_book",
     "write_muscle_ssv": "export.ssv",
-    "write_fit": "fitting.static.saved_force",
     "write_plant_fit": "fitting.dynamic.saved_plant",
 }
 """Module in which each name stands; types for annotations are not among them."""

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fitting import ForceTable, fit_force, read_table
+from pam_ocp.fitting.static.search import minimise
 from pam_ocp.fitting.static.shared import JointForceFit, fit_forces
 from pam_ocp.fitting.static.shared_problem import JointProblem
 from pam_ocp.muscles.law import SixParameterLaw
@@ -268,14 +269,14 @@ def test_bounds_of_a_shared_unknown_are_the_narrowest_of_its_tables() -> None:
 
 def test_a_joint_fit_tries_the_starts_that_it_is_given() -> None:
     class Blind(JointProblem):
-        def _scan_points(self) -> Any:
-            return np.full((1, len(self.nonlinear)), np.nan)  # nothing is seen there
+        @property
+        def scales(self) -> Any:
+            return [np.full(1, np.nan) for _ in self.nonlinear]  # nothing is seen there
 
     whole = fit_forces({"20": cells(TWENTY), "10": cells(TEN)}, shared=["a3"]).problem
-    blind = Blind(whole.parts, whole.places)
+    blind = Blind(whole.parts, whole.places, whole.names)
     with pytest.raises(FitError, match="no finite force anywhere in the scan"):
-        blind.minimise()
-    far, near = np.array([1e9]), np.array([-40.0])
-    found = blind.minimise([far, near])
-    assert found.z[blind.nonlinear] == pytest.approx([-42.0], rel=1e-6)
+        minimise(blind)
+    found = minimise(blind, np.array([[1e9], [-40.0]]))
+    assert found.coefficients[blind.nonlinear] == pytest.approx([-42.0], rel=1e-6)
     assert found.solver.scanned == 3

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import UnknownNameError
 from ...plants.plant import Plant
-from ..static.report import coefficient_line
+from ..estimates import coefficient_line
 from ..statistics import Array, Coefficient, student_t
 from .adequacy import Adequacy
 from .cross_validation import paired

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..static.report import coefficient_line
+from ..estimates import coefficient_line
 from .plant_fit import PlantFit
 
 __all__ = ["plant_report"]

@@ -14,7 +14,7 @@ from ..statistics import Array
 from .correlation import drawn_errors, scaled_errors, sequences
 from .least_squares import LeastSquares
 from .optimum import Optimum
-from .search import minimise
+from .search import NEAR, minimise
 
 __all__ = ["Bootstrap", "Resampling", "bootstrap"]
 
@@ -110,7 +110,7 @@ class _Refit:
     start: Array | None
 
     def __call__(self, problem: LeastSquares) -> Array:
-        coefficients = minimise(problem, self.start, near=True).coefficients
+        coefficients = minimise(problem, self.start, effort=NEAR).coefficients
         return np.asarray(coefficients[list(problem.free)])
 
 

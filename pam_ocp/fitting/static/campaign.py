@@ -122,7 +122,7 @@ def _own(kind: type[ForceLaw], fixed: Mapping[str, float] | None) -> dict[str, f
     return {n: v for n, v in (fixed or {}).items() if n in known}
 
 
-# ---- one muscle ---------------------------------------------------------------------------------
+# ---- one muscle ----------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Studied:
     """How muscles are fitted; called with a name and what was measured of it."""
@@ -200,7 +200,7 @@ def _runs(fit: ForceFit) -> tuple[RunStudy, ...]:
     return tuple(found)
 
 
-# ---- lengths of one diameter --------------------------------------------------------------------
+# ---- lengths of one diameter ---------------------------------------------------------------------
 def _grouped(muscles: Mapping[str, MuscleStudy]) -> list[list[str]]:
     """Muscles of one diameter, where there are several of them."""
     groups: list[list[str]] = []

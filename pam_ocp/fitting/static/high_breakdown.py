@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from ...core.errors import FitError
 from ..statistics import Array
-from .least_squares import LeastSquares, least_squares, sizes
+from .least_squares import BISQUARE, LeastSquares, least_squares
 from .local_optimum import local_optimum
-from .scales import BISQUARE
 
 __all__ = ["SUBSETS", "robust_start", "trimmed_start"]
 
@@ -132,10 +131,10 @@ def _candidates(problem: LeastSquares, trim: _Trim) -> Array:
     found, costs = [], []
     for row, y, a in zip(c[good], target[good], columns[good], strict=True):
         drawn = np.argsort(random.random((per, n)), axis=1)[:, :k]
-        parts = least_squares(a[drawn], y[drawn])
+        parts, _ = least_squares(a[drawn], y[drawn])
         for _ in range(3):
             weights = trim.kept(y - parts @ a.T).astype(float)
-            parts = least_squares(a * weights[:, :, None], y * weights)
+            parts, _ = least_squares(a * weights[:, :, None], y * weights)
         cost = trim.cost(y - parts @ a.T)
         best = int(np.argmin(cost))
         whole = row.copy()
@@ -146,7 +145,7 @@ def _candidates(problem: LeastSquares, trim: _Trim) -> Array:
 
 
 def _nonlinear_values(problem: LeastSquares, random: np.random.Generator) -> Array:
-    scales = [sizes(problem.variables[i]) for i in problem.nonlinear]
+    scales = problem.scales
     if not scales:
         return np.zeros((1, 0))
     if len(scales) == 1:
@@ -167,7 +166,7 @@ def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, 
     cost = float(trim.cost(rest[None])[0])
     for _ in range(STEPS):
         kept = trim.kept(rest[None])[0]
-        step = least_squares(slopes[kept][:, free][None], rest[kept][None])[0]
+        step = least_squares(slopes[kept][:, free][None], rest[kept][None])[0][0]
         before = cost
         for part in (1.0, 0.5, 0.25, 0.1):
             trial = c.copy()

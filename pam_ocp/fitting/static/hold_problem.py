@@ -13,8 +13,7 @@ from ...core.errors import FitError, UnknownNameError, require_ends
 from ...core.stop import check
 from ..statistics import Array
 from .hold_model import HoldModel
-from .least_squares import Terms
-from .scales import BISQUARE, HUBER, spread
+from .least_squares import BISQUARE, HUBER, Terms, spread
 
 __all__ = ["Holds", "settled"]
 

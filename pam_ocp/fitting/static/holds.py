@@ -25,8 +25,7 @@ from .correlation import Order, serial_errors
 from .hold_model import HoldModel
 from .hold_problem import Holds, settled
 from .holds_fit import HoldsFit
-from .least_squares import Terms
-from .scales import robust_scale
+from .least_squares import Terms, robust_scale
 from .static import independent
 
 __all__ = ["fit_holds"]
@@ -141,7 +140,7 @@ def _noise(plant: Plant, noise: Mapping[str, Any], compared: Sequence[str]) -> A
     return np.array([require_positive(f"noise[{n!r}]", v, u) for n, v, u in sizes])
 
 
-# ---- arguments ----------------------------------------------------------------------------------
+# ---- arguments -----------------------------------------------------------------------------------
 def _read(
     plant: Plant, holds: Any, columns: Mapping[str, str] | None, units: Mapping[str, str] | None
 ) -> tuple[dict[str, Array], list[Any] | None]:

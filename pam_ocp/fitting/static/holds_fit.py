@@ -11,12 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import UnknownNameError
 from ...core.files import write_json
 from ...plants.plant import Plant
-from ..statistics import Array, Coefficient, Linearisation
-from .doubts import at_edge, following
-from .report import coefficient_line, correlation_lines
+from ..estimates import Estimates, at_edge, correlation_lines
+from ..statistics import Array, Linearisation
 
 __all__ = ["HoldsFit"]
 
@@ -30,7 +28,7 @@ LOST = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class HoldsFit:
+class HoldsFit(Estimates):
     """Estimates from measured equilibria.
 
     plant : with the estimated parameters. measured, residuals : {variable: (n,)} [SI], the
@@ -58,27 +56,10 @@ class HoldsFit:
     at_bound: tuple[str, ...] = ()
     unreached: tuple[int, ...] = ()
 
-    @cached_property
-    def coefficients(self) -> dict[str, Coefficient]:
-        """The estimates by name, zeros and bands included."""
-        linear = self.linearisation
-        rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
-        return {n: Coefficient(n, float(v), float(e), u, False) for n, v, e, u in rows}
-
-    @property
-    def values(self) -> dict[str, float]:
-        """{estimate: value} [SI]."""
-        return {n: c.value for n, c in self.coefficients.items()}
-
     @property
     def n(self) -> int:
         """Number of holds."""
         return int(self.side.size)
-
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom: measured values less estimates."""
-        return self.linearisation.dof
 
     @cached_property
     def leverage(self) -> Array:
@@ -131,15 +112,9 @@ class HoldsFit:
         """Confidence interval of an estimate [its unit], value ± t standard errors; wider where it
         hangs on few holds (see ``hanging``).
         """
-        if name not in self.coefficients:
-            raise UnknownNameError("estimate", name, self.coefficients)
-        c = self.coefficients[name]
+        c = self._entry(name)
         half = self.linearisation.reach(level) * c.stderr * self.hanging.get(name, 1.0)
         return c.value - half, c.value + half
-
-    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence intervals of all estimates."""
-        return {n: self.interval(n, level) for n in self.coefficients}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -170,7 +145,7 @@ class HoldsFit:
         ignored = int(np.sum(self.weights.min(axis=1) < 0.1))
         if ignored:
             found.append(f"{ignored} of {self.n} holds lie so far off that they hardly count")
-        return (*found, *following(self.linearisation), *at_edge(self.at_bound, self.values))
+        return (*found, *super().warnings, *at_edge(self.at_bound, self.values))
 
     def report(self, level: float = 0.95) -> str:
         """The fit as text."""
@@ -190,19 +165,15 @@ class HoldsFit:
             ),
             f"    loss {self.loss}, {self.dof} degrees of freedom, condition "
             f"{linear.condition:.3g}",
-            f"[[Estimates]] ± standard error (relative), {100 * level:g} % interval; SI",
-            *(
-                coefficient_line(c, self.interval(n, level), self._reason(n))
-                for n, c in self.coefficients.items()
+            *self._coefficient_lines(
+                f"[[Estimates]] ± standard error (relative), {100 * level:g} % interval",
+                level,
+                dict.fromkeys(self.hanging, "hangs on few holds"),
             ),
             *correlation_lines(linear),
+            *self._warning_lines(),
         ]
-        if self.warnings:
-            lines += ["[[Warnings]]", *(f"    {text}" for text in self.warnings)]
         return "\n".join(lines)
-
-    def _reason(self, name: str) -> str:
-        return "hangs on few holds" if name in self.hanging else ""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write estimates with intervals, holds and residuals as JSON."""

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ...muscles.law import ForceLaw
+from ..estimates import Estimates
 from ..statistics import (
     Array,
     Coefficient,
@@ -18,14 +19,13 @@ from ..statistics import (
 )
 from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
-from .least_squares import PLAIN, LeastSquares, Terms
-from .scales import BISQUARE, HUBER, robust_scale, spread
+from .least_squares import BISQUARE, HUBER, PLAIN, LeastSquares, Terms, robust_scale, spread
 
 __all__ = ["Optimum"]
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class Optimum(Estimates):
     """A force law at the coefficients that fit a table best, and the problem near them.
 
     law : the fitted law. table : the data, slack cells included. held : coefficients that were
@@ -186,19 +186,13 @@ class Optimum:
         return gradients[tension > 0.999 * self.problem.slack_tolerance][:, list(self.problem.free)]
 
     @property
-    def rank(self) -> int:
-        """How many independent combinations of the coefficients the data determine."""
-        return self.linearisation.rank
+    def has_profile(self) -> bool:
+        """Whether intervals are those of the profile likelihood."""
+        return self.terms.loss == "squares" and not self.problem.limited and self.dof > 0
 
     @property
-    def condition(self) -> float:
-        """Condition number of the Jacobian with columns of unit length."""
-        return self.linearisation.condition
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the free coefficients; of what the data determine where rank is lacking."""
-        return self.linearisation.covariance
+    def _called(self) -> str:
+        return f"coefficient of the {self.law.name} law"
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
@@ -215,8 +209,3 @@ class Optimum:
             )
             for v in self.law.coefficient_variables()
         }
-
-    @property
-    def correlation(self) -> Array:
-        """Correlation matrix of the free coefficients."""
-        return self.linearisation.correlation

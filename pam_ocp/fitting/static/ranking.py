@@ -22,7 +22,7 @@ from ...muscles.laws.user_defined import polynomial_law
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, surprise
 from .force_fit import ForceFit
-from .search import minimise
+from .search import NEAR, minimise
 from .static import fit_force, independent, law_class
 
 __all__ = ["ComparedLaw", "LawComparison", "compare_laws"]
@@ -249,7 +249,7 @@ def _left_out(fit: ForceFit) -> dict[float, float]:
             raise InputError(
                 f"{len(part.cells)} taut cells remain, fewer than the {len(part.free)} coefficients"
             )
-        found = minimise(part, start, near=True).coefficients
+        found = minimise(part, start, effort=NEAR).coefficients
         there = replace(whole, cells=fit.cells.subset(~kept), weights=np.ones(int(np.sum(~kept))))
         errors[float(there.cells.contraction.mean())] = float(
             np.sqrt(np.mean(there.residuals(found[None])[0] ** 2))

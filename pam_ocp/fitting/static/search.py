@@ -8,27 +8,33 @@ all coefficients and cells, with exact derivatives.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ...core.errors import FitError
 from ..statistics import Array
 from .high_breakdown import SUBSETS, robust_start
-from .least_squares import LeastSquares, sizes
-from .local_optimum import STATIONARY, Optimum, by_ipopt, local_optima
+from .least_squares import LeastSquares
+from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, local_optima
 
-__all__ = ["minimise", "thinned"]
+__all__ = ["NEAR", "WIDE", "Effort", "minimise"]
 
-SCANNED = {False: 400, True: 100}
-"""Scan points for laws with two or more nonlinear coefficients (always the same ones); with a start
-that is known to be near, fewer.
-"""
-POLISHED = {False: 60, True: 6}
-"""How many local minima of their scan are followed up."""
+
+class Effort(NamedTuple):
+    """points : of the scan with two or more nonlinear unknowns (always the same ones). followed :
+    how many local minima of it are followed up.
+    """
+
+    points: int
+    followed: int
+
+
+WIDE = Effort(400, 60)
+NEAR = Effort(100, 6)
+"""With a start that is known to be near."""
 POLISHED_ALONE = 3
 """As many for a law with one nonlinear coefficient."""
-ENOUGH = 1000
-"""Cells that a scan looks at."""
 FLAT = 1e-7
 """Part of the cost by which a point that is not stationary must be better to be looked at at all.
 """
@@ -39,25 +45,25 @@ DOUBT = (
 
 
 def minimise(
-    problem: LeastSquares,
+    problem: Problem,
     start: Array | None = None,
     begin: Array | None = None,
-    near: bool = False,
-) -> Optimum:
+    effort: Effort = WIDE,
+) -> Minimum:
     """The global optimum: scan, follow up the best few.
 
     Tukey's bisquare, which counts cells far off no more, has an optimum for every choice of those:
     what is sought is the one next to ``begin`` (all coefficients), a start that wrong cells cannot
     pull; it is found anew where it is not given.
 
-    start : values (m, k) of the nonlinear coefficients to try beside the scan. near : whether these
-    are those of almost the same table, so that a smaller scan will do.
+    start : values (m, k) of the nonlinear coefficients to try beside the scan. effort : of the
+    scan; NEAR where these are those of almost the same table.
     """
-    if problem.terms.loss == "bisquare":
+    if isinstance(problem, LeastSquares) and problem.terms.loss == "bisquare":
         begin = robust_start(problem)[0] if begin is None else begin
         starts, scanned = begin[None], SUBSETS
     else:
-        starts, scanned = _scan(thinned(problem), start, near)
+        starts, scanned = _scan(problem.thinned(), start, effort)
     found = [o for o in local_optima(problem, starts, scanned) if np.isfinite(o.cost)]
     if not found:
         raise FitError(
@@ -80,11 +86,11 @@ def minimise(
     return min(equal, key=lambda o: int(np.sum(o.coefficients[list(problem.nonlinear)] < 0)))
 
 
-def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
+def _settled(problem: Problem, found: Minimum) -> Minimum:
     """A point at which Newton steps did not end, followed by IPOPT; accepted with a doubt, if need
     be.
     """
-    if problem.terms.loss == "squares" and not problem.censored:
+    if isinstance(problem, LeastSquares) and problem.smooth:
         again = by_ipopt(problem, found.coefficients, found.solver.scanned)
         if again.cost <= found.cost * (1 + FLAT):
             found = again
@@ -93,28 +99,16 @@ def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
     return replace(found, solver=replace(found.solver, doubt=DOUBT))
 
 
-def thinned(problem: LeastSquares, enough: int = ENOUGH) -> LeastSquares:
-    """The problem on so many cells as a scan needs, evenly spread over contraction and pressure."""
-    n, cells, weights = len(problem.cells), problem.cells, problem.weights
-    if n <= enough or np.max(weights) > 10 * np.min(weights):
-        return problem
-    order = np.lexsort((cells.pressure, cells.contraction))
-    chosen = order[np.linspace(0, n - 1, enough).astype(int)]
-    return replace(
-        problem, cells=cells.subset(chosen), weights=weights[chosen] * np.sqrt(n / enough)
-    )
-
-
-def _scan(problem: LeastSquares, start: Array | None, near: bool) -> tuple[Array, int]:
+def _scan(problem: Problem, start: Array | None, effort: Effort) -> tuple[Array, int]:
     """Coefficients (m, all) from which the optimum is to be sought, best first; points scanned."""
-    scales = [sizes(problem.variables[i]) for i in problem.nonlinear]
+    scales = problem.scales
     if not scales:
         return problem.project(np.zeros((1, 0)))[1], 1
     if len(scales) == 1:
         points = np.sort(scales[0])[:, None]
     else:
         random = np.random.default_rng(20150101)
-        points = np.stack([random.choice(s, SCANNED[near]) for s in scales], axis=1)
+        points = np.stack([random.choice(s, effort.points) for s in scales], axis=1)
         points[0] = [s[0] for s in scales]
     if start is not None:
         points = np.concatenate([points, start])
@@ -127,10 +121,10 @@ def _scan(problem: LeastSquares, start: Array | None, near: bool) -> tuple[Array
         )
     if len(scales) == 1:
         return _zoomed(problem, points[:, 0], squares), len(points)
-    return _distinct(coefficients, squares, list(problem.nonlinear), POLISHED[near]), len(points)
+    return _distinct(coefficients, squares, list(problem.nonlinear), effort.followed), len(points)
 
 
-def _zoomed(problem: LeastSquares, values: Array, squares: Array) -> Array:
+def _zoomed(problem: Problem, values: Array, squares: Array) -> Array:
     """The best local minima along one coefficient, each bracket narrowed twice."""
     order = np.argsort(values)
     values, squares = values[order], squares[order]

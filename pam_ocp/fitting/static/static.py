@@ -19,8 +19,7 @@ from ..statistics import Array
 from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
 from .high_breakdown import robust_start
-from .least_squares import LeastSquares, Loss, Terms, nonlinear_coefficients, sizes
-from .scales import HUBER, spread
+from .least_squares import HUBER, LeastSquares, Loss, Terms, nonlinear_coefficients, sizes, spread
 from .search import minimise
 
 __all__ = [
@@ -125,7 +124,7 @@ def fit_force(
     )
 
 
-# ---- arguments ----------------------------------------------------------------------------------
+# ---- arguments -----------------------------------------------------------------------------------
 def law_class(law: Any) -> type[ForceLaw]:
     if isinstance(law, str):
         return law_named(law)
