@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 from ...core.cases import Place, results_of
 from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.executors import placed
-from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..estimates import Estimates, at_edge, correlation_lines
 from ..statistics import Array, Linearisation, SerialErrors, SolverStatistics
@@ -33,9 +32,9 @@ from .local_optimum import STATIONARY, Minimum, by_newton
 from .report import floor_doubts, unseen
 from .search import Effort, minimise
 from .shared_problem import JointProblem
-from .static import cell_weights, checked_pairs, held_coefficients, independent, law_class
+from .static import cell_weights, checked_pairs, held_coefficients, independent
 
-__all__ = ["JointForceFit", "MemberFit", "fit_forces"]
+__all__ = ["JointForceFit", "MemberFit", "jointly_fitted"]
 
 JOINT = Effort(600, 12)
 """Of the scan."""
@@ -222,10 +221,9 @@ class JointForceFit(Estimates):
         return "\n".join(lines)
 
 
-@verb
-def fit_forces(
-    tables: Mapping[str, ForceTable] | Sequence[ForceTable],
-    law: str | type[ForceLaw] = "six-parameter",
+def jointly_fitted(
+    tables: Any,
+    kind: type[ForceLaw],
     *,
     shared: Sequence[str] | Literal["all"] = "all",
     fixed: Mapping[str, float | Sequence[float]] | None = None,
@@ -233,43 +231,10 @@ def fit_forces(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     noise: Literal["equal", "each"] = "equal",
     errors: Literal["as found", "independent"] = "as found",
-    time_limit: float | None = None,
 ) -> JointForceFit:
-    """Fit one law to the tables of several muscles that have coefficients in common.
-
-    Parameters
-    ----------
-    tables : {muscle: table}, or a sequence of tables (named by their sources, or numbered).
-    law : name in ``LAWS``, or a class.
-    shared : coefficients that all muscles have in common; "all" of the free ones by default, as the
-        length-scaled law wants it for muscles of different rest length.
-    fixed : coefficients to hold [SI]: one number for all muscles, or one for each in their order.
-        A law's ``rest_length`` is taken from each table.
-    weights : per muscle, as for :func:`fit_force`.
-    bounds : {coefficient: (low, high)} [SI].
-    noise : "equal": one standard deviation for all tables (times 1/weight); "each": every table has
-        its own, estimated from its residuals (iterated least squares).
-    errors : as for :func:`fit_force`.
-    time_limit : [s]; OutOfTime when it is over before there is a result.
-
-    Returns
-    -------
-    JointForceFit; ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; fewer cells than unknowns.
-    FitError : no stationary point was found.
-
-    Examples
-    --------
-    >>> joint = pam.fit_forces({"new": table, "old": table}, shared=["a3"])
-    >>> len(joint.names)  # a3, and five of each
-    11
-    """
+    """See :func:`fit_forces`; tables : {muscle: table}, or a sequence of tables."""
     began = time.perf_counter()
     named = _named(tables)
-    kind = law_class(law)
     if noise not in ("equal", "each"):
         raise InputError(f"noise = {noise!r}: choose 'equal' or 'each'")
     problem, common, units = _stated(kind, named, shared, fixed, weights, bounds)
