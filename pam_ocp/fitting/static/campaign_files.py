@@ -12,8 +12,7 @@ from ...core.errors import InputError, PamError, require_positive
 from ...core.files import require_local
 from ...core.units import unit
 from ..tables.force_table import ForceTable, joined_tables, read_table
-from ..tables.headers import is_unit, parse_header
-from ..tables.labels import branch_of
+from ..tables.headers import branch_of, is_unit, parse_header
 from ..tables.sources import ENDINGS, is_readable, load
 
 __all__ = ["Measured", "collected", "joined"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +12,8 @@ from ...core.errors import FitError, UnknownNameError, require_ends
 from ...core.stop import check
 from ..statistics import Array
 from .hold_model import HoldModel
-from .least_squares import BISQUARE, HUBER, Terms, spread
+from .least_squares import BISQUARE, HUBER, Sums, Terms, spread
+from .local_optimum import descend
 
 __all__ = ["Holds", "settled"]
 
@@ -77,61 +77,48 @@ class Holds:
         return rest, np.concatenate([-slopes, outer], axis=2)
 
 
+class _Weighted:
+    """The squares of residuals times ``factors`` (n, y), of which the ``free`` estimates move."""
+
+    def __init__(self, problem: Holds, factors: Array, free: NDArray[np.bool_]) -> None:
+        self.problem, self.factors = problem, factors
+        self.free = np.nonzero(free)[0].tolist()
+        self.size = float(np.linalg.norm(problem.y * factors))
+
+    def sums(self, coefficients: Array, second: bool = False) -> Sums:
+        """The quadratic model at estimates (m, k), without second derivatives."""
+        m, k = coefficients.shape
+        found = Sums(np.empty(m), np.empty((m, k)), np.empty((m, k, k)), np.zeros((m, k, k)))
+        for row, estimates in enumerate(coefficients):
+            rest, slopes = self.problem(estimates)
+            r = (rest * self.factors).ravel()
+            jacobian = -(slopes * self.factors[:, :, None]).reshape(-1, k)
+            found.cost[row], found.right[row] = r @ r, jacobian.T @ r
+            found.normal[row] = jacobian.T @ jacobian
+        return found
+
+
 def _minimised(
     problem: Holds,
     start: Array,
     limits: tuple[Array, Array],
     factors: Array,
     moved: NDArray[np.bool_] | None = None,
-    scaled: str | float = "jac",
 ) -> Array:
     """Least squares of residuals times ``factors`` (n, y) within bounds; ``moved`` (k,) estimates
-    change, by default all. scaled : of the trust region; 1 for nominal sizes.
+    change, by default all.
     """
-    from scipy.optimize import least_squares
-
     free = np.ones(len(start), dtype=bool) if moved is None else moved
-    held: dict[bytes, tuple[Array, Array]] = {}
-
-    def whole(x: Array) -> Array:
-        found: Array = start.copy()
-        found[free] = x * problem.nominal[free]
-        return found
-
-    def both(x: Array) -> tuple[Array, Array]:
-        key = x.tobytes()
-        if key not in held:
-            held.clear()
-            held[key] = problem(whole(x))
-        return held[key]
-
-    def residuals(x: Array) -> Array:
-        rest = (both(x)[0] * factors).ravel()
-        return np.where(np.isfinite(rest), rest, 1e6)
-
-    def jacobian(x: Array) -> Array:
-        slopes = both(x)[1][:, :, free] * factors[:, :, None]
-        slopes = slopes.reshape(-1, x.size) * problem.nominal[free]
-        return np.where(np.isfinite(slopes), slopes, 0.0)
-
-    low, high = (end[free] / problem.nominal[free] for end in limits)
-    found = least_squares(
-        residuals,
-        np.clip(start[free] / problem.nominal[free], low, high),
-        jac=jacobian,
-        bounds=(low, high),
-        x_scale=scaled,
-        ftol=1e-13,
-        xtol=1e-13,
-        gtol=1e-13,
-        max_nfev=200,
-    )
-    if not np.isfinite(found.cost) or found.cost > 1e10:
+    squares = _Weighted(problem, factors, free)
+    low, high = (end[None, free] for end in limits)
+    ended = descend(squares, start[None], low, high)
+    if not np.isfinite(ended.cost[0]):
         raise FitError(
             "the plant finds no rest at these pressures near the measured positions; give start "
             "values nearer to the truth (plant.with_values(...)) or bounds"
         )
-    return whole(np.asarray(found.x))
+    found: Array = ended.coefficients[0]
+    return found
 
 
 class _End(NamedTuple):
@@ -171,12 +158,11 @@ class _Nested:
         problem.z = None
         linear = _minimised(problem, first, self.limits, self.factors, free)
         starts = [_End(0.0, first, None), _End(0.0, linear, None), *poorer]
-        ways = itertools.product(starts, ("jac", 1.0) if free.all() else ("jac",))
-        for start, scaled in ways:
+        for start in starts:
             at = start.estimates
             problem.z = problem.model.anchored(at[: problem.inner]) if start.z is None else start.z
             try:
-                found = _minimised(problem, at, self.limits, self.factors, free, scaled)
+                found = _minimised(problem, at, self.limits, self.factors, free)
             except FitError as error:
                 self.wrong = error
                 continue

@@ -29,6 +29,7 @@ __all__ = [
     "Descended",
     "Minimum",
     "Problem",
+    "Squares",
     "by_ipopt",
     "by_newton",
     "cosine",
@@ -54,19 +55,28 @@ DEFINITE = 1e-13
 """Smallest eigenvalue of second derivatives, columns of unit length, that counts as positive."""
 
 
-class Problem(Protocol):
-    """A sum of squares over unknowns, of which the ``free`` ones may move and the ``nonlinear``
-    ones are scanned.
-    """
+class Squares(Protocol):
+    """A sum of squares over unknowns, of which the ``free`` ones may move."""
+
+    @property
+    def free(self) -> Sequence[int]: ...
+
+    @property
+    def size(self) -> float:
+        """Norm of the weighted measurements."""
+        ...
+
+    def sums(self, coefficients: Array, second: bool = False) -> Sums: ...
+
+
+class Problem(Squares, Protocol):
+    """One of force laws, whose ``nonlinear`` unknowns are scanned."""
 
     @property
     def law(self) -> type[ForceLaw]: ...
 
     @property
     def names(self) -> tuple[str, ...]: ...
-
-    @property
-    def free(self) -> Sequence[int]: ...
 
     @property
     def nonlinear(self) -> Sequence[int]: ...
@@ -78,11 +88,6 @@ class Problem(Protocol):
     def limited(self) -> bool: ...
 
     @property
-    def size(self) -> float:
-        """Norm of the weighted measurements [N]."""
-        ...
-
-    @property
     def scales(self) -> list[Array]: ...
 
     def thinned(self) -> Problem: ...
@@ -90,8 +95,6 @@ class Problem(Protocol):
     def near(self, start: Array) -> tuple[Array, Array]: ...
 
     def project(self, values: Array) -> tuple[Array, Array]: ...
-
-    def sums(self, coefficients: Array, second: bool = False) -> Sums: ...
 
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]: ...
 
@@ -109,7 +112,7 @@ class Descended:
 
 
 def descend(
-    problem: Problem, starts: Array, low: Array, high: Array, settled: float = 0.0
+    problem: Squares, starts: Array, low: Array, high: Array, settled: float = 0.0
 ) -> Descended:
     """Follow starts (m, all) to the least squares next to them, priors included.
 
@@ -122,7 +125,7 @@ def descend(
 
 class _Descent:
     def __init__(
-        self, problem: Problem, starts: Array, low: Array, high: Array, settled: float
+        self, problem: Squares, starts: Array, low: Array, high: Array, settled: float
     ) -> None:
         self.problem, self.free, self.settled = problem, list(problem.free), settled
         self.low, self.high, self.c = low, high, starts.copy()

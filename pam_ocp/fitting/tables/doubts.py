@@ -91,6 +91,11 @@ class Column:
         return self.scale is None or self.scale.formula is None
 
     @property
+    def shift(self) -> float:
+        """What is taken off, of an absolute pressure [Pa]."""
+        return 0.0 if self.scale is None else self.scale.shift
+
+    @property
     def unit(self) -> str:
         return SI.get(self.kind, "1") if self.scale is None else self.scale.unit
 
@@ -358,7 +363,7 @@ def above_ambient(column: Column, si: Array, command: Array | None = None) -> li
 
     command : of the same muscle in the same record, which counts from the atmosphere.
     """
-    if column.settled or not si.size or (column.scale is not None and column.scale.shift):
+    if column.settled or not si.size or column.shift:
         return []
     low = float(np.percentile(si, 5)) if si.size >= FEW_ROWS else float(si.min())
     if command is not None:
@@ -411,7 +416,7 @@ def doubts_of_table(
                 f"({pull.reading}) is in another unit; say units={{'pressure': ..., 'force': ...}}"
             )
         )
-    elif not (pressure.settled or (pressure.scale is not None and pressure.scale.shift)):
+    elif not (pressure.settled or pressure.shift):
         low = _from_zero(p, contraction, force, strong)
         found += [_absolute(pressure, low)] if low else []
     if not strained.settled and _rises(force[pulling] / p[pulling], contraction[pulling]):

@@ -26,9 +26,8 @@ from ...core.errors import (
 )
 from ...core.quantities import quantity
 from ...core.shown import shown
-from .assign import Assigned, assigned, require_columns
+from .columns import assigned, read_labels, require_columns
 from .doubts import (
-    Column,
     checked_cells,
     doubts_of,
     doubts_of_table,
@@ -36,7 +35,6 @@ from .doubts import (
     require_missing,
 )
 from .floor import DETECTED, Floor, find_floor, part_names
-from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, complete, say
 from .sources import Reading, is_source, load, naming, sources_of
@@ -55,7 +53,6 @@ __all__ = [
     "joined_tables",
     "read_table",
     "require_table",
-    "table_columns",
     "table_of",
 ]
 
@@ -355,26 +352,8 @@ def read_table(
     >>> len(table), len(table.taut)  # cells, those with a force
     (126, 60)
     """
-    how, words = TableWords.of(
-        rest_length=rest_length,
-        columns=columns,
-        units=units,
-        ambient_pressure=ambient_pressure,
-        empty=empty,
-        missing=missing,
-        ramp=ramp,
-        floor=floor,
-        sheet=sheet,
-        skip=skip,
-        pick=pick,
-        pivot=pivot,
-        delimiter=delimiter,
-        decimal=decimal,
-        encoding=encoding,
-        bad_lines=bad_lines,
-        constants=constants,
-        pattern=pattern,
-    )
+    given = {name: value for name, value in locals().items() if name != "source"}
+    how, words = TableWords.of(**given)
     if is_source(source):
         with naming(source):
             table = table_of(load(source, how), words)
@@ -432,19 +411,13 @@ class TableWords:
         return Reading.of(columns, **layout), words
 
 
-def table_columns(found: Assigned, words: TableWords) -> dict[str, Column]:
-    """The columns of a table by their quantities."""
-    return {q: Column(h, q, q, scale, q in words.units) for q, (h, scale) in found.items()}
-
-
 def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     """The table that columns hold. Raises InputError."""
-    found = assigned(raw, words.columns, words.units, words.ambient)
-    require_columns(raw, found)
-    columns = table_columns(found, words)
+    columns = assigned(raw, words.columns, words.units, words.ambient)
+    require_columns(raw, columns)
     raw = checked_cells(raw, tuple(columns.values()), words.missing)
-    raw = complete(raw, [header for header, _ in found.values()], words.empty)
-    series = {q: Series(q, header, scale, raw) for q, (header, scale) in found.items()}
+    raw = complete(raw, [column.header for column in columns.values()], words.empty)
+    series = {q: Series(column, raw) for q, column in columns.items()}
     check_pressure(series["pressure"])
     check_force(series["force"])
     kappa = contraction_of(series, words.rest_length)

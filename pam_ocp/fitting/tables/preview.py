@@ -13,18 +13,16 @@ import numpy as np
 
 from ...core.calibration import Scale
 from ...core.errors import InputError
-from .assign import assigned
 from .cells import is_empty, is_stamp
 from .clock import Clock, find_clock, read_clock
+from .columns import assigned, record_variables
 from .dialect import Unsaid
 from .doubts import checked_cells
-from .force_table import ForceTable, TableWords, table_columns, table_of
-from .labels import LABELS
+from .force_table import ForceTable, TableWords, table_of
+from .headers import LABELS, QUANTITIES
 from .raw import Doubt, RawTable
-from .record_columns import record_variables
 from .records import RecordWords, clock_of, columns_of, in_known_units, loaded, record_parts
 from .sources import is_source, naming, sources_of
-from .table_checks import QUANTITIES
 
 if TYPE_CHECKING:
     from ...core.trajectory import Trajectory
@@ -240,8 +238,8 @@ def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any
     problem, table = "", None
     try:
         found = assigned(raw, words.columns, words.units, words.ambient)
-        raw = checked_cells(raw, tuple(table_columns(found, words).values()), words.missing)
-        meanings = {header: (quantity, scale) for quantity, (header, scale) in found.items()}
+        raw = checked_cells(raw, tuple(found.values()), words.missing)
+        meanings = {column.header: (quantity, column.scale) for quantity, column in found.items()}
         table = table_of(raw, words)
     except InputError as error:
         problem = str(error)

@@ -17,6 +17,7 @@ from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
 from .clock import Clock, doubts_of_clock, find_clock, mended, parts_of, read_clock
+from .columns import check_size, display_of, record_scale, record_variables
 from .doubts import (
     Column,
     above_ambient,
@@ -28,7 +29,6 @@ from .doubts import (
 )
 from .headers import parse_header
 from .raw import Doubt, RawTable, complete, say
-from .record_columns import check_size, display_of, record_scale, record_variables
 from .sources import Reading, is_source, load, naming, sources_of
 
 if TYPE_CHECKING:
@@ -172,28 +172,8 @@ def read_record(
     >>> pam.read_record(path, plant)["x"].shape
     (201,)
     """
-    words = RecordWords.of(
-        columns=columns,
-        units=units,
-        time=time,
-        interpolation=interpolation,
-        inputs=inputs,
-        max_gap=max_gap,
-        clock=clock,
-        sample_time=sample_time,
-        ambient_pressure=ambient_pressure,
-        empty=empty,
-        missing=missing,
-        sheet=sheet,
-        skip=skip,
-        pick=pick,
-        delimiter=delimiter,
-        decimal=decimal,
-        encoding=encoding,
-        bad_lines=bad_lines,
-        constants=constants,
-        pattern=pattern,
-    )
+    given = {n: value for n, value in locals().items() if n not in ("source", "plant")}
+    words = RecordWords.of(**given)
     if not is_source(source):
         folder = isinstance(source, str | Path) and Path(source).is_dir()
         what = f"{source} is a folder" if folder else "source is several"

@@ -38,17 +38,12 @@ from ...core.foreign import (
     read_sheets,
 )
 from ...core.recorders import is_bag, read_bag, read_calamine, read_mcap, read_tdms
-from .cell_units import parted, without_units
-from .cells import decimal_of, is_empty
-from .constants import checked_constants, labels_of, require_pattern, with_constants
-from .dialect import Grid, Unsaid, grid_of_text
+from .cells import decimal_of, is_empty, parted, without_units
+from .dialect import Grid, Unsaid, grid_of_text, is_lvm, is_markup, segments_of, tables_of
 from .headers import NAMES, TIME_NAMES, is_unit, parse_header
 from .layout import has_table, require_distinct, tabulated
-from .lvm import is_lvm, segments_of
-from .markup import is_markup, tables_of
-from .raw import RawTable
-from .series import flat
-from .trees import chosen_table, left_out
+from .raw import RawTable, checked_constants, labels_of, require_pattern, with_constants
+from .trees import chosen_table, flat, left_out
 
 __all__ = ["ENDINGS", "Reading", "is_source", "load", "naming", "sources_of"]
 

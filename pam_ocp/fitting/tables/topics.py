@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from .clock import GAP, find_clock, read_clock
 from .dialect import Unsaid
-from .headers import parse_header
+from .headers import COMMANDS, parse_header
 from .raw import Doubt, RawTable
-from .record_columns import COMMANDS
 
 __all__ = ["clocked", "merged"]
 
