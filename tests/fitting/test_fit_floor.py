@@ -180,7 +180,7 @@ def test_joint_fits_and_campaigns_leave_slack_cells_out() -> None:
     joint = pam.fit_forces(tables)
     assert joint.rmse < 6.0
     assert any(words.startswith("one: ") for words in joint.warnings)
-    campaign = fit_forces(tables, candidates=["six-parameter"], rest_length=0.3)
+    campaign = pam.fit_forces(tables, candidates=["six-parameter"], rest_length=0.3)
     assert max(study.fit.rmse for study in campaign.muscles.values()) < 6.0
 
 
