@@ -30,8 +30,8 @@ from .static.campaign import fit_campaign as fit_campaign
 from .static.campaign import fit_forces as fit_forces
 from .static.campaign_result import Campaign as Campaign
 from .static.force_fit import ForceFit as ForceFit
+from .static.holds import HoldsFit as HoldsFit
 from .static.holds import fit_holds as fit_holds
-from .static.holds_fit import HoldsFit as HoldsFit
 from .static.ranking import ComparedLaw as ComparedLaw
 from .static.ranking import LawComparison as LawComparison
 from .static.ranking import compare_laws as compare_laws
