@@ -11,8 +11,8 @@ from scipy.optimize import LinearConstraint, least_squares, linprog, minimize
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
-from pam_ocp.fitting.static.high_breakdown import _Trim
 from pam_ocp.fitting.static.least_squares import LeastSquares
+from pam_ocp.fitting.static.search import _Trim
 from pam_ocp.muscles.law import SixParameterLaw
 
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.56665, -8.7013, 267.672, -309.603))

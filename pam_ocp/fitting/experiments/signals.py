@@ -18,19 +18,21 @@ import numpy as np
 from ...core.errors import FitError, InputError, SimulationError, UnknownNameError, require_positive
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
+from ...muscles.law import ForceLaw
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.simulator import simulate
 from ..dynamic.coverage import Coverage
 from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
+from ..static.force_fit import ForceFit
 from ..statistics import Array
-from .excitation import RANDOM, Family, random_signals, span
+from .cells import CellDesign, design_cells
+from .excitation import RANDOM, Excitation, Family, criterion_of, random_signals, span
 from .excitation import excitation as excitation_of
-from .information import Excitation, criterion_of
 from .visits import GapSignal, close_gap
 
-__all__ = ["SignalDesign", "design_signal"]
+__all__ = ["CellDesign", "SignalDesign", "design_cells", "design_experiment", "design_signal"]
 
 ACCURATE = 2e-3
 """Error of the integration, of the spread of each measured variable, that a design is content with.
@@ -470,3 +472,36 @@ def _before(
         covariance = fit.covariance[np.ix_(rows, rows)] / np.outer(scales, scales)
         information[np.ix_(both, both)] = np.linalg.inv(covariance)
     return errors, information
+
+
+@overload
+def design_experiment(known: ForceFit | ForceLaw, *args: Any, **options: Any) -> CellDesign: ...
+@overload
+def design_experiment(known: Plant | PlantFit, *args: Any, **options: Any) -> SignalDesign: ...
+@overload
+def design_experiment(known: Coverage, *args: Any, **options: Any) -> GapSignal: ...
+@verb
+def design_experiment(
+    known: Any, *args: Any, **options: Any
+) -> CellDesign | SignalDesign | GapSignal:
+    """What to measure next so that intervals shrink most, within the bench's limits.
+
+    For a ForceFit or a force law: pressures and lengths, see :func:`design_cells` for the
+    arguments. For a PlantFit, a Plant or a Coverage: the pressure signal, see
+    :func:`design_signal`.
+
+    Raises InputError for anything else.
+
+    Examples
+    --------
+    >>> design = pam.experiments.design_experiment(fit, 4)  # of a plant: a signal to play
+    >>> type(design).__name__
+    'CellDesign'
+    """
+    if isinstance(known, (ForceFit, ForceLaw)):
+        return design_cells(known, *args, **options)
+    if isinstance(known, (Plant, PlantFit, Coverage)):
+        return design_signal(known, *args, **options)
+    raise InputError(
+        f"known is a {type(known).__name__}; give a ForceFit, a force law, a Plant or a PlantFit"
+    )

@@ -18,9 +18,8 @@ from ...muscles.laws.user_defined import law_named
 from ..statistics import Array
 from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
-from .high_breakdown import robust_start
 from .least_squares import HUBER, LeastSquares, Loss, Terms, nonlinear_coefficients, sizes, spread
-from .search import minimise
+from .search import minimise, robust_start
 
 __all__ = [
     "ForceFit",
