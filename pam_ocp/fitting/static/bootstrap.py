@@ -79,8 +79,7 @@ def bootstrap(
         raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
     random = np.random.default_rng(seed)
     problem, failed, ended = fit.problem, 0, ""
-    values = np.array([float(v) for v in fit.law.values.values()])
-    start = values[None, list(problem.nonlinear)] if problem.nonlinear else None
+    start = fit.vector[None, list(problem.nonlinear)] if problem.nonlinear else None
     found: dict[int, Array] = {}
     tables = (_resampled(fit, problem, random, method) for _ in range(n))
     try:

@@ -29,7 +29,7 @@ from .local_optimum import descend
 from .optimum import Optimum
 from .search import minimise
 
-__all__ = ["Ends", "Sweep", "profile_end", "profile_ends", "profile_squares", "walked"]
+__all__ = ["Ends", "Sweep", "profile_end", "profile_ends", "walked"]
 
 ROUNDS = 12
 """Secant steps along a profile; 3 or 4 are usual, for the root of its cost is nearly straight."""
@@ -114,7 +114,7 @@ def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
     covariance = fit.linearisation.independent.covariance
     place = np.repeat([fit.free.index(n) for n in names], 2)
     sign = np.tile([-1.0, 1.0], len(names))
-    best = np.array([float(v) for v in fit.law.values.values()])
+    best = fit.vector
     # along the profile the others follow the column of the covariance
     stderr = np.sqrt(np.diag(covariance))
     direction = covariance[:, place].T / stderr[place][:, None]
@@ -180,18 +180,6 @@ def _rows(best: Array, free: list[int], z: Array) -> Array:
     return c
 
 
-def profile_squares(fit: Optimum, name: str, value: float) -> float:
-    """Least cost (weighted sum of squares, priors included) with coefficient ``name`` held at
-    ``value``.
-    """
-    if len(fit.free) == 1:
-        return replace(fit, law=replace(fit.law, **{name: value})).cost
-    problem = _held(fit, name, value)
-    if not problem.nonlinear and fit.terms.loss == "squares" and not problem.limited:
-        return float(problem.project(np.zeros((1, 0)))[0][0])
-    return minimise(problem).cost
-
-
 def _held(fit: Optimum, name: str, value: float) -> LeastSquares:
     """The problem of the others, with coefficient ``name`` held at ``value``."""
     held = {n: fit.law.values[n] for n in fit.held} | {name: value}
@@ -234,10 +222,9 @@ def profile_end(fit: Optimum, name: str, step: float, limit: float) -> tuple[flo
     reach = max(FARTHEST * abs(step), max(abs(best), variable.nominal) * 10.0 ** DECADES[1])
     if place in problem.nonlinear:
         reach = min(reach, float(np.max(np.abs(sizes(variable) - best))))
-    start = np.array([float(v) for v in fit.law.values.values()])
     end = walked(
         lambda trial: _others(fit, name, trial, others),
-        start,
+        fit.vector,
         place,
         step,
         limit,

@@ -38,7 +38,6 @@ __all__ = [
     "cosine",
     "descend",
     "local_optima",
-    "local_optimum",
 ]
 
 ITERATIONS = 150
@@ -316,11 +315,6 @@ def _solver(
         "g": ca.vertcat(*constraints),
     }
     return nlpsol("fit", "ipopt", nlp, options)
-
-
-def local_optimum(problem: LeastSquares, start: Array, scanned: int) -> Minimum:
-    """The optimum next to ``start`` (all coefficients)."""
-    return local_optima(problem, start[None], scanned)[0]
 
 
 def local_optima(problem: Problem, starts: Array, scanned: int) -> list[Minimum]:

@@ -59,7 +59,7 @@ class Optimum(Estimates):
     def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
         names = list(self.law.values)
-        tension, jacobian = forces_and_slopes(type(self.law), p, kappa, self._vector)
+        tension, jacobian = forces_and_slopes(type(self.law), p, kappa, self.vector[None])
         return tension[0], jacobian[0][:, [names.index(n) for n in self.free]]
 
     @cached_property
@@ -95,7 +95,7 @@ class Optimum(Estimates):
     @property
     def cost(self) -> float:
         """What the fit made smallest [N2]: ``squares``, or the robust loss, and the priors."""
-        return self.problem.cost(np.array([float(v) for v in self.law.values.values()]))
+        return self.problem.cost(self.vector)
 
     @property
     def squares(self) -> float:
@@ -132,7 +132,7 @@ class Optimum(Estimates):
     def linearisation(self) -> Linearisation:
         """The weighted least-squares problem near its optimum."""
         variables = {v.name: v for v in self.law.coefficient_variables()}
-        jacobian = self.problem.with_priors(self._vector)[1][0][:, list(self.problem.free)]
+        jacobian = self.problem.with_priors(self.vector[None])[1][0][:, list(self.problem.free)]
         return Linearisation(
             self.free,
             np.array([float(self.law.values[n]) for n in self.free]),
@@ -167,8 +167,9 @@ class Optimum(Estimates):
         return self.linearisation.serial
 
     @property
-    def _vector(self) -> Array:
-        return np.array([[float(v) for v in self.law.values.values()]])
+    def vector(self) -> Array:
+        """All coefficients of the law, in its order."""
+        return np.array([float(v) for v in self.law.values.values()])
 
     @property
     def _scale(self) -> float:
@@ -182,7 +183,7 @@ class Optimum(Estimates):
         """Gradients of the slack cells at which the law would pull more if it could."""
         if not self.problem.censored:
             return None
-        tension, gradients = self.problem.tension_where_slack(self._vector[0])
+        tension, gradients = self.problem.tension_where_slack(self.vector)
         return gradients[tension > 0.999 * self.problem.slack_tolerance][:, list(self.problem.free)]
 
     @property

@@ -240,8 +240,7 @@ def _compared(
 def _left_out(fit: ForceFit) -> dict[float, float]:
     whole, errors = fit.problem, {}
     level = fit.cells.levels()
-    values = np.array([float(v) for v in fit.law.values.values()])
-    start = values[None, list(whole.nonlinear)] if whole.nonlinear else None
+    start = fit.vector[None, list(whole.nonlinear)] if whole.nonlinear else None
     for i in range(1, level.max()):
         kept = level != i
         part = replace(whole, cells=fit.cells.subset(kept), weights=whole.weights[kept])

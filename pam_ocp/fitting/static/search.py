@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...core.errors import FitError
 from ..statistics import Array
 from .least_squares import BISQUARE, LeastSquares, least_squares
-from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, local_optima, local_optimum
+from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, local_optima
 
 __all__ = ["NEAR", "SUBSETS", "WIDE", "Effort", "minimise", "robust_start", "trimmed_start"]
 
@@ -51,7 +51,7 @@ def robust_start(problem: LeastSquares) -> tuple[Array, float]:
         starts, scale = trimmed_start(within)
         edge = BISQUARE * max(scale, least)
         terms = replace(problem.terms, threshold=edge)
-        found = local_optimum(replace(within, terms=terms), starts[0], SUBSETS).coefficients
+        found = local_optima(replace(within, terms=terms), starts[:1], SUBSETS)[0].coefficients
         near = np.abs(problem.evaluate(found[None])[0][0]) < edge
         if near.all() or int(near.sum()) <= len(problem.free):
             break

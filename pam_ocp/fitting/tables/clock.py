@@ -1,4 +1,9 @@
-"""The clock of a record: found, read as seconds, and mended where it stands still or wraps."""
+"""The clock of a record: found, read as seconds, and mended where it stands still or wraps.
+
+Dates are read by patterns of our own: dateutil reads 16 of the 17 forms that the tests hold, eight
+times slower, but takes an unknown time zone for none, leaves out nanoseconds, and reads no minutes
+and seconds (12:34.5), no zones of cities ([Europe/Berlin]) and no hours beyond 24; pandas reads 15.
+"""
 
 from __future__ import annotations
 
@@ -190,7 +195,7 @@ def seconds_of_numbers(
         return values, ""
     low, high = float(known.min()), float(known.max())
     steps = np.abs(np.diff(known))
-    step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    step = usual_step(known, steps)
     for kind, (least, most) in DAYS.items():
         fine = 0 < step < (0.01 if in_days(header) else SHORTEST) or in_round_days(step)
         if said is None and least < low and high < most and fine:
@@ -280,6 +285,13 @@ class Clock:
         return cls(header, kind, usual, jitter, float(steps.max(initial=0.0)), gaps)
 
 
+def usual_step(t: Array, steps: Array | None = None) -> float:
+    """The median of the steps of times forwards; 0 where there is none. steps : if not of t."""
+    steps = np.diff(t) if steps is None else steps
+    forwards = steps[steps > 0]
+    return float(np.median(forwards)) if forwards.size else 0.0
+
+
 def find_clock(raw: RawTable, time: str | None = None) -> tuple[RawTable, str | None]:
     """(table, header of its time; None without). A column of days beside one of times is joined.
 
@@ -348,7 +360,7 @@ def doubts_of_clock(header: str, t: Array, said: str | None, wanted: str | None)
     steps = np.diff(t)
     if wanted is not None or t.size < 3 or not np.any(steps > 0):
         return []
-    step, whole = float(np.median(steps[steps > 0])), float(t[-1] - t[0])
+    step, whole = usual_step(t), float(t[-1] - t[0])
     factor = 1.0 if said is None else scale_of(header, said, None, None).measured.factor
     wide = 1.0 if said is None else DECLARED
     sample, run = MEASURED["sample time"], MEASURED["duration"]
@@ -434,7 +446,7 @@ def _unwrapped(t: Array, factor: float) -> tuple[Array, str]:
     back = np.nonzero(steps < 0)[0]
     if not back.size or t.size < FEW:
         return t, ""
-    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    usual = usual_step(t)
     for period in (*(w * factor for w in WRAPS), *PERIODS):
         ahead = steps[back] + period
         if usual > 0 and np.all((ahead > 0) & (ahead < GAP * usual)):
@@ -471,7 +483,7 @@ def parts_of(
     if len(t) < 2:
         raise InputError(f"{raw.label}: {len(t)} sample; a record needs at least 2")
     steps = np.diff(t)
-    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    usual = usual_step(t)
     limit = GAP * usual if max_gap is None else require_positive("max_gap", max_gap, "s")
     back, wide = steps <= 0, steps > limit * (1 + 1e-9)
     if not cut and np.any(back):

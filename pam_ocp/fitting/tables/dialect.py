@@ -3,7 +3,14 @@
 Each separator with each decimal sign is tried on a sample of the lines. The one is taken in which
 most cells of rows of equal width are numbers or stamps of time, as DuckDB's sniffer does
 (G. van den Burg, A. Nazábal, C. Sutton, Wrangling messy CSV files by detecting row and type
-patterns, Data Min. Knowl. Disc. 33 (2019) 1799-1820).
+patterns, Data Min. Knowl. Disc. 33 (2019) 1799-1820). Their package clevercsv finds the same
+separators in 127 of 127 texts of benchmarks/files_study.py and the tests, in twice the time, and no
+decimal signs, comments or rows of units; pandas finds 91.
+
+LabVIEW's measurement files (.lvm) have a header, then segments with headers of their own (NI,
+"Specification for the LabVIEW Measurement File (.lvm)"); the package lvm_read reads what is no
+number as NaN without a word, no unit, and one column of times only. Tables in HTML, or in Excel's
+XML of 2003, are what programs save as .xls; pandas reads the former by lxml, the latter not.
 """
 
 from __future__ import annotations

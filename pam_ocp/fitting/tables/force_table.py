@@ -58,6 +58,10 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 
+MEASURES = ("pressure", "contraction", "force", "scatter", "error")
+LABELLED = ("branch", "run", "file")
+"""Of each cell."""
+
 
 @shown
 @dataclass(frozen=True, eq=False)
@@ -215,21 +219,13 @@ class ForceTable:
             raise InputError(
                 f"chosen: {error}; give a mask of {len(self)} cells, their numbers or a slice"
             ) from None
-        return ForceTable(
-            self.pressure[index],
-            self.contraction[index],
-            self.force[index],
-            self.rest_length,
-            self.source,
-            tuple(self.branch[i] for i in index) if self.branch else (),
-            tuple(self.run[i] for i in index) if self.run else (),
-            tuple(self.file[i] for i in index) if self.file else (),
-            None if self.scatter is None else self.scatter[index],
-            None if self.error is None else self.error[index],
-            self.notes,
-            self._floor[0],
-            self._floor[1][index],
-        )
+        chosen_cells: dict[str, Any] = {
+            n: a[index] for n in MEASURES if (a := getattr(self, n)) is not None
+        }
+        for name in LABELLED:
+            chosen_cells[name] = tuple(getattr(self, name)[i] for i in index if getattr(self, name))
+        floor, at_floor = self._floor
+        return replace(self, **chosen_cells, floor=floor, censored=at_floor[index])
 
     @property
     def branches(self) -> tuple[str, ...]:
@@ -534,22 +530,19 @@ def joined_tables(tables: Sequence[ForceTable]) -> ForceTable:
         there = [getattr(t, name) or ("",) * len(t) for t in tables]
         return tuple(text for own in there for text in own) if any(map(any, there)) else ()
 
-    def numbers(name: str) -> Array | None:
-        known = [getattr(t, name) for t in tables]
-        return None if any(k is None for k in known) else np.concatenate(known)
-
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(t, name) for t in tables])
+        for name in MEASURES
+        if all(getattr(t, name) is not None for t in tables)
+    }
     return ForceTable(
-        np.concatenate([t.pressure for t in tables]),
-        np.concatenate([t.contraction for t in tables]),
-        np.concatenate([t.force for t in tables]),
-        tables[0].rest_length,
-        f"{len(tables)} files",
-        labels("branch"),
-        labels("run"),
-        tuple(t.source for t in tables for _ in range(len(t))),
-        numbers("scatter"),
-        numbers("error"),
-        tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
+        **columns,
+        rest_length=tables[0].rest_length,
+        source=f"{len(tables)} files",
+        branch=labels("branch"),
+        run=labels("run"),
+        file=tuple(t.source for t in tables for _ in range(len(t))),
+        notes=tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
         **joined_floor(tables),
     )
 
