@@ -84,13 +84,21 @@ class Estimates:
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of an estimate [its unit]: value ± t standard errors."""
-        c = self._entry(name)
-        half = self.linearisation.reach(level) * c.stderr
-        return c.value - half, c.value + half
+        self._entry(name)
+        return self.intervals(level)[name]
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Confidence intervals of all estimates."""
-        return {n: self.interval(n, level) for n in self.linearisation.names}
+        found = {}
+        for name in self.linearisation.names:
+            c = self.coefficients[name]
+            half = self._half(c, level)
+            found[name] = (c.value - half, c.value + half)
+        return found
+
+    def _half(self, c: Coefficient, level: float) -> float:
+        """Half width of the interval of an estimate."""
+        return self.linearisation.reach(level) * c.stderr
 
     def to_pandas(self) -> pd.DataFrame:
         """The estimates as a DataFrame: value, stderr, low, high (95 %), unit; SI."""

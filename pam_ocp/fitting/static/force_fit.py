@@ -82,7 +82,7 @@ class ForceFit(Optimum):
         entry = self._entry(name)
         if entry.held:
             return entry.value, entry.value
-        return self._intervals((name,), level, linearised, executor)[name]
+        return self.intervals(level, linearised=linearised, executor=executor)[name]
 
     def intervals(
         self, level: float = 0.95, *, linearised: bool = False, executor: Place = None
@@ -97,7 +97,12 @@ class ForceFit(Optimum):
         executor : where profiles are walked along that do not end within milliseconds, as for
             :func:`pam_ocp.each`; the ends are the same everywhere.
         """
-        return self._intervals(self.free, level, linearised, executor)
+        placed(executor)
+        found = super().intervals(level)
+        if not linearised and self.has_profile and self.sigma > 0:
+            ends = self._profiled(level, executor)
+            found |= {n: (e.low, e.high) for n, e in ends.items()}
+        return found
 
     def open_ends(self, level: float = 0.95) -> dict[str, str]:
         """Why an interval of :meth:`intervals` has an infinite end, by coefficient."""
@@ -107,20 +112,6 @@ class ForceFit(Optimum):
             if not np.isfinite(self.coefficients[n].stderr)
         }
         return found | {n: e.reason for n, e in self._profiled(level).items() if e.reason}
-
-    def _intervals(
-        self, names: Sequence[str], level: float, linearised: bool, executor: Place = None
-    ) -> dict[str, tuple[float, float]]:
-        placed(executor)
-        reach = self.linearisation.reach(level)
-        found = {}
-        for name in names:
-            c = self.coefficients[name]
-            found[name] = (c.value - reach * c.stderr, c.value + reach * c.stderr)
-        if not linearised and self.has_profile and self.sigma > 0:
-            ends = self._profiled(level, executor)
-            found |= {n: (e.low, e.high) for n, e in ends.items() if n in names}
-        return found
 
     def _profiled(self, level: float, executor: Place = None) -> Mapping[str, Ends]:
         """Ends of the profile intervals of the coefficients for which there is one."""

@@ -23,7 +23,7 @@ from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, require_plant
 from ..estimates import Estimates, at_edge, correlation_lines
-from ..statistics import Array, Linearisation
+from ..statistics import Array, Coefficient, Linearisation
 from ..tables.headers import named_branch
 from ..tables.records import read_record
 from ..tables.sources import load
@@ -123,13 +123,9 @@ class HoldsFit(Estimates):
         factor = np.sqrt(wide / usual)
         return {n: float(f) for n, f in zip(linear.names, factor, strict=True) if not f <= HANGING}
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of an estimate [its unit], value ± t standard errors; wider where it
-        hangs on few holds (see ``hanging``).
-        """
-        c = self._entry(name)
-        half = self.linearisation.reach(level) * c.stderr * self.hanging.get(name, 1.0)
-        return c.value - half, c.value + half
+    def _half(self, c: Coefficient, level: float) -> float:
+        """Wider where it hangs on few holds (see ``hanging``)."""
+        return super()._half(c, level) * self.hanging.get(c.name, 1.0)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...core.errors import FitError
 from ..statistics import Array
 from .least_squares import BISQUARE, LeastSquares, least_squares
-from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, local_optima
+from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, descend, local_optima
 
 __all__ = ["NEAR", "SUBSETS", "WIDE", "Effort", "minimise", "robust_start", "trimmed_start"]
 
@@ -162,31 +162,20 @@ def _nonlinear_values(problem: LeastSquares, random: np.random.Generator) -> Arr
 
 
 def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, float]:
-    """Gauss-Newton steps over all coefficients on the cells kept, as long as their squares fall."""
-    free = list(problem.free)
-    low = np.array([problem.variables[i].min for i in free])
-    high = np.array([problem.variables[i].max for i in free])
-    c = start.copy()
-    c[free] = np.clip(c[free], low, high)
-    rest, slopes = (a[0] for a in problem.evaluate(c[None]))
-    cost = float(trim.cost(rest[None])[0])
+    """The least squares of the cells kept, and which are kept, in turns, as long as they fall."""
+    low, high = (
+        np.array([[getattr(problem.variables[i], end) for i in problem.free]])
+        for end in ("min", "max")
+    )
+    c, cost = start, np.inf
     for _ in range(STEPS):
-        kept = trim.kept(rest[None])[0]
-        step = least_squares(slopes[kept][:, free][None], rest[kept][None])[0][0]
-        before = cost
-        for part in (1.0, 0.5, 0.25, 0.1):
-            trial = c.copy()
-            trial[free] = np.clip(c[free] + part * step, low, high)
-            with np.errstate(all="ignore"):
-                new, new_slopes = (a[0] for a in problem.evaluate(trial[None]))
-            if not (np.all(np.isfinite(new)) and np.all(np.isfinite(new_slopes))):
-                continue
-            found = float(trim.cost(new[None])[0])
-            if found < cost:
-                c, rest, slopes, cost = trial, new, new_slopes, found
-                break
-        if cost > before * (1 - 1e-10):
+        kept = trim.kept(problem.residuals(c[None]))[0]
+        part = replace(problem, cells=problem.cells.subset(kept), weights=problem.weights[kept])
+        found = descend(part, c[None], low, high).coefficients
+        least = float(trim.cost(problem.residuals(found))[0])
+        if not least < cost * (1 - 1e-10):
             break
+        c, cost = found[0], least
     return c, cost
 
 

@@ -8,7 +8,7 @@ names the keyword to settle it. The ranges stand in :mod:`pam_ocp.core.plausible
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,6 +26,7 @@ from .raw import Doubt, RawTable
 
 __all__ = [
     "Column",
+    "Understood",
     "above_ambient",
     "checked_cells",
     "doubts_of",
@@ -103,6 +104,17 @@ class Column:
     def reading(self) -> str:
         named = "" if self.scale is not None else ", as no unit was named"
         return f"read in {self.unit}{named}"
+
+
+@dataclass
+class Understood:
+    """How far a source was understood, filled while it is read: its cells; {header: (quantity or
+    variable, scale)} of the columns of use; its clock in words.
+    """
+
+    raw: RawTable
+    meanings: dict[str, tuple[str, Scale | None]] = field(default_factory=dict)
+    clock: str = ""
 
 
 def kind_of(name: str, measured: str | None, *, told: bool) -> str:

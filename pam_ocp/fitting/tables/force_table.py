@@ -28,6 +28,7 @@ from ...core.quantities import quantity
 from ...core.shown import shown
 from .columns import assigned, read_labels, require_columns
 from .doubts import (
+    Understood,
     checked_cells,
     doubts_of,
     doubts_of_table,
@@ -407,11 +408,16 @@ class TableWords:
         return Reading.of(columns, **layout), words
 
 
-def table_of(raw: RawTable, words: TableWords) -> ForceTable:
-    """The table that columns hold. Raises InputError."""
+def table_of(raw: RawTable, words: TableWords, seen: Understood | None = None) -> ForceTable:
+    """The table that columns hold; ``seen`` is told what was understood until an error.
+
+    Raises InputError.
+    """
+    seen = seen or Understood(raw)
     columns = assigned(raw, words.columns, words.units, words.ambient)
+    seen.meanings |= {column.header: (q, column.scale) for q, column in columns.items()}
     require_columns(raw, columns)
-    raw = checked_cells(raw, tuple(columns.values()), words.missing)
+    seen.raw = raw = checked_cells(raw, tuple(columns.values()), words.missing)
     raw = complete(raw, [column.header for column in columns.values()], words.empty)
     series = {q: Series(column, raw) for q, column in columns.items()}
     check_pressure(series["pressure"])

@@ -14,14 +14,13 @@ import numpy as np
 from ...core.calibration import Scale
 from ...core.errors import InputError
 from .cells import is_empty, is_stamp
-from .clock import Clock, find_clock, read_clock
-from .columns import assigned, record_variables
+from .clock import find_clock
 from .dialect import Unsaid
-from .doubts import checked_cells
+from .doubts import Understood
 from .force_table import ForceTable, TableWords, table_of
 from .headers import LABELS, QUANTITIES
 from .raw import Doubt, RawTable
-from .records import RecordWords, clock_of, columns_of, in_known_units, loaded, record_parts
+from .records import RecordWords, loaded, record_parts
 from .sources import is_source, naming, sources_of
 
 if TYPE_CHECKING:
@@ -234,23 +233,17 @@ def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
 
 # ---- tables --------------------------------------------------------------------------------------
 def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any]) -> Preview:
-    meanings: dict[str, tuple[str, Scale | None]] = {}
-    problem, table = "", None
+    seen, problem, table = Understood(raw), "", None
     try:
-        found = assigned(raw, words.columns, words.units, words.ambient)
-        raw = checked_cells(raw, tuple(found.values()), words.missing)
-        meanings = {column.header: (quantity, column.scale) for quantity, column in found.items()}
-        table = table_of(raw, words)
+        table = table_of(raw, words, seen)
     except InputError as error:
         problem = str(error)
-        meanings = meanings or _named(raw, words)
+    raw, meanings = seen.raw, seen.meanings or _named(raw, words)
     for label, names in LABELS.items():
         header = raw.header(label, names, words.columns)
         if header:
             meanings[header] = (label, None)
     columns = tuple(_column(raw, h, *meanings.get(h, ("", None)), QUANTITIES) for h in raw.columns)
-    if table is not None and words.rest_length is None and "length" in dict(meanings.values()):
-        problem = ""
     return _preview(source, "table", raw, columns, table, problem, options, table and table.notes)
 
 
@@ -311,28 +304,18 @@ def _saturated(header: str, values: Any) -> list[str]:
 def _record(
     source: Any, raw: RawTable, plant: Plant | None, words: RecordWords, options: dict[str, Any]
 ) -> Preview:
-    problem, records, clock = "", None, ""
+    seen, problem, records = Understood(raw), "", None
     notes: list[str] = []
-    meanings: dict[str, tuple[str, Scale | None]] = {}
     try:
-        raw, header = clock_of(raw, words)
-        meanings[header] = ("time", None)
-        t, kind, _ = read_clock(raw, header, words.units.get("time"))
-        clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
-        for variable, name in record_variables(raw, plant, dict(words.columns), header):
-            meanings[name] = (variable.name, None)
-        used = raw if plant is not None else in_known_units(raw, words, header)
-        own = columns_of(used, plant, words, header)
-        meanings |= {c.header: (c.argument, c.scale) for c in own}
-        raw = checked_cells(raw, own, words.missing)
-        records, notes, found = record_parts(raw, plant, words)
-        clock = str(found)
+        records, notes = record_parts(raw, plant, words, seen)
     except InputError as error:
         problem = str(error)
+    raw, meanings = seen.raw, seen.meanings
     known = {v.name: (v.unit,) for v in plant.variables} if plant is not None else {}
     columns = tuple(_column(raw, h, *meanings.get(h, ("", None)), known) for h in raw.columns)
-    made = _preview(source, "record", raw, columns, records, problem, options, notes, clock, plant)
-    return made
+    return _preview(
+        source, "record", raw, columns, records, problem, options, notes, seen.clock, plant
+    )
 
 
 def _preview(
