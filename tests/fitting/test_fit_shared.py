@@ -134,6 +134,20 @@ def test_values_and_errors_agree_with_scipy_on_the_stacked_problem(joint: JointF
         assert found.stderr * factor == pytest.approx(error, rel=1e-3)
 
 
+def test_a_joint_fit_tells_what_a_single_one_tells(joint: JointForceFit) -> None:
+    pytest.importorskip("pandas")
+    jacobian = joint.linearisation.jacobian
+    scaled = jacobian / np.linalg.norm(jacobian, axis=0)
+    assert joint.rank == np.linalg.matrix_rank(scaled) == 11
+    assert joint.condition == pytest.approx(np.linalg.cond(scaled), rel=1e-6)
+    errors = np.sqrt(np.diag(joint.covariance))
+    expected = joint.covariance / np.outer(errors, errors)
+    np.testing.assert_allclose(joint.correlation, expected, rtol=1e-9, atol=1e-12)
+    frame = joint.to_pandas()
+    assert tuple(frame.index) == joint.names
+    assert frame["high"]["a3"] == joint.interval("a3")[1]
+
+
 def test_a_muscle_of_a_joint_fit_has_the_joint_intervals(joint: JointForceFit) -> None:
     member = joint["10"]
     assert member.interval("a3") == pytest.approx(joint.interval("a3"))

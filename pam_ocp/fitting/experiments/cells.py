@@ -27,7 +27,7 @@ from ...core.files import atomic_path
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..static.force_fit import ForceFit
-from ..statistics import Array, Linearisation, sensitivity, student_t
+from ..statistics import Array, Linearisation, forces_and_slopes, student_t
 from ..tables.force_table import ForceTable
 from .optimal import Criterion, exchange, refine
 
@@ -140,10 +140,9 @@ class _Known:
     def gradient(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (m,) [N] and its derivatives (m, k) with respect to the free coefficients."""
         names = list(self.law.values)
-        values = np.array([float(v) for v in self.law.values.values()])
-        tension, slopes = sensitivity(type(self.law))(p[None], kappa[None], values)
-        columns = [names.index(n) for n in self.free]
-        return np.asarray(tension).ravel(), np.asarray(slopes).reshape(p.size, -1)[:, columns]
+        values = np.array([[float(v) for v in self.law.values.values()]])
+        tension, slopes = forces_and_slopes(type(self.law), p, kappa, values)
+        return tension[0], slopes[0][:, [names.index(n) for n in self.free]]
 
     @property
     def information(self) -> Array:
