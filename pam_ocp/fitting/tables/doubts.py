@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.calibration import Scale
-from ...core.errors import InputError, require_positive
-from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, doubt, inside_by
+from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, inside_by
 from ...core.units import unit
 from ...core.variables import Variable
 from .cells import is_empty, is_number, numbers_of
@@ -32,8 +31,6 @@ __all__ = [
     "doubts_of",
     "doubts_of_table",
     "kind_of",
-    "require_ambient",
-    "require_missing",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
@@ -165,27 +162,6 @@ def checked_cells(raw: RawTable, columns: Sequence[Column], missing: Any = "foun
         if np.any(gone):
             raw = _emptied(raw, column.header, gone)
     return raw
-
-
-def require_missing(missing: Any) -> Any:
-    """ "found", None, or the values that mark missing ones as a tuple. Raises InputError."""
-    if missing is None or (isinstance(missing, str) and missing == "found"):
-        return missing
-    values = tuple(missing) if isinstance(missing, list | tuple | set) else (missing,)
-    for value in values:
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise InputError(
-                f"missing = {missing!r}: give the values that mark missing ones, as [9999, 'off'], "
-                "'found', or None where there are none"
-            )
-    return values
-
-
-def require_ambient(pressure: Any) -> float:
-    """The pressure of the surroundings [Pa absolute]. Raises InputError; doubts a wrong unit."""
-    found = require_positive("ambient_pressure", pressure, "Pa")
-    doubt("ambient_pressure", found, "Pa")
-    return found
 
 
 def _equal(cells: Sequence[Any], given: Sequence[Any], sign: str) -> NDArray[np.bool_]:

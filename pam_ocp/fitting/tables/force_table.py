@@ -32,13 +32,11 @@ from .doubts import (
     checked_cells,
     doubts_of,
     doubts_of_table,
-    require_ambient,
-    require_missing,
 )
 from .floor import DETECTED, Floor, find_floor, part_names
 from .ramps import Ramp, floor_of, ramp_of
-from .raw import RawTable, complete, say
-from .sources import Reading, is_source, load, naming, sources_of
+from .raw import RawTable, ReadingArguments, complete, say
+from .sources import is_source, load, naming, sources_of
 from .table_checks import (
     Series,
     check_force,
@@ -49,7 +47,7 @@ from .table_checks import (
 
 __all__ = [
     "ForceTable",
-    "TableWords",
+    "TableArguments",
     "joined_floor",
     "joined_tables",
     "read_table",
@@ -350,16 +348,16 @@ def read_table(
     (126, 60)
     """
     given = {name: value for name, value in locals().items() if name != "source"}
-    how, words = TableWords.of(**given)
+    words = TableArguments.of(**given)
     if is_source(source):
         with naming(source):
-            table = table_of(load(source, how), words)
+            table = table_of(load(source, words.how), words)
         say(table.source, table.notes)
         return table
     tables = []
     for one in sources_of(source):
         with naming(one):
-            tables.append(table_of(load(one, how), words))
+            tables.append(table_of(load(one, words.how), words))
         say(tables[-1].source, tables[-1].notes)
     whole = joined_tables(tables)
     if whole.floor_found and not any(t.floor_found for t in tables):
@@ -368,47 +366,31 @@ def read_table(
 
 
 @dataclass(frozen=True)
-class TableWords:
-    """What the user said of a table's columns and rows."""
+class TableArguments(ReadingArguments):
+    """What the user says of a force table; see :func:`read_table`."""
 
-    rest_length: float | None
-    columns: dict[str, str]
-    units: dict[str, str]
-    ambient: float
-    empty: str
-    missing: Any
-    ramp: bool | None
-    floor: Any
+    rest_length: float | None = None
+    ramp: bool | None = None
+    floor: Any = "found"
 
     @classmethod
     def of(
         cls,
         *,
         rest_length: float | None = None,
-        columns: Any = None,
-        units: Mapping[str, str] | None = None,
-        ambient_pressure: float = AMBIENT,
-        empty: str = "drop",
-        missing: Any = "found",
         ramp: bool | None = None,
         floor: Any = "found",
-        **layout: Any,
-    ) -> tuple[Reading, TableWords]:
-        """(layout, what the user said), checked. Raises InputError."""
-        words = cls(
-            None if rest_length is None else require_positive("rest_length", rest_length, "m"),
-            dict(columns) if isinstance(columns, Mapping) else {},
-            dict(units or {}),
-            require_ambient(ambient_pressure),
-            empty,
-            require_missing(missing),
-            ramp,
-            _floor_said(floor),
+        **common: Any,
+    ) -> TableArguments:
+        """Checked. Raises InputError."""
+        if rest_length is not None:
+            rest_length = require_positive("rest_length", rest_length, "m")
+        return cls(
+            **cls.checked(**common), rest_length=rest_length, ramp=ramp, floor=_floor_said(floor)
         )
-        return Reading.of(columns, **layout), words
 
 
-def table_of(raw: RawTable, words: TableWords, seen: Understood | None = None) -> ForceTable:
+def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:
     """The table that columns hold; ``seen`` is told what was understood until an error.
 
     Raises InputError.

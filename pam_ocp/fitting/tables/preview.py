@@ -17,10 +17,10 @@ from .cells import is_empty, is_stamp
 from .clock import find_clock
 from .dialect import Unsaid
 from .doubts import Understood
-from .force_table import ForceTable, TableWords, table_of
+from .force_table import ForceTable, TableArguments, table_of
 from .headers import LABELS, QUANTITIES
-from .raw import Doubt, RawTable
-from .records import RecordWords, loaded, record_parts
+from .raw import Doubt, RawTable, ReadingArguments
+from .records import RecordArguments, loaded, record_parts
 from .sources import is_source, naming, sources_of
 
 if TYPE_CHECKING:
@@ -191,21 +191,22 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     if kind not in (None, "table", "record"):
         raise InputError(f"kind = {kind!r}: choose 'table' or 'record'")
     kind = kind or ("record" if plant is not None else None)
-    shared = {k: v for k, v in options.items() if k not in (*_TABLE_ONLY, *_RECORD_ONLY)}
     for_table = {k: v for k, v in options.items() if k not in _RECORD_ONLY}
     for_record = {k: v for k, v in options.items() if k not in _TABLE_ONLY}
-    pivot = {"pivot": options["pivot"]} if "pivot" in options else {}
-    words = RecordWords.of(**for_record) if kind == "record" else RecordWords.of(**shared, **pivot)
+    general = {k: v for k, v in for_table.items() if k in for_record}
+    if kind != "record" and "pivot" in options:
+        general["pivot"] = options["pivot"]
+    how = ReadingArguments.checked(**general)["how"]
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            raw = loaded(source, words.how)
+            raw = loaded(source, how)
         except Unsaid as error:
             return _unsaid(source, kind, str(error), options)
         kind = kind or _kind(raw, options)
         if kind == "table":
-            return _table(source, raw, TableWords.of(**for_table)[1], options)
-        return _record(source, raw, plant, RecordWords.of(**for_record), options)
+            return _table(source, raw, TableArguments.of(**for_table), options)
+        return _record(source, raw, plant, RecordArguments.of(**for_record), options)
 
 
 def _unsaid(source: Any, kind: str | None, problem: str, options: Mapping[str, Any]) -> Preview:
@@ -232,7 +233,7 @@ def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
 
 
 # ---- tables --------------------------------------------------------------------------------------
-def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any]) -> Preview:
+def _table(source: Any, raw: RawTable, words: TableArguments, options: dict[str, Any]) -> Preview:
     seen, problem, table = Understood(raw), "", None
     try:
         table = table_of(raw, words, seen)
@@ -247,7 +248,7 @@ def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any
     return _preview(source, "table", raw, columns, table, problem, options, table and table.notes)
 
 
-def _named(raw: RawTable, words: TableWords) -> dict[str, tuple[str, Scale | None]]:
+def _named(raw: RawTable, words: TableArguments) -> dict[str, tuple[str, Scale | None]]:
     """Which columns bear the name of a quantity, whatever their units say."""
     found: dict[str, tuple[str, Scale | None]] = {}
     for quantity, (_, names) in QUANTITIES.items():
@@ -302,7 +303,7 @@ def _saturated(header: str, values: Any) -> list[str]:
 
 # ---- records -------------------------------------------------------------------------------------
 def _record(
-    source: Any, raw: RawTable, plant: Plant | None, words: RecordWords, options: dict[str, Any]
+    source: Any, raw: RawTable, plant: Plant | None, words: RecordArguments, options: dict[str, Any]
 ) -> Preview:
     seen, problem, records = Understood(raw), "", None
     notes: list[str] = []

@@ -8,6 +8,7 @@ what does not count.
 
 from __future__ import annotations
 
+import codecs
 import re
 import warnings
 from collections.abc import Collection, Mapping, Sequence
@@ -18,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.calibration import COUNTS, spelled
-from ...core.errors import InputError, UnknownNameError
+from ...core.calibration import AMBIENT, COUNTS, spelled
+from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.files import MOST_NAME
-from ...core.plausible import UnitWarning, outside
+from ...core.plausible import UnitWarning, doubt, outside
 from ...core.quantities import quantity
 from .cells import decimal_of, numbers_of
 from .headers import LABELS, NAMES, QUANTITIES, is_unit, matching, parse_header
@@ -29,6 +30,8 @@ from .headers import LABELS, NAMES, QUANTITIES, is_unit, matching, parse_header
 __all__ = [
     "Doubt",
     "RawTable",
+    "Reading",
+    "ReadingArguments",
     "ReadingWarning",
     "checked_constants",
     "complete",
@@ -197,6 +200,133 @@ def complete(raw: RawTable, headers: Sequence[str], empty: str = "drop") -> RawT
     words = ", ".join(f"{n} in {h!r}" for h, n in counts.items())
     dropped = f"{int(gone.sum())} of {len(raw)} rows dropped for empty cells ({words}; first "
     return raw.taken(np.nonzero(~gone)[0], f"{dropped}{raw.row(first)})")
+
+
+# ---- what the user says --------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Reading:
+    """How a file is to be read, where it does not say it itself.
+
+    columns : names of the columns from the left. skip : lines or rows at the beginning that are
+    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data,
+    or several to be put on one clock. delimiter, decimal, encoding : of a text. bad_lines : "drop"
+    or "refuse". pivot : what runs down, across, and stands in the cells. constants : columns of one
+    value that the file does not hold. pattern : of the file's name, which holds such values.
+    """
+
+    columns: tuple[str | None, ...] | None = None
+    skip: int = 0
+    sheet: str | int | None = None
+    pick: str | tuple[str, ...] | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    bad_lines: str = "refuse"
+    pivot: tuple[str, ...] | None = None
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    pattern: str | None = None
+
+    @classmethod
+    def of(cls, columns: Any, **said: Any) -> Reading:
+        """Checked. Raises InputError."""
+        require_count("skip", said.get("skip", 0), 0)
+        if said.get("decimal") not in (None, ".", ","):
+            raise InputError(f"decimal = {said['decimal']!r}: choose '.' or ','")
+        if said.get("bad_lines", "refuse") not in ("refuse", "drop"):
+            raise InputError(f"bad_lines = {said['bad_lines']!r}: choose 'refuse' or 'drop'")
+        if said.get("encoding") is not None:
+            _require_encoding(said["encoding"])
+        said["constants"] = checked_constants(said.get("constants"))
+        if said.get("pattern") is not None:
+            require_pattern(said["pattern"])
+        if isinstance(said.get("pick"), list):
+            said["pick"] = tuple(said["pick"])
+        delimiter = said.get("delimiter")
+        if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1):
+            raise InputError(f"delimiter = {delimiter!r}: give one character, ' ' for blanks")
+        names = None
+        if columns is not None and not isinstance(columns, Mapping):
+            if isinstance(columns, str) or not isinstance(columns, Sequence):
+                raise InputError(
+                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from "
+                    "the left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
+                )
+            names = tuple(None if name is None else str(name) for name in columns)
+        pivot = said.pop("pivot", None)
+        return cls(names, **said, pivot=None if pivot is None else _pivot(pivot))
+
+
+def _require_encoding(encoding: Any) -> None:
+    try:
+        codecs.lookup(encoding)
+    except (LookupError, TypeError):
+        raise InputError(
+            f"encoding = {encoding!r} is not known; give one as 'utf-8', 'cp1252' or 'shift_jis'"
+        ) from None
+
+
+def _pivot(said: Any) -> tuple[str, ...]:
+    if isinstance(said, str) or not isinstance(said, Sequence):
+        raise InputError(
+            f"pivot = {said!r}: say what runs down, across and stands in the cells, as "
+            "pivot=('contraction [%]', 'pressure [bar]', 'force [N]')"
+        )
+    return tuple(str(s) for s in said)
+
+
+@dataclass(frozen=True)
+class ReadingArguments:
+    """What the user says of a source, whatever it holds: how it is read, its columns and rows."""
+
+    how: Reading
+    columns: Mapping[str, str]
+    units: Mapping[str, str]
+    ambient: float
+    empty: str
+    missing: Any
+
+    @staticmethod
+    def checked(
+        columns: Mapping[str, str] | Sequence[str | None] | None = None,
+        units: Mapping[str, str] | None = None,
+        ambient_pressure: float = AMBIENT,
+        empty: str = "drop",
+        missing: Any = "found",
+        **layout: Any,
+    ) -> dict[str, Any]:
+        """The fields, of arguments as ``read_table`` and ``read_record`` have them.
+
+        Raises InputError.
+        """
+        return {
+            "how": Reading.of(columns, **layout),
+            "columns": dict(columns) if isinstance(columns, Mapping) else {},
+            "units": dict(units or {}),
+            "ambient": require_ambient(ambient_pressure),
+            "empty": empty,
+            "missing": require_missing(missing),
+        }
+
+
+def require_missing(missing: Any) -> Any:
+    """ "found", None, or the values that mark missing ones as a tuple. Raises InputError."""
+    if missing is None or (isinstance(missing, str) and missing == "found"):
+        return missing
+    values = tuple(missing) if isinstance(missing, list | tuple | set) else (missing,)
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise InputError(
+                f"missing = {missing!r}: give the values that mark missing ones, as [9999, 'off'], "
+                "'found', or None where there are none"
+            )
+    return values
+
+
+def require_ambient(pressure: Any) -> float:
+    """The pressure of the surroundings [Pa absolute]. Raises InputError; doubts a wrong unit."""
+    found = require_positive("ambient_pressure", pressure, "Pa")
+    doubt("ambient_pressure", found, "Pa")
+    return found
 
 
 # ---- constants -----------------------------------------------------------------------------------

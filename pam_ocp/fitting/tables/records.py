@@ -25,19 +25,17 @@ from .doubts import (
     checked_cells,
     doubts_of,
     kind_of,
-    require_ambient,
-    require_missing,
 )
 from .headers import parse_header
-from .raw import Doubt, RawTable, complete, say
-from .sources import Reading, is_source, load, naming, sources_of
+from .raw import Doubt, RawTable, Reading, ReadingArguments, complete, say
+from .sources import is_source, load, naming, sources_of
 
 if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
 __all__ = [
-    "RecordWords",
+    "RecordArguments",
     "loaded",
     "read_record",
     "read_records",
@@ -46,55 +44,39 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class RecordWords:
-    """What the user said of a record; see :func:`read_record`."""
+class RecordArguments(ReadingArguments):
+    """What the user says of a record; see :func:`read_record`."""
 
-    how: Reading
-    columns: Mapping[str, str]
-    units: Mapping[str, str]
     time: str | None = None
     between: Interpolation | None = None
     max_gap: float | None = None
     clock: str = "mend"
     sample_time: float | str | None = None
-    ambient: float = AMBIENT
-    empty: str = "drop"
-    missing: Any = "found"
 
     @classmethod
     def of(
         cls,
         *,
-        columns: Mapping[str, str] | Sequence[str | None] | None = None,
-        units: Mapping[str, str] | None = None,
         time: str | None = None,
         interpolation: Interpolation | None = None,
         inputs: Literal["held", "linear"] | None = None,
         max_gap: float | None = None,
         clock: Literal["mend", "cut", "refuse"] = "mend",
         sample_time: float | str | None = None,
-        ambient_pressure: float = AMBIENT,
-        empty: Literal["drop", "refuse"] = "drop",
-        missing: Any = "found",
-        **layout: Any,
-    ) -> RecordWords:
+        **common: Any,
+    ) -> RecordArguments:
         """Checked. Raises InputError."""
         if clock not in ("mend", "cut", "refuse"):
             raise InputError(f"clock = {clock!r}: choose 'mend', 'cut' or 'refuse'")
         if sample_time is not None and sample_time != "even":
             sample_time = require_positive("sample_time", sample_time, "s")
         return cls(
-            Reading.of(columns, **layout),
-            dict(columns) if isinstance(columns, Mapping) else {},
-            dict(units or {}),
-            time,
-            _between(inputs, interpolation),
-            max_gap,
-            clock,
-            sample_time,
-            require_ambient(ambient_pressure),
-            empty,
-            require_missing(missing),
+            **cls.checked(**common),
+            time=time,
+            between=_between(inputs, interpolation),
+            max_gap=max_gap,
+            clock=clock,
+            sample_time=sample_time,
         )
 
 
@@ -171,7 +153,7 @@ def read_record(
     (201,)
     """
     given = {n: value for n, value in locals().items() if n not in ("source", "plant")}
-    words = RecordWords.of(**given)
+    words = RecordArguments.of(**given)
     if not is_source(source):
         folder = isinstance(source, str | Path) and Path(source).is_dir()
         what = f"{source} is a folder" if folder else "source is several"
@@ -200,7 +182,7 @@ def read_records(
     >>> len(pam.read_records(paths, plant))
     2
     """
-    words = RecordWords.of(**options)
+    words = RecordArguments.of(**options)
     found: list[Trajectory] = []
     for source in [sources] if is_source(sources) else sources_of(sources):
         with naming(source):
@@ -256,7 +238,7 @@ def loaded(source: Any, how: Reading) -> RawTable:
 
 
 def record_parts(
-    raw: RawTable, plant: Plant | None, words: RecordWords, seen: Understood | None = None
+    raw: RawTable, plant: Plant | None, words: RecordArguments, seen: Understood | None = None
 ) -> tuple[list[Trajectory], list[str]]:
     """(records between the cuts, what was left out or mended); ``seen`` is told what was understood
     until an error. Raises InputError.
@@ -311,7 +293,7 @@ COUNTED = "time [s]"
 """Header of times that were made of ``sample_time``."""
 
 
-def _clock_of(raw: RawTable, words: RecordWords) -> tuple[RawTable, str]:
+def _clock_of(raw: RawTable, words: RecordArguments) -> tuple[RawTable, str]:
     """(table, header of its time), which is counted where the user says how long a row takes.
 
     Raises InputError where there is none.
@@ -334,7 +316,7 @@ def _clock_of(raw: RawTable, words: RecordWords) -> tuple[RawTable, str]:
     return replace(raw, columns=columns, notes=(*raw.notes, note)), COUNTED
 
 
-def _in_known_units(raw: RawTable, words: RecordWords, clock: str) -> RawTable:
+def _in_known_units(raw: RawTable, words: RecordArguments, clock: str) -> RawTable:
     """The table without columns in units that are not known here, such as a temperature in °C; they
     are named, unless the user says what they are.
     """
@@ -368,7 +350,7 @@ def _is_time(said: str | None) -> bool:
 
 
 def _column(
-    raw: RawTable, variable: Variable, header: str, plant: Plant | None, words: RecordWords
+    raw: RawTable, variable: Variable, header: str, plant: Plant | None, words: RecordArguments
 ) -> Column:
     """A column of use with its scale. Raises InputError."""
     base = unit(variable.unit) if plant is not None else None
