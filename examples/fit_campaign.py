@@ -13,7 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 import pam_ocp as pam
-from pam_ocp.fitting import fit_campaign, fit_holds
+from pam_ocp.fitting import fit_holds
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "campaign")
 rig = folder / "rig"
@@ -33,7 +33,7 @@ for length in (200, 300):
             text += "".join(f"{a:.3f},{b:.4f},{c:.2f}\n" for a, b, c in rows)
             (rig / f"DMSP-20-{length}_{branch}_run{run}.csv").write_text(text)
 
-campaign = fit_campaign(rig, length_laws=["six-parameter", "five-parameter"])
+campaign = pam.fit_forces(rig, candidates=["six-parameter", "five-parameter"])
 print(campaign.report())
 campaign.save(folder / "campaign")
 

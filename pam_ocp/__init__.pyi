@@ -38,8 +38,8 @@ from .figures.film import animate_plan as animate_plan
 from .fitting import experiments as experiments
 from .fitting.dynamic.dynamic import fit_plant as fit_plant
 from .fitting.dynamic.free_run_fit import fit_free_run as fit_free_run
+from .fitting.static.campaign import fit_forces as fit_forces
 from .fitting.static.ranking import compare_laws as compare_laws
-from .fitting.static.shared import fit_forces as fit_forces
 from .fitting.static.static import fit_branches as fit_branches
 from .fitting.static.static import fit_force as fit_force
 from .fitting.tables.folder import read_folder as read_folder

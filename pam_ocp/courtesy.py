@@ -57,9 +57,6 @@ if TYPE_CHECKING:
     from .fitting.dynamic.coverage import coverage as coverage
     from .fitting.dynamic.estimation import validate as validate
     from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
-    from .fitting.static.report import force_report as force_report
-    from .fitting.static.saved_force import read_fit as read_fit
-    from .fitting.static.saved_force import write_fit as write_fit
     from .operating.linear import linearize as linearize
     from .operating.resting_point import OperatingPoint as OperatingPoint
     from .operating.resting_point import equilibrium as equilibrium
@@ -80,7 +77,6 @@ _HOMES: dict[str, str] = {
     "closed_loop": "control.loop",
     "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
-    "force_report": "fitting.static.report",
     "plot_fit_surface": "figures.surface",
     "plot_surface": "figures.surface",
     "frame_of": "figures.tables",
@@ -114,7 +110,6 @@ _HOMES: dict[str, str] = {
     "plot_robust": "figures.plan",
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
-    "read_fit": "fitting.static.saved_force",
     "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
@@ -124,7 +119,6 @@ _HOMES: dict[str, str] = {
     "write_plan_book": "figures.workbook.motion_book",
     "write_plant_fit_book": "figures.workbook.motion_book",
     "write_muscle_ssv": "export.ssv",
-    "write_fit": "fitting.static.saved_force",
     "write_plant_fit": "fitting.dynamic.saved_plant",
 }
 """Module in which each name stands; types for annotations are not among them."""

@@ -53,12 +53,12 @@ def _shown(path: Path) -> Any:
     from ..core.files import require_file
     from ..core.trajectory import Trajectory
     from ..export import check_fmu
-    from ..fitting.static.saved_force import read_fit
+    from ..fitting.static.force_fit import ForceFit
     from ..muscles.muscle_file import load_muscle
 
     readers: dict[str, tuple[Callable[[Any], Any], ...]] = {
         ".toml": (load_muscle,),
-        ".json": (load_muscle, read_fit),
+        ".json": (load_muscle, ForceFit.from_json),
         ".npz": (ClosedLoop.load, Trajectory.load),
         ".csv": (Trajectory.load,),
         ".parquet": (Trajectory.load,),

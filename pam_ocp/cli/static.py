@@ -303,20 +303,21 @@ def _branch_lines(fitted: ForceFit) -> list[str]:
 
 def _campaign(options: argparse.Namespace) -> int:
     from ..core.files import make_folder
-    from ..fitting.static.campaign import fit_campaign
+    from ..fitting.static.campaign import CANDIDATES, fit_forces
 
     tables: Any = options.tables
     if len(tables) == 1 and Path(tables[0]).is_dir():
         tables = tables[0]
-    result = fit_campaign(
+    result = fit_forces(
         tables,
         options.law,
+        candidates=CANDIDATES,
         rest_length=_lengths("--rest-length", options.rest_length),
         diameter=_lengths("--diameter", options.diameter),
         shared=options.shared or "all",
         fixed=_fixed(options.fixed, [options.law]),
         loss=options.loss,
-        **reading_options(options),
+        reading=reading_options(options),
     )
     tell(options, result.report(), lambda: {"muscles": result.table()})
     if options.out:
@@ -335,7 +336,7 @@ def _campaign(options: argparse.Namespace) -> int:
 def _fit_forces(options: argparse.Namespace) -> int:
     from ..core.errors import FitError
     from ..core.files import make_folder
-    from ..fitting.static.shared import fit_forces
+    from ..fitting.static.campaign import fit_forces
     from ..fitting.tables.force_table import read_table
     from ..muscles.muscle_file import save_muscle
 

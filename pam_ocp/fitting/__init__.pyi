@@ -27,15 +27,15 @@ from .static.branches import LackOfFit as LackOfFit
 from .static.branches import hysteresis as hysteresis
 from .static.branches import lack_of_fit as lack_of_fit
 from .static.campaign import fit_campaign as fit_campaign
+from .static.campaign import fit_forces as fit_forces
 from .static.campaign_result import Campaign as Campaign
 from .static.force_fit import ForceFit as ForceFit
+from .static.holds import HoldsFit as HoldsFit
 from .static.holds import fit_holds as fit_holds
-from .static.holds_fit import HoldsFit as HoldsFit
 from .static.ranking import ComparedLaw as ComparedLaw
 from .static.ranking import LawComparison as LawComparison
 from .static.ranking import compare_laws as compare_laws
 from .static.shared import JointForceFit as JointForceFit
-from .static.shared import fit_forces as fit_forces
 from .static.static import fit_branches as fit_branches
 from .static.static import fit_force as fit_force
 from .statistics import Coefficient as Coefficient

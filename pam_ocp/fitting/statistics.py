@@ -37,7 +37,6 @@ __all__ = [
     "forces_and_slopes",
     "in_blocks",
     "second_places",
-    "sensitivity",
     "student_t",
 ]
 
@@ -49,14 +48,6 @@ BLOCK, SMALLEST_BLOCK = 16384, 256
 """Values that are held for each operation of a law's functions; places at least."""
 NEARLY_DEPENDENT = 100.0
 """Condition number of the scaled Jacobian from which a fit says what the data hardly see."""
-
-
-@cache
-def sensitivity(law: type[ForceLaw]) -> ca.Function:
-    """CasADi function (p, kappa, coefficients) -> (tension, exact dF/dcoefficients as a row)."""
-    p, kappa, c, tension = _expression(law)
-    both = [ca.densify(tension), ca.densify(ca.jacobian(tension, c))]
-    return ca.Function("sensitivity", [p, kappa, c], both)
 
 
 def _expression(law: type[ForceLaw]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

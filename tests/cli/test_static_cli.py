@@ -61,6 +61,7 @@ def test_fit_ranks_several_laws_and_takes_the_best(table, capsys):
 def test_a_campaign_is_printed_and_written(table, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--columns", "pressure=P1", "--units", "pressure=kPa", "--out", str(out)]
+    options += ["--delimiter", ",", "--bad-lines", "drop"]
     assert main(["campaign", str(table.parent), *options]) == 0
     assert "rest length 300 mm" in capsys.readouterr().out
     assert (out / "DMSP-20-300.toml").exists()

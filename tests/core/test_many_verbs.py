@@ -17,7 +17,7 @@ from conftest import dask_client
 import pam_ocp as pam
 from pam_ocp.core.errors import OutOfTime
 from pam_ocp.core.stop import TimeIsUp
-from pam_ocp.fitting import fit_campaign, fit_forces
+from pam_ocp.fitting import fit_forces
 from pam_ocp.fitting.tables.force_table import ForceTable
 
 # on meshes as coarse as these
@@ -94,11 +94,11 @@ def campaigns(executor: Any) -> list[Any]:
     """Muscles, and laws with each length left out."""
     tables = {f"DMSP-20-{n}": cells("DMSP-20-200N", n) for n in (200, 300)}
     lengths = {"200": 0.2, "300": 0.3}
-    found = fit_campaign(
+    found = fit_forces(
         tables,
         rest_length=lengths,
         diameter=0.02,
-        length_laws=("six-parameter", "five-parameter"),
+        candidates=("six-parameter", "five-parameter"),
         executor=executor,
     )
     (group,) = found.lengths

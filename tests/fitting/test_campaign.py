@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.fitting import ForceFit, fit_campaign
+from pam_ocp.fitting import ForceFit, fit_campaign, fit_forces
 
 LAW = pam.muscle("DMSP-20-300").law
 PRESSURE, CONTRACTION = (
@@ -34,7 +34,7 @@ def rig(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def campaign(rig):
-    return fit_campaign(rig, length_laws=["six-parameter", "five-parameter"])
+    return fit_forces(rig, candidates=["six-parameter", "five-parameter"])
 
 
 def test_names_of_files_tell_muscle_size_branch_and_repeat(campaign):
@@ -69,7 +69,7 @@ def test_muscles_that_differ_are_seen_to_differ(tmp_path):
     random = np.random.default_rng(12)
     written(tmp_path, "l200_d20.csv", 200, 0.0, random)
     written(tmp_path, "l300_d20.csv", 300, 0.0, random, scale=1.05)
-    (group,) = fit_campaign(tmp_path, length_laws=[]).lengths
+    (group,) = fit_forces(tmp_path, candidates=[]).lengths
     assert group.probability < 1e-6
 
 
@@ -95,7 +95,7 @@ def test_columns_tell_muscles_in_one_file(tmp_path):
     )
     path = tmp_path / "all.csv"
     path.write_text("muscle,l0 [mm],kappa [%],p [bar],F [N]\n" + rows, "utf-8")
-    found = fit_campaign([path], diameter={"A": 0.01, "B": 0.02}, length_laws=[])
+    found = fit_forces([path], diameter={"A": 0.01, "B": 0.02}, candidates=[])
     assert {n: (s.diameter, s.rest_length) for n, s in found.muscles.items()} == {
         "A": (0.01, pytest.approx(0.2)),
         "B": (0.02, pytest.approx(0.4)),
@@ -104,6 +104,36 @@ def test_columns_tell_muscles_in_one_file(tmp_path):
 
 def test_a_folder_without_tables_is_an_error(tmp_path):
     with pytest.raises(pam.InputError, match="no table of a campaign"):
-        fit_campaign(tmp_path)
+        fit_forces(tmp_path, candidates=[])
     with pytest.raises(pam.InputError, match="is no folder"):
-        fit_campaign(tmp_path / "nowhere")
+        fit_forces(tmp_path / "nowhere", candidates=[])
+
+
+def test_files_without_candidates_are_one_joint_fit(rig, tmp_path):
+    files = sorted(rig.glob("DMSP-*.csv"))
+    joint = fit_forces(files)
+    assert list(joint.fits) == ["DMSP-20-200", "DMSP-20-300"]
+    assert joint["DMSP-20-300"].n > 100  # four files each
+    assert joint.values["a3"] == pytest.approx(LAW.values["a3"], rel=0.1)
+    with pytest.raises(pam.InputError, match=r"^notes\.csv: "):
+        fit_forces(rig)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"weights": [None, None]}, "belong to a joint fit; leave candidates away"),
+        ({"noise": "each"}, "belong to a joint fit; leave candidates away"),
+        ({"candidates": None, "loss": "huber"}, "loss is of no use to a joint fit"),
+        ({"candidates": None, "diameter": 0.02}, "diameter is of no use to a joint fit"),
+    ],
+)
+def test_what_belongs_to_the_other_kind_of_fit_is_refused(options, words):
+    with pytest.raises(pam.InputError, match=words):
+        fit_forces({"A": None, "B": None}, **{"candidates": [], **options})
+
+
+def test_the_former_name_of_a_campaign_goes_on(rig, campaign):
+    with pytest.warns(DeprecationWarning, match="candidates=LAWS"):
+        former = fit_campaign(rig, length_laws=[], units={"force": "N"})
+    assert former["DMSP-20-200"].fit.law == campaign["DMSP-20-200"].fit.law

@@ -13,8 +13,8 @@ from scipy.stats import t as student
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError, PamError
 from pam_ocp.fitting import ForceTable, fit_force
+from pam_ocp.fitting.static.campaign import fit_forces
 from pam_ocp.fitting.static.correlation import Order, neighbours, sequences, serial_errors, widening
-from pam_ocp.fitting.static.shared import fit_forces
 from pam_ocp.muscles.law import SixParameterLaw
 from pam_ocp.muscles.laws.user_defined import polynomial_law
 

@@ -12,8 +12,8 @@ import pam_ocp as pam
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
 from pam_ocp.fitting.experiments.cells import design_cells
-from pam_ocp.fitting.experiments.experiments import design_experiment
 from pam_ocp.fitting.experiments.optimal import Criterion, exchange, refine
+from pam_ocp.fitting.experiments.signals import design_experiment
 
 NONE = np.zeros((3, 3))
 LINE = np.linspace(-1, 1, 41)

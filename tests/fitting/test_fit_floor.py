@@ -9,7 +9,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
-from pam_ocp.fitting import ForceTable, fit_campaign, hysteresis, look
+from pam_ocp.fitting import ForceTable, hysteresis, look
 from pam_ocp.muscles.law import SixParameterLaw
 
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.45, -8.7013, 267.672, -309.603))
@@ -180,7 +180,7 @@ def test_joint_fits_and_campaigns_leave_slack_cells_out() -> None:
     joint = pam.fit_forces(tables)
     assert joint.rmse < 6.0
     assert any(words.startswith("one: ") for words in joint.warnings)
-    campaign = fit_campaign(tables, rest_length=0.3)
+    campaign = pam.fit_forces(tables, candidates=["six-parameter"], rest_length=0.3)
     assert max(study.fit.rmse for study in campaign.muscles.values()) < 6.0
 
 

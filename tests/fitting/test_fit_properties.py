@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.stats import f as fisher
 
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
-from pam_ocp.fitting.static.likelihood_profile import profile_squares
 from pam_ocp.muscles.law import SixParameterLaw
 
 DATA_SETS = 500
@@ -23,6 +22,11 @@ KAPPA, P = (
 )
 TENSION = TRUTH.tension(P, KAPPA)
 TAUT = TENSION > 6 * NOISE
+
+
+def profile_squares(fit: ForceFit, name: str, value: float) -> float:
+    """Least squares of a whole fit with one coefficient held."""
+    return fit_force(fit.table, type(fit.law), fixed={name: value}).squares
 
 
 def values(fit: ForceFit) -> np.ndarray:

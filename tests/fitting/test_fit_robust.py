@@ -11,8 +11,8 @@ from scipy.optimize import LinearConstraint, least_squares, linprog, minimize
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
-from pam_ocp.fitting.static.high_breakdown import _Trim
 from pam_ocp.fitting.static.least_squares import LeastSquares
+from pam_ocp.fitting.static.search import _Trim
 from pam_ocp.muscles.law import SixParameterLaw
 
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.56665, -8.7013, 267.672, -309.603))
@@ -332,6 +332,13 @@ def test_bootstrap_of_normal_errors_gives_the_linearised_ones(method: Any) -> No
 
 
 # ---- in and out ----------------------------------------------------------------------------------
+def test_bounds_may_be_texts_with_units() -> None:
+    said = fit_force(table_20(), bounds={"a4": ("-5 N/kPa", "3 N/kPa")})
+    assert said.terms.bounds == (("a4", pytest.approx(-5e-3), pytest.approx(3e-3)),)
+    with pytest.raises(InputError, match=r"bounds\['a4'\] = '5 N': this measures something else"):
+        fit_force(table_20(), bounds={"a4": ("5 N", "6 N")})
+
+
 def test_a_saved_fit_keeps_its_terms(tmp_path: Path) -> None:
     one = fit_force(
         table_20(),

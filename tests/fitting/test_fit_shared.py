@@ -10,7 +10,9 @@ from scipy.optimize import least_squares
 
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fitting import ForceTable, fit_force, read_table
-from pam_ocp.fitting.static.shared import JointForceFit, fit_forces
+from pam_ocp.fitting.static.campaign import fit_forces
+from pam_ocp.fitting.static.search import minimise
+from pam_ocp.fitting.static.shared import JointForceFit
 from pam_ocp.fitting.static.shared_problem import JointProblem
 from pam_ocp.muscles.law import SixParameterLaw
 from pam_ocp.muscles.laws.empirical import LengthScaledLaw
@@ -130,6 +132,20 @@ def test_values_and_errors_agree_with_scipy_on_the_stacked_problem(joint: JointF
         found, factor = joint.coefficients[name], factors[name[:2]]
         assert found.value * factor == pytest.approx(value, rel=1e-4)
         assert found.stderr * factor == pytest.approx(error, rel=1e-3)
+
+
+def test_a_joint_fit_tells_what_a_single_one_tells(joint: JointForceFit) -> None:
+    pytest.importorskip("pandas")
+    jacobian = joint.linearisation.jacobian
+    scaled = jacobian / np.linalg.norm(jacobian, axis=0)
+    assert joint.rank == np.linalg.matrix_rank(scaled) == 11
+    assert joint.condition == pytest.approx(np.linalg.cond(scaled), rel=1e-6)
+    errors = np.sqrt(np.diag(joint.covariance))
+    expected = joint.covariance / np.outer(errors, errors)
+    np.testing.assert_allclose(joint.correlation, expected, rtol=1e-9, atol=1e-12)
+    frame = joint.to_pandas()
+    assert tuple(frame.index) == joint.names
+    assert frame["high"]["a3"] == joint.interval("a3")[1]
 
 
 def test_a_muscle_of_a_joint_fit_has_the_joint_intervals(joint: JointForceFit) -> None:
@@ -268,14 +284,14 @@ def test_bounds_of_a_shared_unknown_are_the_narrowest_of_its_tables() -> None:
 
 def test_a_joint_fit_tries_the_starts_that_it_is_given() -> None:
     class Blind(JointProblem):
-        def _scan_points(self) -> Any:
-            return np.full((1, len(self.nonlinear)), np.nan)  # nothing is seen there
+        @property
+        def scales(self) -> Any:
+            return [np.full(1, np.nan) for _ in self.nonlinear]  # nothing is seen there
 
     whole = fit_forces({"20": cells(TWENTY), "10": cells(TEN)}, shared=["a3"]).problem
-    blind = Blind(whole.parts, whole.places)
+    blind = Blind(whole.parts, whole.places, whole.names)
     with pytest.raises(FitError, match="no finite force anywhere in the scan"):
-        blind.minimise()
-    far, near = np.array([1e9]), np.array([-40.0])
-    found = blind.minimise([far, near])
-    assert found.z[blind.nonlinear] == pytest.approx([-42.0], rel=1e-6)
+        minimise(blind)
+    found = minimise(blind, np.array([[1e9], [-40.0]]))
+    assert found.coefficients[blind.nonlinear] == pytest.approx([-42.0], rel=1e-6)
     assert found.solver.scanned == 3

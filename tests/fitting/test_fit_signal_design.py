@@ -11,8 +11,7 @@ from conftest import BAR, benchmark_slide
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fitting import fit_plant
-from pam_ocp.fitting.experiments.experiments import design_experiment
-from pam_ocp.fitting.experiments.signals import SignalDesign, design_signal
+from pam_ocp.fitting.experiments.signals import SignalDesign, design_experiment, design_signal
 
 FREE = ("damping", "muscle*.lag", "muscle*.a2", "muscle*.a5")
 NOISE = {"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}

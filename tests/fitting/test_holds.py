@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import pam_ocp as pam
 from pam_ocp.fitting import fit_holds
-from pam_ocp.fitting.static.holds_fit import HoldsFit
+from pam_ocp.fitting.static.holds import HoldsFit
 from pam_ocp.fitting.statistics import Linearisation
 
 LAW = pam.muscle("DMSP-20-300").law

@@ -9,7 +9,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
-from pam_ocp.fitting.tables.cell_units import parted
+from pam_ocp.fitting.tables.cells import parted
 
 ROWS = [(1.0, 300.0, 200.0), (2.0, 300.0, 500.5), (2.0, 290.0, 400.0), (3.0, 290.0, 600.25)]
 

@@ -12,8 +12,7 @@ from nicegui import events, ui
 from ...core.errors import InputError
 from ...core.units import unit as unit_of
 from ...fitting.tables.cells import is_number
-from ...fitting.tables.labels import LABELS
-from ...fitting.tables.table_checks import QUANTITIES
+from ...fitting.tables.headers import LABELS, QUANTITIES
 from .. import elements as el
 from .. import look
 from ..guard import MOST_UPLOAD

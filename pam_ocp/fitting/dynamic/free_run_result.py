@@ -15,7 +15,7 @@ from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
-from ..static.report import coefficient_line
+from ..estimates import coefficient_line
 from ..statistics import Array, Coefficient
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .descent import descend

@@ -34,7 +34,7 @@ from ...core.trajectory import Trajectory
 from ...plants.feeds import DeadTime, Regulator
 from ...plants.losses import CoulombFriction, Creep, MaxwellSlip
 from ...plants.plant import Plant
-from ..static.report import coefficient_line
+from ..estimates import coefficient_line
 from ..statistics import student_t
 from .adequacy import Adequacy, adequacy_of
 from .choice import paired

@@ -17,8 +17,8 @@ from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
+from ..estimates import coefficient_line
 from ..static.correlation import neighbours, widening
-from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, Linearisation
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .evidence import Evidence, evidence_of

@@ -27,9 +27,9 @@ from ...core.files import atomic_path
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..static.force_fit import ForceFit
-from ..statistics import Array, Linearisation, sensitivity, student_t
+from ..statistics import Array, Linearisation, forces_and_slopes, student_t
 from ..tables.force_table import ForceTable
-from .optimal import Criterion, exchange, refine
+from .optimal import Criterion, chosen, exchange, refine
 
 __all__ = ["CellDesign", "design_cells"]
 
@@ -140,10 +140,9 @@ class _Known:
     def gradient(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (m,) [N] and its derivatives (m, k) with respect to the free coefficients."""
         names = list(self.law.values)
-        values = np.array([float(v) for v in self.law.values.values()])
-        tension, slopes = sensitivity(type(self.law))(p[None], kappa[None], values)
-        columns = [names.index(n) for n in self.free]
-        return np.asarray(tension).ravel(), np.asarray(slopes).reshape(p.size, -1)[:, columns]
+        values = np.array([[float(v) for v in self.law.values.values()]])
+        tension, slopes = forces_and_slopes(type(self.law), p, kappa, values)
+        return tension[0], slopes[0][:, [names.index(n) for n in self.free]]
 
     @property
     def information(self) -> Array:
@@ -223,7 +222,7 @@ def design_cells(
         raise InputError(f"criterion = {criterion!r}: choose 'D', 'A' or 'I'")
     require_count("n", n)
     state = _known(known, noise, covariance, fixed)
-    chosen = _chosen(state, parameters)
+    places = chosen(state.free, parameters, "coefficient")
     points, steps = _candidates(state, known, pressure, contraction, candidates)
     tension, gradient = state.gradient(*points.T)
     taut = tension >= TAUT * state.noise
@@ -233,7 +232,7 @@ def design_cells(
     where = (
         gradient if predict_at is None else state.gradient(*_points("predict_at", predict_at).T)[1]
     )
-    aim = _criterion(state, criterion, chosen, where)
+    aim = _criterion(state, criterion, places, where)
     most = _repeats(repeats, n)
     selection = exchange(
         gradient / state.noise, n, aim, state.information, repeats=most, executor=executor
@@ -242,13 +241,13 @@ def design_cells(
     if steps is not None and most >= n:
         cells = refine(cells, steps, _reachable(state, points), aim, state.information)
     cells = cells[np.lexsort((cells[:, 1], cells[:, 0]))]
-    return _design(state, criterion, chosen, cells, where, selection.efficiency)
+    return _design(state, criterion, places, cells, where, selection.efficiency)
 
 
 def _design(
     state: _Known,
     criterion: DesignCriterion,
-    chosen: tuple[int, ...],
+    places: tuple[int, ...],
     cells: Array,
     where: Array,
     efficiency: float,
@@ -259,7 +258,7 @@ def _design(
     return CellDesign(
         cells=ForceTable(cells[:, 0], cells[:, 1], tension, state.rest_length, source),
         criterion=criterion,
-        parameters=tuple(state.free[i] for i in chosen),
+        parameters=tuple(state.free[i] for i in places),
         stderr_before=dict(zip(state.free, state.linearisation.stderr().tolist(), strict=True)),
         stderr_after=dict(zip(state.free, after.stderr().tolist(), strict=True)),
         prediction_before=float(np.sqrt(np.mean(state.linearisation.stderr(where) ** 2))),
@@ -272,17 +271,17 @@ def _design(
 
 
 def _criterion(
-    state: _Known, criterion: DesignCriterion, chosen: tuple[int, ...], where: Array
+    state: _Known, criterion: DesignCriterion, places: tuple[int, ...], where: Array
 ) -> Criterion:
     if criterion == "D":
-        return Criterion(chosen)
+        return Criterion(places)
     if criterion == "I":
         return Criterion((), where.T @ where / len(where))
     sizes = np.abs(state.linearisation.values)
     nominal = {v.name: v.nominal for v in state.law.coefficient_variables()}
     sizes = np.where(sizes > 0, sizes, [nominal[n] for n in state.free])
     weight = np.zeros(sizes.size)
-    weight[list(chosen)] = 1 / (len(chosen) * sizes[list(chosen)] ** 2)
+    weight[list(places)] = 1 / (len(places) * sizes[list(places)] ** 2)
     return Criterion((), np.diag(weight))
 
 
@@ -346,16 +345,6 @@ def _root(covariance: Array, k: int) -> Array:
     except np.linalg.LinAlgError:
         raise InputError("covariance is not positive definite") from None
     return np.asarray(np.linalg.inv(factor) / sizes)
-
-
-def _chosen(state: _Known, parameters: Sequence[str] | None) -> tuple[int, ...]:
-    names = state.free if parameters is None else tuple(parameters)
-    if isinstance(parameters, str) or not names:
-        raise InputError(f"parameters = {parameters!r}: give a list of free coefficients")
-    for name in names:
-        if name not in state.free:
-            raise UnknownNameError("free coefficient in parameters", name, state.free)
-    return tuple(state.free.index(n) for n in names)
 
 
 def _repeats(repeats: int | None, n: int) -> int:

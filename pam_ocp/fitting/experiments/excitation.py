@@ -1,19 +1,233 @@
-"""Families of signals for a record that is to be designed, and what must be kept while they run."""
+"""Signals for a record that is to be designed, what must be kept while they run, and the Fisher
+information of that record as a function of its inputs.
+
+The sensitivities S = d(x)/d(parameters, initial state) follow from the variational equation
+S' = f_x S + f_theta along the motion (R. Mehra, IEEE Trans. Autom. Control 19 (1974) 753-768). Both
+are integrated by RK4 in CasADi, so the information has exact derivatives by the inputs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
+import casadi as ca
 import numpy as np
 
 from ...core.errors import InputError, require_count, require_positive
+from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant, Values
 from ..dynamic.experiment import ParameterGroup
 from ..statistics import Array
-from .information import Excitation
 
-__all__ = ["RANDOM", "Family", "excitation", "random_signals", "span"]
+__all__ = [
+    "RANDOM",
+    "Excitation",
+    "Family",
+    "criterion_of",
+    "excitation",
+    "random_signals",
+    "ranges_of",
+    "span",
+]
+
+FAINT = 1e-6
+"""Information on each initial state [1/nominal^2] that is always there: some are seen by nothing.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A record of K + 1 samples every ``sample`` s under inputs mid + half (basis @ w).
+
+    basis : (K + 1, d) values at the samples, or (K, d) in the intervals when inputs are held.
+    w : (d, nu) is what a design chooses. mid, half : of the inputs' ranges (nu,).
+    noise : {measured variable: standard deviation}. watched : {variable: (low, high)} to keep.
+    """
+
+    plant: Plant
+    groups: Sequence[ParameterGroup]
+    noise: Mapping[str, float]
+    sample: float
+    basis: Array
+    held: bool
+    inputs: tuple[str, ...]
+    mid: Array
+    half: Array
+    start: Array
+    known_start: bool
+    watched: Mapping[str, tuple[float, float]]
+    steps: int = 1
+
+    @property
+    def count(self) -> int:
+        """Number of intervals, K."""
+        return len(self.basis) - (not self.held)
+
+    @property
+    def unknowns(self) -> int:
+        """Parameters, then initial states where these are not known."""
+        return len(self.groups) + (0 if self.known_start else len(self.plant.states))
+
+    # ---- symbols ----------------------------------------------------------------------------
+    @cached_property
+    def _values(self) -> Array:
+        return self.plant.vector("parameter")
+
+    @cached_property
+    def _nominal(self) -> Array:
+        return self.plant.vector("state", attribute="nominal")
+
+    def _directions(self) -> ca.DM:
+        """d(parameters)/d(theta), theta in units of the groups' scales."""
+        matrix = np.zeros((len(self._values), len(self.groups)))
+        for column, group in enumerate(self.groups):
+            matrix[list(group.members), column] = group.scale
+        return ca.DM(matrix)
+
+    def _slope(self, sensitive: bool) -> ca.Function:
+        """(z, u) -> z': the state in nominals and, below it, its sensitivities column by column."""
+        plant, nominal = self.plant, self._nominal
+        nx, k = len(nominal), self.unknowns if sensitive else 0
+        z, u = ca.SX.sym("z", nx * (1 + k)), ca.SX.sym("u", len(plant.inputs))
+        x, p = ca.SX.sym("x", nx), ca.SX.sym("p", len(self._values))
+        xdot = plant.function(x * nominal, u, p)[0] / nominal
+        s = ca.reshape(z[nx:], nx, k)
+        sdot = ca.jacobian(xdot, x) @ s
+        sdot[:, : len(self.groups) if sensitive else 0] += (
+            ca.jacobian(xdot, p) @ self._directions() if sensitive else ca.SX(nx, 0)
+        )
+        every = ca.substitute(
+            ca.vertcat(xdot, ca.vec(sdot)),
+            ca.vertcat(x, p),
+            ca.vertcat(z[:nx], ca.DM(self._values)),
+        )
+        return ca.Function("slope", [z, u], [every])
+
+    def _step(self, sensitive: bool) -> ca.Function:
+        """From sample to sample, the inputs running straight from u0 to u1."""
+        slope, h = self._slope(sensitive), self.sample / self.steps
+        begin = ca.SX.sym("z", slope.size1_in(0))
+        u0, u1 = (ca.SX.sym(n, slope.size1_in(1)) for n in ("u0", "u1"))
+        z = rk4(lambda z, at: slope(z, u0 + (u1 - u0) * at / self.steps), begin, h, self.steps)
+        return ca.Function("step", [begin, u0, u1], [z])
+
+    def _read(self) -> ca.Function:
+        """(z, u) -> d(measured)/d(unknowns), in units of the noise (ny, k)."""
+        plant, nominal, k = self.plant, self._nominal, self.unknowns
+        nx, sigma = len(nominal), ca.DM(list(self.noise.values()))
+        z, u = ca.SX.sym("z", nx * (1 + k)), ca.SX.sym("u", len(plant.inputs))
+        y = ca.vertcat(*(plant.expression(n) for n in self.noise)) / sigma
+        rows = ca.jacobian(y, plant.x) @ ca.diag(nominal) @ ca.reshape(z[nx:], nx, k)
+        rows[:, : len(self.groups)] += ca.jacobian(y, plant.p) @ self._directions()
+        old, new = (
+            ca.vertcat(plant.x, plant.u, plant.p),
+            ca.vertcat(z[:nx] * nominal, u, ca.DM(self._values)),
+        )
+        return ca.Function("read", [z, u], [ca.densify(ca.substitute(rows, old, new))])
+
+    # ---- programs ---------------------------------------------------------------------------
+    def _signals(self, w: Any) -> tuple[Any, Any, Any]:
+        """Inputs (nu, .) at the begin and end of the intervals, and at the samples."""
+        plant = self.plant
+        places = [[v.name for v in plant.inputs].index(n) for n in self.inputs]
+        lift = np.zeros((len(plant.inputs), len(places)))
+        lift[places, range(len(places))] = self.half
+        base = plant.vector("input")
+        base[places] = self.mid
+        u = ca.repmat(ca.DM(base), 1, len(self.basis)) + ca.DM(lift) @ (ca.DM(self.basis) @ w).T
+        if self.held:
+            return u, u, ca.horzcat(u, u[:, -1])
+        return u[:, :-1], u[:, 1:], u
+
+    def _rolled(self, w: Any, sensitive: bool) -> tuple[Any, Any]:
+        """States at all samples and the inputs there."""
+        k = self.unknowns if sensitive else 0
+        nx = len(self._nominal)
+        begin = np.zeros((nx, 1 + k))
+        begin[:, 0] = self.start / self._nominal
+        if sensitive and not self.known_start:
+            begin[:, 1 + len(self.groups) :] = np.eye(nx)
+        z0 = ca.DM(begin.T.ravel())
+        early, late, at = self._signals(w)
+        inner = self._step(sensitive).mapaccum(self.count)(z0, early, late)
+        return ca.horzcat(z0, inner), at
+
+    @cached_property
+    def information(self) -> ca.Function:
+        """w (d nu) -> Fisher information (k, k) of the unknowns, in the groups' scales and
+        nominals.
+        """
+        w = ca.MX.sym("w", self.basis.shape[1], len(self.inputs))
+        z, u = self._rolled(w, True)
+        rows = self._read().map(z.shape[1])(z, u)
+        k = self.unknowns
+        # map() sets the blocks (ny, k) of all samples side by side; the order of rows is free
+        table = ca.vertcat(*(rows[:, i::k].reshape((-1, 1)).T for i in range(k))).T
+        faint = [0.0] * len(self.groups) + [FAINT] * (k - len(self.groups))
+        return ca.Function("information", [ca.vec(w)], [table.T @ table + ca.diag(ca.DM(faint))])
+
+    def _values_along(self, expressions: Sequence[ca.SX]) -> ca.Function:
+        """w -> expressions of the plant's variables at all samples, row by row."""
+        plant = self.plant
+        w = ca.MX.sym("w", self.basis.shape[1], len(self.inputs))
+        read = ca.Function("read", [plant.x, plant.u, plant.p], [ca.vertcat(*expressions)])
+        z, u = self._rolled(w, False)
+        scale = ca.repmat(ca.DM(self._nominal), 1, z.shape[1])
+        found = read.map(z.shape[1])(z * scale, u, ca.DM(self._values))
+        return ca.Function("along", [ca.vec(w)], [found])
+
+    @cached_property
+    def kept(self) -> ca.Function:
+        """w -> watched variables at all samples, (value - middle)/(half range), row by row."""
+        plant = self.plant
+        return self._values_along(
+            [
+                (plant.expression(n) - low) / (high - low)
+                if np.isfinite(high - low)
+                else (plant.expression(n) - (low if np.isfinite(low) else high))
+                / plant.variable(n).nominal
+                for n, (low, high) in self.watched.items()
+            ]
+        )
+
+    @cached_property
+    def measured(self) -> ca.Function:
+        """w -> measured variables (ny, K + 1) [their units]."""
+        return self._values_along([self.plant.expression(n) for n in self.noise])
+
+    def limits(self) -> tuple[Array, Array]:
+        """Bounds of ``kept`` for one sample."""
+        low, high = [], []
+        for least, most in self.watched.values():
+            both = np.isfinite(most - least)
+            low.append(0.0 if np.isfinite(least) else -np.inf)
+            high.append(1.0 if both else 0.0 if np.isfinite(most) else np.inf)
+        return np.array(low), np.array(high)
+
+
+def criterion_of(total: int, chosen: Sequence[int], weights: Sequence[float] | None) -> ca.Function:
+    """Information (k, k) -> ln det of the chosen block of the covariance, or sum(weights
+    variances).
+
+    The determinant of a block of the inverse: det C_ss = det M_rr / det M, r all the others.
+    """
+    m = ca.SX.sym("m", total, total)
+    if weights is not None:
+        root = ca.chol(m)  # m = root^T root
+        inverse = ca.solve(root, ca.SX.eye(total))
+        variances = ca.sum2(inverse**2)
+        return ca.Function(
+            "A", [m], [ca.log(sum(a * variances[i] for a, i in zip(weights, chosen, strict=True)))]
+        )
+    rest = [i for i in range(total) if i not in chosen]
+    value = -2 * ca.sum1(ca.log(ca.diag(ca.chol(m))))
+    if rest:
+        value += 2 * ca.sum1(ca.log(ca.diag(ca.chol(m[rest, rest]))))
+    return ca.Function("D", [m], [value])
+
 
 Family: TypeAlias = Literal["steps", "ramps", "multisine"]
 FAMILIES = ("steps", "ramps", "multisine")
@@ -75,7 +289,8 @@ def excitation(
     h = require_positive("sample", sample, "s")
     count = round(require_positive("duration", duration, "s") / h)
     require_count("segments", segments, 1, count)
-    ranges = _ranges(plant, inputs)
+    usual = {v.name: (v.min, v.max) for v in plant.inputs if not v.disturbance}
+    ranges = ranges_of(plant, inputs, usual)
     low, high = np.array(list(ranges.values())).T
     return Excitation(
         plant=plant,
@@ -93,8 +308,13 @@ def excitation(
     )
 
 
-def _ranges(plant: Plant, inputs: Any) -> dict[str, tuple[float, float]]:
-    usual = {v.name: (v.min, v.max) for v in plant.inputs if not v.disturbance}
+def ranges_of(
+    plant: Plant, inputs: Any, usual: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """{input: (low, high)} that may be played, within its bounds.
+
+    inputs : the user's ranges or names, None for all of ``usual``. Raises InputError.
+    """
     if inputs is None:
         inputs = usual
     if not isinstance(inputs, Mapping):

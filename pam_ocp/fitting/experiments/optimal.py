@@ -8,7 +8,7 @@ Experiments, 1972; A. Atkinson, A. Donev, R. Tobias, Optimum Experimental Design
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.cases import Place, results_of
-from ...core.errors import InputError
+from ...core.errors import InputError, UnknownNameError
 from ..statistics import Array
 
-__all__ = ["Criterion", "Selection", "exchange", "refine"]
+__all__ = ["Criterion", "Selection", "chosen", "exchange", "refine"]
 
 RIDGE = 1e-9
 """Information added in every direction while a design is sought from nothing, times that of the
@@ -29,6 +29,17 @@ BETTER = 1e-9
 """Relative improvement below which exchanging ends."""
 STARTS = 8
 """Designs from which exchanging begins: one built up point by point, the others random."""
+
+
+def chosen(free: Sequence[str], parameters: Sequence[str] | None, called: str) -> tuple[int, ...]:
+    """Positions of the parameters whose intervals shall shrink, by default of all that are free."""
+    wanted = free if parameters is None else parameters
+    if isinstance(wanted, str) or not wanted:
+        raise InputError(f"parameters = {parameters!r}: give a list of free {called}s")
+    for name in wanted:
+        if name not in free:
+            raise UnknownNameError(f"free {called} in parameters", name, free)
+    return tuple(free.index(n) for n in wanted)
 
 
 @dataclass(frozen=True, eq=False)

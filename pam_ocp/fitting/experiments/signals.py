@@ -18,19 +18,22 @@ import numpy as np
 from ...core.errors import FitError, InputError, SimulationError, UnknownNameError, require_positive
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
+from ...muscles.law import ForceLaw
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.simulator import simulate
 from ..dynamic.coverage import Coverage
 from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
-from ..statistics import Array
-from .excitation import RANDOM, Family, random_signals, span
+from ..static.force_fit import ForceFit
+from ..statistics import Array, student_t
+from .cells import CellDesign, design_cells
+from .excitation import RANDOM, Excitation, Family, criterion_of, random_signals, span
 from .excitation import excitation as excitation_of
-from .information import Excitation, criterion_of
+from .optimal import chosen
 from .visits import GapSignal, close_gap
 
-__all__ = ["SignalDesign", "design_signal"]
+__all__ = ["CellDesign", "SignalDesign", "design_cells", "design_experiment", "design_signal"]
 
 ACCURATE = 2e-3
 """Error of the integration, of the spread of each measured variable, that a design is content with.
@@ -38,6 +41,8 @@ ACCURATE = 2e-3
 STEPS = (1, 2, 4, 8, 16, 32)
 """Steps of RK4 from sample to sample, tried in turn."""
 ITERATIONS = 150
+NORMAL = 10**9
+"""Degrees of freedom of errors that are known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +83,9 @@ class SignalDesign:
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Interval that the parameter will have if it turns out as it is now."""
-        from scipy.special import ndtri
-
         if name not in self.stderr:
             raise UnknownNameError("free parameter", name, self.stderr)
-        if not 0 < level < 1:
-            raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
-        half = float(ndtri((1 + level) / 2)) * self.stderr[name]
+        half = student_t(level, NORMAL) * self.stderr[name]
         return self.values[name] - half, self.values[name] + half
 
     def report(self) -> str:
@@ -215,7 +216,7 @@ def design_signal(
     names = [g.name for g in unknown]
     if criterion not in ("D", "A"):
         raise InputError(f"criterion = {criterion!r}: choose 'D' or 'A'")
-    chosen = _chosen(names, parameters)
+    places = chosen(names, parameters, "parameter")
     excitation = excitation_of(
         plant,
         unknown,
@@ -232,7 +233,7 @@ def design_signal(
     random = random_signals(excitation, seed)
     excitation = _accurate(excitation, random[0])
     before, root = _before(information, unknown)
-    aim = _Aim.of(excitation, criterion, chosen, root)
+    aim = _Aim.of(excitation, criterion, places, root)
     judged = [aim.judge(w) for w in random]
     best = _improved(aim, random, judged, tries)
     kept = [j for j in judged if j.violation < 1e-3] or judged
@@ -243,13 +244,13 @@ def design_signal(
             "parameters, or widen the inputs' ranges"
         )
     errors = np.median([j.errors for j in kept], axis=0)
-    share = 0.5 / (1 if criterion == "A" else len(chosen))
+    share = 0.5 / (1 if criterion == "A" else len(places))
     return SignalDesign(
         trajectory=_played(excitation, best),
         inputs=excitation.inputs,
         family=family,
         criterion=criterion,
-        parameters=tuple(names[i] for i in chosen),
+        parameters=tuple(names[i] for i in places),
         values={g.name: g.value for g in unknown},
         units={g.name: g.unit for g in unknown},
         stderr=dict(zip(names, own.errors.tolist(), strict=True)),
@@ -441,16 +442,6 @@ def _free(known: Any, free: Sequence[str | Sequence[str]] | None) -> Sequence[st
     return [n.split(" = ") if " = " in n else n for n in known.descriptions]
 
 
-def _chosen(names: Sequence[str], parameters: Sequence[str] | None) -> tuple[int, ...]:
-    wanted = names if parameters is None else parameters
-    if isinstance(wanted, str) or not wanted:
-        raise InputError(f"parameters = {parameters!r}: give a list of free parameters")
-    for name in wanted:
-        if name not in names:
-            raise UnknownNameError("free parameter in parameters", name, names)
-    return tuple(names.index(n) for n in wanted)
-
-
 def _before(
     fit: PlantFit | None, unknown: Sequence[ParameterGroup]
 ) -> tuple[dict[str, float], Array]:
@@ -470,3 +461,36 @@ def _before(
         covariance = fit.covariance[np.ix_(rows, rows)] / np.outer(scales, scales)
         information[np.ix_(both, both)] = np.linalg.inv(covariance)
     return errors, information
+
+
+@overload
+def design_experiment(known: ForceFit | ForceLaw, *args: Any, **options: Any) -> CellDesign: ...
+@overload
+def design_experiment(known: Plant | PlantFit, *args: Any, **options: Any) -> SignalDesign: ...
+@overload
+def design_experiment(known: Coverage, *args: Any, **options: Any) -> GapSignal: ...
+@verb
+def design_experiment(
+    known: Any, *args: Any, **options: Any
+) -> CellDesign | SignalDesign | GapSignal:
+    """What to measure next so that intervals shrink most, within the bench's limits.
+
+    For a ForceFit or a force law: pressures and lengths, see :func:`design_cells` for the
+    arguments. For a PlantFit, a Plant or a Coverage: the pressure signal, see
+    :func:`design_signal`.
+
+    Raises InputError for anything else.
+
+    Examples
+    --------
+    >>> design = pam.experiments.design_experiment(fit, 4)  # of a plant: a signal to play
+    >>> type(design).__name__
+    'CellDesign'
+    """
+    if isinstance(known, (ForceFit, ForceLaw)):
+        return design_cells(known, *args, **options)
+    if isinstance(known, (Plant, PlantFit, Coverage)):
+        return design_signal(known, *args, **options)
+    raise InputError(
+        f"known is a {type(known).__name__}; give a ForceFit, a force law, a Plant or a PlantFit"
+    )

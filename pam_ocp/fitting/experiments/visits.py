@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...core.errors import FitError, InputError, SimulationError, require_count, require_positive
+from ...core.errors import FitError, SimulationError, require_count, require_positive
 from ...core.stop import check
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.simulator import simulate
 from ..dynamic.coverage import Band, Coverage, Reach
 from ..statistics import Array
+from .excitation import ranges_of
 
 __all__ = ["GapSignal", "close_gap"]
 
@@ -81,7 +82,11 @@ def close_gap(
     """See :func:`design_signal`, which calls this for a :class:`Coverage`."""
     plant = gap.plant
     t = np.arange(0.0, require_positive("duration", duration, "s") + sample / 2, sample)
-    ranges = _ranges(gap, inputs)
+    reaches = {v.name: _reach_of(gap, v.name) for v in plant.inputs if not v.disturbance}
+    usual = {
+        n: (min(r.seen[0], r.asked[0]), max(r.seen[1], r.asked[1])) for n, r in reaches.items()
+    }
+    ranges = ranges_of(plant, inputs, usual)
     kept = {plant.variable(n).name: ends for n, ends in (limits or {}).items()}
     missing = {n: [b for b in gap.new_bands if b.name == n] for n in ranges}
     random = np.random.default_rng(seed)
@@ -113,30 +118,6 @@ def close_gap(
             "ranges with inputs={name: (low, high)}"
         )
     return best[1]
-
-
-def _ranges(gap: Coverage, given: object) -> dict[str, tuple[float, float]]:
-    """Of the inputs that may be played: by default all, between the ends of what was measured and
-    what is asked for, within their bounds.
-    """
-    plant, names = gap.plant, None
-    if given is not None:
-        names = [plant.variable(n).name for n in given]  # type: ignore[attr-defined]
-    found = {}
-    for v in plant.inputs:
-        if v.disturbance or (names is not None and v.name not in names):
-            continue
-        r = _reach_of(gap, v.name)
-        low, high = min(r.seen[0], r.asked[0]), max(r.seen[1], r.asked[1])
-        if isinstance(given, Mapping):
-            low, high = next(e for n, e in given.items() if plant.variable(n).name == v.name)
-        low, high = max(low, v.min), min(high, v.max)
-        if not low < high:
-            raise InputError(f"inputs: {v.name} may run over {low:g} .. {high:g}; give (low, high)")
-        found[v.name] = (float(low), float(high))
-    if not found:
-        raise InputError("inputs is empty: there is no signal to design")
-    return found
 
 
 def _reach_of(gap: Coverage, name: str) -> Reach:

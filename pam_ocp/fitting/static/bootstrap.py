@@ -14,7 +14,7 @@ from ..statistics import Array
 from .correlation import drawn_errors, scaled_errors, sequences
 from .least_squares import LeastSquares
 from .optimum import Optimum
-from .search import minimise
+from .search import NEAR, minimise
 
 __all__ = ["Bootstrap", "Resampling", "bootstrap"]
 
@@ -79,8 +79,7 @@ def bootstrap(
         raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
     random = np.random.default_rng(seed)
     problem, failed, ended = fit.problem, 0, ""
-    values = np.array([float(v) for v in fit.law.values.values()])
-    start = values[None, list(problem.nonlinear)] if problem.nonlinear else None
+    start = fit.vector[None, list(problem.nonlinear)] if problem.nonlinear else None
     found: dict[int, Array] = {}
     tables = (_resampled(fit, problem, random, method) for _ in range(n))
     try:
@@ -110,7 +109,7 @@ class _Refit:
     start: Array | None
 
     def __call__(self, problem: LeastSquares) -> Array:
-        coefficients = minimise(problem, self.start, near=True).coefficients
+        coefficients = minimise(problem, self.start, effort=NEAR).coefficients
         return np.asarray(coefficients[list(problem.free)])
 
 

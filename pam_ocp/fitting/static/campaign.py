@@ -1,172 +1,327 @@
-"""A campaign of static measurements: each muscle, each branch, repeats, lengths together."""
+"""Several muscles: one joint fit, or a whole campaign, with candidates for all lengths together.
+
+Of a campaign each muscle is fitted, each branch, repeats are laid beside each other, and muscles of
+one diameter are fitted together.
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...core.cases import Place, results_of
 from ...core.errors import FitError, InputError
 from ...core.executors import placed
+from ...core.plausible import outside
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array
 from ..tables.force_table import ForceTable
-from .branches import Hysteresis, LackOfFit, hysteresis, lack_of_fit, repeats
+from .branches import hysteresis, lack_of_fit, repeats
 from .campaign_files import collected, joined
 from .campaign_result import Campaign, LengthLaw, LengthStudy, MuscleStudy, RunStudy
 from .force_fit import ForceFit
-from .shared import JointForceFit, fit_forces
+from .least_squares import Loss
+from .shared import JointForceFit, jointly_fitted
 from .static import fit_branches, fit_force, law_class
 
-__all__ = ["fit_campaign"]
+__all__ = ["CANDIDATES", "fit_campaign", "fit_forces"]
 
+CANDIDATES = ("six-parameter", "five-parameter", "length-scaled")
+"""Laws that a campaign tries on all lengths of one diameter."""
 SAME_DIAMETER = 0.02
 """Diameters that differ by less than this part are those of one group."""
 
 
-@verb
-def fit_campaign(
+@overload
+def fit_forces(
     tables: Any,
     law: str | type[ForceLaw] = "six-parameter",
     *,
+    candidates: None = None,
+    shared: Sequence[str] | Literal["all"] = "all",
+    fixed: Mapping[str, float | Sequence[float]] | None = None,
+    weights: Sequence[ArrayLike | None] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    noise: Literal["equal", "each"] = "equal",
+    errors: Literal["as found", "independent"] = "as found",
+    rest_length: float | Mapping[str, float] | None = None,
+    reading: Mapping[str, Any] | None = None,
+    time_limit: float | None = None,
+) -> JointForceFit: ...
+@overload
+def fit_forces(
+    tables: Any,
+    law: str | type[ForceLaw] = "six-parameter",
+    *,
+    candidates: Sequence[str | type[ForceLaw]],
+    shared: Sequence[str] | Literal["all"] = "all",
+    fixed: Mapping[str, float] | None = None,
+    loss: Loss = "squares",
+    errors: Literal["as found", "independent"] = "as found",
     rest_length: float | Mapping[str, float] | None = None,
     diameter: float | Mapping[str, float] | None = None,
-    shared: Sequence[str] | Literal["all"] = "all",
-    length_laws: Sequence[str | type[ForceLaw]] = (
-        "six-parameter",
-        "five-parameter",
-        "length-scaled",
-    ),
-    fixed: Mapping[str, float] | None = None,
-    loss: Literal["squares", "huber", "l1", "bisquare"] = "squares",
-    errors: Literal["as found", "independent"] = "as found",
-    columns: Any = None,
-    units: Mapping[str, str] | None = None,
     reading: Mapping[str, Any] | None = None,
     executor: Place = None,
     time_limit: float | None = None,
-) -> Campaign:
-    """Fit a folder of static tables: per muscle, per branch, repeats against each other, lengths.
+) -> Campaign: ...
+@verb
+def fit_forces(
+    tables: Any,
+    law: str | type[ForceLaw] = "six-parameter",
+    *,
+    candidates: Sequence[str | type[ForceLaw]] | None = None,
+    shared: Sequence[str] | Literal["all"] = "all",
+    fixed: Mapping[str, Any] | None = None,
+    weights: Sequence[ArrayLike | None] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    noise: Literal["equal", "each"] = "equal",
+    loss: Loss = "squares",
+    errors: Literal["as found", "independent"] = "as found",
+    rest_length: float | Mapping[str, float] | None = None,
+    diameter: float | Mapping[str, float] | None = None,
+    reading: Mapping[str, Any] | None = None,
+    executor: Place = None,
+    time_limit: float | None = None,
+) -> JointForceFit | Campaign:
+    """Fit one law to several muscles that have coefficients in common; with ``candidates`` study
+    the whole campaign: per muscle, per branch, repeats against each other, lengths.
 
     Parameters
     ----------
-    tables : a folder, a list of files or tables, or {muscle: file or table}. Files of one muscle
-        are put together. Which muscle, branch and repeat a file holds is read from columns (muscle,
-        branch, run, rest_length, diameter), else from its name: ``DMSP-20-300_filling_run2.csv`` is
-        the second filling of a muscle of 20 mm by 300 mm (also ``l300_d20``, ``20x300``).
-    law : as for :func:`fit_force`.
+    tables : {muscle: table or file}, a sequence of tables (named by their sources, or numbered), a
+        folder, or a list of files. Files of one muscle are put together. Which muscle, branch and
+        repeat a file holds is read from columns (muscle, branch, run, rest_length, diameter), else
+        from its name: ``DMSP-20-300_filling_run2.csv`` is the second filling of a muscle of 20 mm
+        by 300 mm (also ``l300_d20``, ``20x300``).
+    law : name in ``LAWS``, or a class.
+    candidates : laws tried with one set of coefficients on all lengths of one diameter, each length
+        left out in turn; may be empty. None: one joint fit, and nothing else.
+    shared : coefficients that all muscles (of one diameter) have in common; "all" of the free ones
+        by default, as the length-scaled law wants it for muscles of different rest length.
+    fixed : coefficients to hold [SI], of the laws that have them: one number for all muscles, or,
+        of a joint fit, one for each in their order. A law's ``rest_length`` is taken from each
+        table.
+    weights : per muscle, as for :func:`fit_force`; of a joint fit. bounds : {coefficient: (low,
+        high)} [SI]; of a joint fit.
+    noise : of a joint fit. "equal": one standard deviation for all tables (times 1/weight); "each":
+        every table has its own, estimated from its residuals (iterated least squares).
+    loss : of the fits of single muscles, as for :func:`fit_force`.
+    errors : as for :func:`fit_force`.
     rest_length, diameter : [m], of all muscles, or {muscle, or a part of its name: value}; they
         come before what columns and names say.
-    shared : coefficients that muscles of one diameter have in common (:func:`fit_forces`).
-    length_laws : laws tried on all lengths of one diameter together, each length left out in turn.
-    fixed : coefficients to hold [SI], of the laws that have them.
-    loss, errors : as for :func:`fit_force`.
-    columns, units : as for :func:`read_table`. reading : further keywords for it.
-    executor : where muscles are fitted, and laws with each length left out, as for
+    reading : further keywords for :func:`read_table`, such as ``{"units": {"pressure": "kPa"}}``.
+    executor : where muscles are fitted, and candidates with each length left out, as for
         :func:`pam_ocp.each`.
-    time_limit : [s]; OutOfTime when it is over.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------
-    Campaign: muscles and groups with their fits, ``table()``, ``report()``, ``plot_data()`` and
-    ``save(folder)``. Files that could not be read, and studies that the data do not allow, are
-    listed with the reason.
+    JointForceFit; ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals. With
+    ``candidates`` a Campaign: muscles and groups with their fits, ``table()``, ``report()``,
+    ``plot_data()`` and ``save(folder)``; files that could not be read, and studies that the data do
+    not allow, are listed with the reason.
 
     Raises
     ------
-    InputError : no table at all, or arguments that cannot be.
+    InputError, UnknownNameError : arguments that cannot be; no table at all; fewer cells than
+    unknowns. FitError : no stationary point of a joint fit was found.
 
     Examples
     --------
-    >>> campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
-    >>> campaign.save("campaign").name
-    'campaign'
+    >>> joint = pam.fit_forces({"new": table, "old": table}, shared=["a3"])
+    >>> len(joint.names)  # a3, and five of each
+    11
+    >>> campaign = pam.fit_forces({"M1": table}, candidates=[], rest_length=0.300)
+    >>> round(campaign["M1"].fit.rmse, 1)
+    6.2
     """
     kind = law_class(law)
+    if candidates is None:
+        if loss != "squares" or diameter is not None:
+            word = "diameter" if loss == "squares" else "loss"
+            raise InputError(f"{word} is of no use to a joint fit; it belongs to candidates=[...]")
+        return jointly_fitted(
+            _of_muscles(tables, rest_length, reading),
+            kind,
+            shared=shared,
+            fixed=fixed,
+            weights=weights,
+            bounds=bounds,
+            noise=noise,
+            errors=errors,
+        )
+    if weights is not None or bounds is not None or noise != "equal":
+        raise InputError("weights, bounds and noise belong to a joint fit; leave candidates away")
     placed(executor)
-    options = {n: v for n, v in (("columns", columns), ("units", units)) if v is not None}
-    measured, failed = collected(tables, rest_length, diameter, {**options, **(reading or {})})
+    measured, failed = collected(tables, rest_length, diameter, reading or {})
+    study = _Study(kind, fixed, loss, errors)
     parts: dict[str, list[Any]] = {}
     for one in measured:
         parts.setdefault(one.muscle, []).append(one)
     muscles: dict[str, MuscleStudy] = {}
-    studied = results_of(
-        _Studied(kind, fixed, loss, errors),
-        list(parts.items()),
-        executor=executor,
-        chunk=1,
-        what="muscles",
-    )
-    for name, study in zip(parts, studied, strict=True):
-        if isinstance(study, str):
-            failed[name] = study
+    studied = results_of(study.muscle, [*parts.items()], executor=executor, chunk=1, what="muscles")
+    for name, found in zip(parts, studied, strict=True):
+        if isinstance(found, str):
+            failed[name] = found
         else:
-            muscles[name] = study
+            muscles[name] = found
     if not muscles:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(failed.items())[:3])
         raise InputError(f"no muscle of the campaign could be fitted: {reasons}")
-    groups = [
-        _lengths(g, muscles, kind, shared, length_laws, fixed, errors, executor)
-        for g in _grouped(muscles)
-    ]
+    kinds = [law_class(one) for one in candidates]
+    groups = [study.lengths(g, shared, kinds, executor) for g in _grouped(muscles)]
     return Campaign(kind, muscles, tuple(groups), failed)
 
 
-def _own(kind: type[ForceLaw], fixed: Mapping[str, float] | None) -> dict[str, float]:
-    known = {v.name for v in kind.coefficient_variables()}
-    return {n: v for n, v in (fixed or {}).items() if n in known}
+def fit_campaign(
+    tables: Any,
+    law: str | type[ForceLaw] = "six-parameter",
+    *,
+    length_laws: Sequence[str | type[ForceLaw]] = CANDIDATES,
+    columns: Any = None,
+    units: Mapping[str, str] | None = None,
+    reading: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> Campaign:
+    """The former name of :func:`fit_forces` with ``candidates``.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> with warnings.catch_warnings(record=True) as told:
+    ...     warnings.simplefilter("always")
+    ...     campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
+    ...
+    >>> told[0].category.__name__
+    'DeprecationWarning'
+    """
+    warnings.warn(
+        "fit_campaign(..., length_laws=LAWS) is fit_forces(..., candidates=LAWS), its columns= and "
+        "units= are reading={'columns': ..., 'units': ...}, since version 0.2",
+        DeprecationWarning,
+        stacklevel=outside(),
+    )
+    told = {n: v for n, v in (("columns", columns), ("units", units)) if v is not None}
+    return fit_forces(
+        tables, law, candidates=length_laws, reading={**told, **(reading or {})}, **options
+    )
 
 
-# ---- one muscle ---------------------------------------------------------------------------------
+def _of_muscles(tables: Any, rest_length: Any, reading: Mapping[str, Any] | None) -> Any:
+    """{muscle: table} of files; tables stay as they are."""
+    if isinstance(tables, ForceTable):
+        return tables
+    several = isinstance(tables, Mapping | list | tuple)
+    every = tables.values() if isinstance(tables, Mapping) else tables if several else ()
+    if several and not any(isinstance(t, str | Path | Mapping) for t in every):
+        return tables
+    measured, failed = collected(tables, rest_length, None, reading or {})
+    if failed:
+        name, why = next(iter(failed.items()))
+        raise InputError(f"{name}: {why}")
+    names = dict.fromkeys(one.muscle for one in measured)
+    return {n: joined([one for one in measured if one.muscle == n]) for n in names}
+
+
 @dataclass(frozen=True, eq=False)
-class _Studied:
-    """How muscles are fitted; called with a name and what was measured of it."""
+class _Study:
+    """How the fits of a campaign are made."""
 
     kind: type[ForceLaw]
     fixed: Mapping[str, float] | None
-    loss: Literal["squares", "huber", "l1", "bisquare"]
+    loss: Loss
     errors: Literal["as found", "independent"]
 
-    def __call__(self, part: tuple[str, list[Any]]) -> MuscleStudy | str:
-        """The study, or why there is none."""
+    def held(self, kind: type[ForceLaw]) -> dict[str, float]:
+        """What is fixed of a law."""
+        known = {v.name for v in kind.coefficient_variables()}
+        return {n: v for n, v in (self.fixed or {}).items() if n in known}
+
+    # ---- one muscle -----------------------------------------------------------------------------
+    def muscle(self, part: tuple[str, list[Any]]) -> MuscleStudy | str:
+        """The study of (name, what was measured of it), or why there is none."""
         name, own = part
-        width = next((p.diameter for p in own if p.diameter), None)
-        fixed = _own(self.kind, self.fixed)
+        options = {"fixed": self.held(self.kind), "loss": self.loss, "errors": self.errors}
         try:
-            table = joined(own)
-            fit = fit_force(table, self.kind, fixed=fixed, loss=self.loss, errors=self.errors)
+            fit = fit_force(joined(own), self.kind, **options)  # type: ignore[arg-type]
         except (InputError, FitError) as error:
             return str(error)
-        return _muscle(name, width, fit, self.fixed, self.loss, self.errors)
+        reasons: dict[str, str] = {}
 
+        def tried(what: str, call: Any) -> Any:
+            try:
+                return call()
+            except (InputError, FitError) as error:
+                reasons[what] = str(error)
+                return None
 
-def _muscle(
-    name: str, diameter: float | None, fit: ForceFit, fixed: Any, loss: Any, errors: Any
-) -> MuscleStudy:
-    reasons: dict[str, str] = {}
-    table = fit.table
+        branches: Mapping[str, ForceFit] = {}
+        if len(fit.table.branches) > 1:
+            call = partial(fit_branches, fit.table, self.kind, **options)
+            branches = tried("branches", call) or {}
+        else:
+            reasons["branches"] = "the table has one branch only"
+        loop = tried("hysteresis", partial(hysteresis, fit.table))
+        lack = tried("lack of fit", partial(lack_of_fit, fit))
+        width = next((p.diameter for p in own if p.diameter), None)
+        return MuscleStudy(name, width, fit, branches, loop, lack, _runs(fit), reasons)
 
-    def tried(what: str, call: Any) -> Any:
+    # ---- lengths of one diameter ----------------------------------------------------------------
+    def lengths(
+        self,
+        muscles: Sequence[MuscleStudy],
+        shared: Any,
+        kinds: Sequence[type[ForceLaw]],
+        executor: Place,
+    ) -> LengthStudy:
+        """Muscles of one diameter together."""
+        tables = {m.name: m.fit.table for m in muscles}
+        joint: JointForceFit | None = None
+        problem, probability = "", float("nan")
         try:
-            return call()
+            joint = jointly_fitted(
+                tables, self.kind, shared=shared, fixed=self.held(self.kind), errors=self.errors
+            )
+            probability = _sharing(joint, [m.fit for m in muscles])
         except (InputError, FitError) as error:
-            reasons[what] = str(error)
-            return None
+            problem = str(error)
+        work = partial(self.length_law, tables)
+        laws = results_of(work, kinds, executor=executor, chunk=1, what="laws")
+        size = muscles[0].diameter or float("nan")
+        return LengthStudy(size, tuple(tables), joint, probability, problem, tuple(laws))
 
-    branches: Mapping[str, ForceFit] = {}
-    if len(table.branches) > 1:
-        options = {"fixed": _own(type(fit.law), fixed), "loss": loss, "errors": errors}
-        branches = tried("branches", lambda: fit_branches(table, type(fit.law), **options)) or {}
-    else:
-        reasons["branches"] = "the table has one branch only"
-    loop: Hysteresis | None = tried("hysteresis", lambda: hysteresis(table))
-    lack: LackOfFit | None = tried("lack of fit", lambda: lack_of_fit(fit))
-    return MuscleStudy(name, diameter, fit, branches, loop, lack, _runs(fit), reasons)
+    def length_law(self, tables: Mapping[str, ForceTable], kind: type[ForceLaw]) -> LengthLaw:
+        """One set of coefficients for all lengths, and for each length left out."""
+        try:
+            whole = jointly_fitted(tables, kind, fixed=self.held(kind), errors=self.errors)
+            left_out = {n: self._predicted(kind, tables, n) for n in tables}
+        except (InputError, FitError) as error:
+            return LengthLaw(kind.name, None, {}, str(error))
+        return LengthLaw(kind.name, whole, left_out, "")
+
+    def _predicted(
+        self, kind: type[ForceLaw], tables: Mapping[str, ForceTable], name: str
+    ) -> float:
+        """RMSE [N] at a muscle of a law fitted to the others."""
+        others, fixed = {n: t for n, t in tables.items() if n != name}, self.held(kind)
+        fit: ForceFit
+        if len(others) > 1:
+            fit = next(iter(jointly_fitted(others, kind, fixed=fixed).fits.values()))
+        else:
+            fit = fit_force(next(iter(others.values())), kind, fixed=fixed)
+        there, law = tables[name].taut, fit.law
+        if "rest_length" in law.values:
+            law = replace(law, rest_length=there.rest_length)  # type: ignore[call-arg]
+        wrong: Array = there.force - np.asarray(law.tension(there.pressure, there.contraction))
+        return float(np.sqrt(np.mean(wrong**2)))
 
 
 def _runs(fit: ForceFit) -> tuple[RunStudy, ...]:
@@ -200,51 +355,17 @@ def _runs(fit: ForceFit) -> tuple[RunStudy, ...]:
     return tuple(found)
 
 
-# ---- lengths of one diameter --------------------------------------------------------------------
-def _grouped(muscles: Mapping[str, MuscleStudy]) -> list[list[str]]:
+def _grouped(muscles: Mapping[str, MuscleStudy]) -> list[list[MuscleStudy]]:
     """Muscles of one diameter, where there are several of them."""
-    groups: list[list[str]] = []
+    groups: list[list[MuscleStudy]] = []
     known = sorted((m.diameter, n) for n, m in muscles.items() if m.diameter)
     for size, name in known:
-        last = groups[-1] if groups else None
-        first = muscles[last[0]].diameter if last else None
-        if last is not None and first and abs(size - first) <= SAME_DIAMETER * first:
-            last.append(name)
+        first = groups[-1][0].diameter if groups else None
+        if first and abs(size - first) <= SAME_DIAMETER * first:
+            groups[-1].append(muscles[name])
         else:
-            groups.append([name])
+            groups.append([muscles[name]])
     return [g for g in groups if len(g) > 1]
-
-
-def _lengths(
-    names: list[str],
-    muscles: Mapping[str, MuscleStudy],
-    kind: type[ForceLaw],
-    shared: Any,
-    laws: Sequence[Any],
-    fixed: Any,
-    errors: Any,
-    executor: Place,
-) -> LengthStudy:
-    tables = {n: muscles[n].fit.table for n in names}
-    joint: JointForceFit | None = None
-    problem = ""
-    probability = float("nan")
-    try:
-        joint = fit_forces(tables, kind, shared=shared, fixed=_own(kind, fixed), errors=errors)
-        probability = _sharing(joint, [muscles[n].fit for n in names])
-    except (InputError, FitError) as error:
-        problem = str(error)
-    size = muscles[names[0]].diameter or float("nan")
-    kinds = [law_class(one) for one in laws]
-    work = partial(_length_law, tables, fixed, errors)
-    return LengthStudy(
-        size,
-        tuple(names),
-        joint,
-        probability,
-        problem,
-        tuple(results_of(work, kinds, executor=executor, chunk=1, what="laws")),
-    )
 
 
 def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
@@ -261,32 +382,3 @@ def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
     if more < 1 or dof < 1 or free <= 0:
         return float("nan")
     return float(fdtrc(more, dof, max(joint.cost - free, 0.0) / more / (free / dof)))
-
-
-def _length_law(
-    tables: Mapping[str, ForceTable], fixed: Any, errors: Any, kind: type[ForceLaw]
-) -> LengthLaw:
-    """One set of coefficients for all lengths, and for each length left out."""
-    own = _own(kind, fixed)
-    try:
-        whole = fit_forces(tables, kind, fixed=own, errors=errors)
-        left_out = {n: _predicted(kind, tables, n, own) for n in tables}
-    except (InputError, FitError) as error:
-        return LengthLaw(kind.name, None, {}, str(error))
-    return LengthLaw(kind.name, whole, left_out, "")
-
-
-def _predicted(
-    kind: type[ForceLaw], tables: Mapping[str, ForceTable], name: str, fixed: dict[str, float]
-) -> float:
-    """RMSE [N] at a muscle of a law fitted to the others."""
-    others = {n: t for n, t in tables.items() if n != name}
-    if len(others) > 1:
-        law: ForceLaw = next(iter(fit_forces(others, kind, fixed=fixed).fits.values())).law
-    else:
-        law = fit_force(next(iter(others.values())), kind, fixed=fixed).law
-    there = tables[name].taut
-    if "rest_length" in law.values:
-        law = replace(law, rest_length=there.rest_length)  # type: ignore[call-arg]
-    wrong: Array = there.force - np.asarray(law.tension(there.pressure, there.contraction))
-    return float(np.sqrt(np.mean(wrong**2)))

@@ -8,21 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...core.errors import InputError, PamError, require_positive
 from ...core.files import require_local
-from ..tables.force_table import ForceTable, joined_floor, read_table
-from ..tables.sources import ENDINGS, load
+from ...core.units import unit
+from ..tables.force_table import ForceTable, joined_tables, read_table
+from ..tables.headers import branch_of, is_unit, parse_header
+from ..tables.sources import ENDINGS, is_readable, load
 
 __all__ = ["Measured", "collected", "joined"]
 
-BRANCHES = {
-    **dict.fromkeys(("inflation", "inflating", "filling", "fill", "up", "loading"), "inflation"),
-    **dict.fromkeys(
-        ("deflation", "deflating", "venting", "vent", "down", "unloading"), "deflation"
-    ),
-}
 IDLE = {"static", "isometric", "force", "forces", "table", "measured", "data", "cells", "map"}
 """Words of a file's name that say nothing of the muscle."""
 _NUMBER = r"(\d+(?:[.p]\d+)?)"
@@ -38,8 +32,8 @@ _DIAMETER = re.compile(
 _RUN = re.compile(r"^(?:run|rep|repeat|trial|r|no)[-=]?(\d+)$", re.IGNORECASE)
 _COLUMNS = {
     "muscle": ("muscle", "specimen", "sample", "name"),
-    "rest_length": ("rest length", "rest_length", "l0"),
-    "diameter": ("diameter", "d0", "inner diameter", "inner_diameter"),
+    "rest_length": ("rest length", "l0"),
+    "diameter": ("diameter", "d0", "inner diameter"),
 }
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
@@ -94,11 +88,7 @@ def _sources(source: Any) -> list[tuple[str, Any]]:
                 f"{folder} is no folder: give a folder of tables, a list of files, or "
                 "{muscle: table}"
             )
-        paths = sorted(
-            p
-            for p in folder.rglob("*")
-            if Path(p.name.lower().removesuffix(".gz")).suffix in ENDINGS and p.is_file()
-        )
+        paths = sorted(p for p in folder.rglob("*") if is_readable(p))
         return [(p.name, p) for p in paths]
     if not isinstance(source, Iterable):
         raise InputError(f"tables is a {type(source).__name__}: give a folder, files or tables")
@@ -123,7 +113,7 @@ def _read(
         key: header
         for key, words in _COLUMNS.items()
         for header in raw.columns
-        if _plain(header) in words
+        if parse_header(str(header))[0] in words
     }
     if columns:
         parts = _split(raw.columns, columns, muscle)
@@ -162,15 +152,10 @@ def _split(
     return found
 
 
-def _plain(header: str) -> str:
-    return re.sub(r"\s*[\[(/].*$|[_ ](mm|cm|m)$", "", str(header).strip().lower())
-
-
 def _scale(header: str, value: float) -> float:
-    unit = re.search(r"(mm|cm|m)\W*$", str(header).strip().lower())
-    if unit and not str(header).lower().endswith("diam"):
-        return _UNITS[unit[1]]
-    return 1.0 if value < 2.0 else 1e-3  # no muscle is 2 m long, or 2 mm
+    """Of a size in metres; no muscle is 2 m long, or 2 mm."""
+    said = parse_header(str(header))[1]
+    return unit(said).factor if said and is_unit(said) else 1.0 if value < 2.0 else 1e-3
 
 
 def _said(words: Any, muscle: str) -> float | None:
@@ -210,8 +195,8 @@ def _named(file: str) -> tuple[str, str, str]:
     kept = []
     for word in re.split(r"[_\s]+", stem):
         numbered = _RUN.match(word)
-        if word.lower() in BRANCHES:
-            branch = BRANCHES[word.lower()]
+        if branch_of(word):
+            branch = branch_of(word) or ""
         elif numbered:
             run = numbered[1]
         elif word.lower() not in IDLE:
@@ -233,23 +218,8 @@ def joined(parts: Sequence[Measured]) -> ForceTable:
             f"({', '.join(f'{v:g} m' if v else 'none' for v in lengths)}); name muscles apart"
         )
     several = len({t.source for t in tables}) > 1
-    branch: list[str] = []
-    run: list[str] = []
-    for t in tables:
-        branch += t.branch or ("",) * len(t)
-        run += t.run or ((t.source if several else ""),) * len(t)
-    together: dict[str, Any] = {
-        name: np.concatenate([getattr(t, name) for t in tables])
-        for name in ("pressure", "contraction", "force", "scatter", "error")
-        if all(getattr(t, name) is not None for t in tables)
-    }
-    return ForceTable(
-        **together,
-        rest_length=tables[0].rest_length,
-        source=", ".join(dict.fromkeys(t.source for t in tables)),
-        branch=tuple(branch) if any(branch) else (),
-        run=tuple(run) if any(run) else (),
-        file=tuple(t.source for t in tables for _ in range(len(t))) if several else (),
-        notes=tuple(note for t in tables for note in t.notes),
-        **joined_floor(tables),
-    )
+    if several:
+        tables = [t if t.run else replace(t, run=(t.source,) * len(t)) for t in tables]
+    whole = joined_tables(tables)
+    named = ", ".join(dict.fromkeys(t.source for t in tables))
+    return replace(whole, source=named, file=whole.file if several else ())

@@ -20,6 +20,7 @@ from ...muscles.muscle_file import save_muscle
 from ..statistics import Array
 from .branches import Hysteresis, LackOfFit
 from .force_fit import ForceFit
+from .ranking import Candidate
 from .shared import JointForceFit
 
 __all__ = ["Campaign", "LengthLaw", "LengthStudy", "MuscleStudy", "RunStudy"]
@@ -58,15 +59,10 @@ class MuscleStudy:
 
 
 @dataclass(frozen=True, eq=False)
-class LengthLaw:
+class LengthLaw(Candidate[JointForceFit]):
     """A law with one set of coefficients for all lengths. left_out : {muscle: RMSE [N] of the law
     fitted to the others}; problem : why there is no fit.
     """
-
-    name: str
-    fit: JointForceFit | None
-    left_out: Mapping[str, float]
-    problem: str
 
     @property
     def left_out_rmse(self) -> float:
@@ -91,7 +87,7 @@ class LengthStudy:
     @property
     def ranked(self) -> list[LengthLaw]:
         """The laws, the one that predicts lengths left out best first."""
-        return sorted(self.laws, key=lambda law: (law.fit is None, law.left_out_rmse))
+        return sorted(self.laws, key=lambda law: law.rank)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +96,7 @@ class Campaign:
 
     Examples
     --------
-    >>> campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
+    >>> campaign = pam.fit_forces({"M1": table}, candidates=[], rest_length=0.300)
     >>> list(campaign.muscles), round(campaign["M1"].fit.rmse, 1)
     (['M1'], 6.2)
     """

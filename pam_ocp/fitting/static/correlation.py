@@ -174,12 +174,9 @@ def surprise(residuals: Array, orders: Sequence[Order], price: float) -> float:
     n, size = len(residuals), max(float(residuals @ residuals), 1e-300)
     found = [n * np.log(size / n)]
     for one in orders:
-        late, r = one.follows, residuals[one.order]
-        own, before = r[late], r[np.nonzero(late)[0] - 1]
-        new = 1 - RHO**2
-        moved = own @ own - 2 * RHO * (own @ before) + RHO**2 * (before @ before)
-        squares = np.maximum(r[~late] @ r[~late] + moved / new, 1e-300)
-        found.append(float(np.min(n * np.log(squares / n) + late.sum() * np.log(new))) + price)
+        squares = np.maximum(_products(residuals[:, None], one)[:, 0, 0], 1e-300)
+        spread = one.follows.sum() * np.log(1 - RHO**2)
+        found.append(float(np.min(n * np.log(squares / n) + spread)) + price)
     return float(min(found))
 
 
@@ -241,27 +238,24 @@ def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Ar
     """Logarithm of the restricted likelihood, and the least squares of new errors,
     for each of RHO.
     """
-    both = np.column_stack([basis, residuals])[order.order]
-    late = order.follows
-    first, own = both[~late], both[late]
-    before = both[np.nonzero(late)[0] - 1]
-    cross = own.T @ before
-    new = 1 - RHO[:, None, None] ** 2
-    whole = (
-        first.T @ first
-        + (
-            own.T @ own
-            - RHO[:, None, None] * (cross + cross.T)
-            + RHO[:, None, None] ** 2 * (before.T @ before)
-        )
-        / new
-    )
+    whole = _products(np.column_stack([basis, residuals]), order)
     normal, mixed, square = whole[:, :-1, :-1], whole[:, :-1, -1], whole[:, -1, -1]
     fitted = np.linalg.solve(normal, mixed[:, :, None])[:, :, 0]
     squares = np.maximum(square - np.sum(mixed * fitted, axis=1), 1e-300)
-    spread = np.linalg.slogdet(normal)[1] + late.sum() * np.log(new[:, 0, 0])
+    spread = np.linalg.slogdet(normal)[1] + order.follows.sum() * np.log(1 - RHO**2)
     freedom = len(residuals) - basis.shape[1]
     return -(spread + freedom * np.log(squares)) / 2, squares
+
+
+def _products(columns: Array, order: Order) -> Array:
+    """X^T R^-1 X (g, k, k) of columns (n, k) for each of RHO, from their differences along the
+    order.
+    """
+    x, late, rho = columns[order.order], order.follows, RHO[:, None, None]
+    first, own, before = x[~late], x[late], x[np.nonzero(late)[0] - 1]
+    cross = own.T @ before
+    moved = own.T @ own - rho * (cross + cross.T) + rho**2 * (before.T @ before)
+    return np.asarray(first.T @ first + moved / (1 - rho**2))
 
 
 def _meats(jacobian: Array, order: Order, rho: Array) -> Array:

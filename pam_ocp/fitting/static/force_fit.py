@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,30 +18,27 @@ from ...core.calibration import AMBIENT
 from ...core.cases import Place
 from ...core.errors import InputError, UnknownNameError, require_numbers
 from ...core.executors import placed
+from ...core.files import read_json, reading, write_json
 from ...core.plausible import meant_within, outside
 from ...core.shown import shown
 from ...muscles.law import ForceLaw
+from ...muscles.laws.user_defined import law_named
 from ...muscles.pneumatic_muscle import Muscle
 from ...muscles.validity import ValidityWarning
-from ..statistics import (
-    Array,
-    Coefficient,
-    Prediction,
-    coefficient_frame,
-)
+from ..statistics import Array, Prediction, SolverStatistics
+from ..tables.floor import Floor
 from ..tables.force_table import ForceTable
 from .bootstrap import Bootstrap, Resampling, bootstrap
 from .branches import LackOfFit, lack_of_fit
-from .doubts import force_warnings
-from .likelihood_profile import Ends, profile_ends
+from .least_squares import Terms
+from .likelihood_profile import Ends, Sweep, profile_ends
 from .optimum import Optimum
-from .sweep import Sweep
+from .report import force_report, force_warnings
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
-__all__ = ["ForceFit", "beyond", "places", "pulling"]
+__all__ = ["ForceFit"]
 
 STRAIGHT = 0.2
 """By this part of its half width the profile interval of a coefficient may differ from value ± t
@@ -85,7 +82,7 @@ class ForceFit(Optimum):
         entry = self._entry(name)
         if entry.held:
             return entry.value, entry.value
-        return self._intervals((name,), level, linearised, executor)[name]
+        return self.intervals(level, linearised=linearised, executor=executor)[name]
 
     def intervals(
         self, level: float = 0.95, *, linearised: bool = False, executor: Place = None
@@ -100,7 +97,12 @@ class ForceFit(Optimum):
         executor : where profiles are walked along that do not end within milliseconds, as for
             :func:`pam_ocp.each`; the ends are the same everywhere.
         """
-        return self._intervals(self.free, level, linearised, executor)
+        placed(executor)
+        found = super().intervals(level)
+        if not linearised and self.has_profile and self.sigma > 0:
+            ends = self._profiled(level, executor)
+            found |= {n: (e.low, e.high) for n, e in ends.items()}
+        return found
 
     def open_ends(self, level: float = 0.95) -> dict[str, str]:
         """Why an interval of :meth:`intervals` has an infinite end, by coefficient."""
@@ -111,25 +113,6 @@ class ForceFit(Optimum):
         }
         return found | {n: e.reason for n, e in self._profiled(level).items() if e.reason}
 
-    @property
-    def has_profile(self) -> bool:
-        """Whether intervals are those of the profile likelihood."""
-        return self.terms.loss == "squares" and not self.problem.limited and self.dof > 0
-
-    def _intervals(
-        self, names: Sequence[str], level: float, linearised: bool, executor: Place = None
-    ) -> dict[str, tuple[float, float]]:
-        placed(executor)
-        reach = self.linearisation.reach(level)
-        found = {}
-        for name in names:
-            c = self.coefficients[name]
-            found[name] = (c.value - reach * c.stderr, c.value + reach * c.stderr)
-        if not linearised and self.has_profile and self.sigma > 0:
-            ends = self._profiled(level, executor)
-            found |= {n: (e.low, e.high) for n, e in ends.items() if n in names}
-        return found
-
     def _profiled(self, level: float, executor: Place = None) -> Mapping[str, Ends]:
         """Ends of the profile intervals of the coefficients for which there is one."""
         known: dict[float, Mapping[str, Ends]] = self.__dict__.setdefault("_profiles", {})
@@ -139,13 +122,6 @@ class ForceFit(Optimum):
             reach = self.linearisation.reach(level)
             known[level] = profile_ends(self, names, reach, executor) if wanted else {}
         return known[level]
-
-    def _entry(self, name: str) -> Coefficient:
-        if name not in self.coefficients:
-            raise UnknownNameError(
-                f"coefficient of the {self.law.name} law", name, self.coefficients
-            )
-        return self.coefficients[name]
 
     def profile_interval(
         self, name: str, level: float = 0.95, *, executor: Place = None
@@ -185,8 +161,8 @@ class ForceFit(Optimum):
 
         Raises InputError for what no muscle can be (a contraction of 10, for 10 %).
         """
-        pressure, contraction = places(p, kappa)
-        away = beyond(self.table, pressure, contraction)
+        pressure, contraction = _places(p, kappa)
+        away = _beyond(self.table, pressure, contraction)
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
         force, error = (
             force.reshape(pressure.shape),
@@ -200,7 +176,7 @@ class ForceFit(Optimum):
             low, high = self._swept_band(pressure, contraction, level, low, high)
         new = t * self._new_error if self.dof else np.inf
         wide = (force - np.hypot(force - low, new), force + np.hypot(high - force, new))
-        return pulling(force, error, (low, high), wide, level, away)
+        return _pulling(force, error, (low, high), wide, level, away)
 
     @cached_property
     def _bends(self) -> bool:
@@ -296,7 +272,7 @@ class ForceFit(Optimum):
 
     def report(self, level: float = 0.95) -> str:
         """The fit as text: statistics, coefficients ± standard error, correlations, warnings."""
-        return courtesy.force_report(self, level)
+        return force_report(self, level, self.open_ends(level))
 
     def plot(self, *, ax: Axes | None = None) -> Any:
         """Measured and fitted force over contraction, one colour per pressure; residuals below.
@@ -322,10 +298,6 @@ class ForceFit(Optimum):
             return self.to_excel(path)
         return courtesy.save_result(self, path)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """The coefficients as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
-        return coefficient_frame(self.coefficients, self.intervals())
-
     def to_excel(self, path: str | os.PathLike[str]) -> Path:
         """Write a workbook (.xlsx): data, coefficients with intervals, the law as formulas that
         follow when a coefficient is changed, charts.
@@ -336,7 +308,39 @@ class ForceFit(Optimum):
         """Write law, coefficients, data and statistics;
         :meth:`from_json` reads them back exactly.
         """
-        return courtesy.write_fit(self, path)
+        table: dict[str, Any] = {
+            n: getattr(self.table, n).tolist() for n in ("pressure", "contraction", "force")
+        }
+        table |= {
+            n: list(getattr(self.table, n)) for n in ("branch", "run") if getattr(self.table, n)
+        }
+        table["censored"] = self.table.slack.tolist()
+        floor, serial = self.table.floor_found, self.serial
+        content = {
+            "format": FORMAT,
+            "version": 1,
+            "units": "SI: Pa gauge, N, m, contraction as a fraction",
+            "law": self.law.name,
+            "coefficients": {n: float(v) for n, v in self.law.values.items()},
+            "held": list(self.held),
+            "stderr": {n: c.stderr for n, c in self.coefficients.items() if np.isfinite(c.stderr)},
+            "intervals": {n: [_finite(e) for e in pair] for n, pair in self.intervals().items()},
+            "open": self.open_ends(),
+            "correlation": None
+            if serial is None
+            else {"along": serial.order, "neighbours": serial.correlation},
+            "rmse": self.rmse,
+            "r2": _finite(self.r2),
+            "warnings": list(self.warnings),
+            "solver": asdict(self.solver),
+            "terms": self.terms.to_json(),
+            "weights": None if self.weights is None else self.weights.tolist(),
+            "rest_length": self.table.rest_length,
+            "source": self.table.source,
+            "table": table,
+            "floor": None if floor is None else asdict(floor),
+        }
+        return write_json(path, content)
 
     def save_ssv(
         self,
@@ -355,7 +359,44 @@ class ForceFit(Optimum):
     @classmethod
     def from_json(cls, path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:
         """Read what :meth:`to_json` wrote. ``law`` : the class, for a law of the user's own."""
-        return courtesy.read_fit(path, law)
+        content = read_json(path, "a fit", FORMAT, "to_json() writes one")
+        with reading(path, "a fit", "give one that to_json() wrote"):
+            kind = law or _law_named(content["law"])
+            solver = SolverStatistics(**content["solver"])
+            table, floor = dict(content["table"]), content.get("floor")
+            if "censored" in table:
+                table["censored"] = np.array(table["censored"], dtype=bool)
+            return ForceFit(
+                law=kind(**content["coefficients"]),
+                table=ForceTable(
+                    **table,
+                    floor=Floor(**floor) if floor else None,
+                    rest_length=content["rest_length"],
+                    source=content["source"],
+                ),
+                held=tuple(content["held"]),
+                weights=None if content["weights"] is None else np.array(content["weights"]),
+                solver=replace(solver, at_bound=tuple(solver.at_bound)),
+                terms=Terms.from_json(content.get("terms", {})),
+            )
+
+
+FORMAT = "pam_ocp force fit"
+
+
+def _law_named(name: Any) -> type[ForceLaw]:
+    try:
+        return law_named(str(name))
+    except UnknownNameError as error:
+        raise InputError(f"{error} Give the class of an own law: law=...") from None
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no infinity: null for an open end."""
+    return float(value) if np.isfinite(value) else None
+
+
+# ---- where a prediction is asked for -------------------------------------------------------------
 
 
 MARGIN = 0.02
@@ -364,7 +405,7 @@ REACH = (-1.0, 1.0)
 """Contraction ratios: no muscle is stretched to twice its length, or contracts to nothing."""
 
 
-def places(p: Any, kappa: Any) -> tuple[Array, Array]:
+def _places(p: Any, kappa: Any) -> tuple[Array, Array]:
     """Gauge pressures [Pa] and contractions, broadcast: numbers, or texts as "3 bar" and "10 %".
 
     Warns (UnitWarning) where another unit was probably meant. Raises InputError for what no muscle
@@ -395,7 +436,7 @@ def places(p: Any, kappa: Any) -> tuple[Array, Array]:
     return both[0], both[1]
 
 
-def beyond(table: ForceTable, p: Array, kappa: Array) -> NDArray[np.bool_]:
+def _beyond(table: ForceTable, p: Array, kappa: Array) -> NDArray[np.bool_]:
     """Which places lie outside the convex hull of a table's cells, slack ones included; warns."""
     cells = np.stack([table.pressure, table.contraction], axis=1)
     low, span = cells.min(axis=0), np.ptp(cells, axis=0)
@@ -428,7 +469,7 @@ def _hull(points: Array) -> Array:
         return np.array(sides, dtype=float)
 
 
-def pulling(
+def _pulling(
     force: Array,
     stderr: Array,
     confidence: tuple[Array, Array],

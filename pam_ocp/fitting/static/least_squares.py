@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -24,6 +24,8 @@ from ..statistics import Array, forces, forces_and_slopes, in_blocks, second_pla
 from ..tables.force_table import ForceTable
 
 __all__ = [
+    "BISQUARE",
+    "HUBER",
     "PLAIN",
     "LeastSquares",
     "Loss",
@@ -31,7 +33,9 @@ __all__ = [
     "Terms",
     "least_squares",
     "nonlinear_coefficients",
+    "robust_scale",
     "sizes",
+    "spread",
 ]
 
 DECADES = (-2.0, 1.5)
@@ -44,6 +48,12 @@ AT_ONCE = 100_000
 """Cells times scan points that are held in memory at once."""
 REWEIGHTINGS = 12
 """Iterations of reweighted least squares in the scan of a robust loss; IPOPT does the rest."""
+ENOUGH = 1000
+"""Cells that a scan looks at."""
+HUBER = 1.345
+"""Standard deviations at which Huber's loss goes over: 95 % efficient for normal errors."""
+BISQUARE = 4.685
+"""Standard deviations from which Tukey's bisquare counts a cell no more: also 95 % efficient."""
 
 
 @cache
@@ -115,6 +125,35 @@ class Terms:
         size = np.maximum(np.abs(residuals), smallest)
         factors = self.threshold / size
         return np.asarray(np.sqrt(factors if self.loss == "l1" else np.minimum(1.0, factors)))
+
+    def to_json(self) -> dict[str, Any]:
+        """For JSON, which has no infinity: null in its place."""
+        content = asdict(self)
+        content["threshold"] = self.threshold if np.isfinite(self.threshold) else None
+        content["bounds"] = [
+            (n, *(value if np.isfinite(value) else None for value in ends))
+            for n, *ends in self.bounds
+        ]
+        return content
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Terms:
+        """What :meth:`to_json` gave; plain squares of nothing."""
+        if not content:
+            return cls()
+        threshold = content["threshold"]
+        return cls(
+            content["loss"],
+            np.inf if threshold is None else threshold,
+            content["censored"],
+            tuple(
+                (n, -np.inf if low is None else low, np.inf if high is None else high)
+                for n, low, high in content["bounds"]
+            ),
+            tuple((n, mean, deviation) for n, mean, deviation in content["priors"]),
+            content["noise"],
+            content.get("independent", False),
+        )
 
 
 class Sums(NamedTuple):
@@ -213,6 +252,42 @@ class LeastSquares:
     @property
     def censored(self) -> bool:
         return self.terms.censored and len(self.slack) > 0
+
+    @property
+    def smooth(self) -> bool:
+        """Whether it is plain squares, with no inequalities but bounds."""
+        return self.terms.loss == "squares" and not self.censored
+
+    @property
+    def scales(self) -> list[Array]:
+        """Values at which each nonlinear coefficient is scanned."""
+        return [sizes(self.variables[i]) for i in self.nonlinear]
+
+    def thinned(self, enough: int = ENOUGH) -> LeastSquares:
+        """The problem on so many cells as a scan needs, evenly over contraction and pressure."""
+        n, cells, weights = len(self.cells), self.cells, self.weights
+        if n <= enough or np.max(weights) > 10 * np.min(weights):
+            return self
+        order = np.lexsort((cells.pressure, cells.contraction))
+        chosen = order[np.linspace(0, n - 1, enough).astype(int)]
+        weights = weights[chosen] * np.sqrt(n / enough)
+        return replace(self, cells=cells.subset(chosen), weights=weights)
+
+    def near(self, start: Array) -> tuple[Array, Array]:
+        """Bounds of the free coefficients next to ``start`` (all): the law's own; what the scan
+        left at its edge is held there.
+
+        At an edge the law degenerates (exp(a3 kappa) becomes a straight line, or a step), the
+        linear coefficients grow without end, and no optimum is reached by going on.
+        """
+        lower = np.array([self.variables[i].min for i in self.free])
+        upper = np.array([self.variables[i].max for i in self.free])
+        for place, i in enumerate(self.free):
+            if i in self.nonlinear and not np.isfinite(upper[place] - lower[place]):
+                reach = np.abs(sizes(self.variables[i]))
+                if not 1.01 * reach.min() < abs(start[i]) < 0.99 * reach.max():
+                    lower[place] = upper[place] = start[i]
+        return lower, upper
 
     @property
     def slack_tolerance(self) -> float:
@@ -363,7 +438,7 @@ class LeastSquares:
         if self.terms.loss == "squares":
             c, whole, good = self.triangles(values)
             columns, target = whole[:, :, :-1], whole[:, :, -1]
-            c[:, self.linear] = parts = least_squares(columns, target)
+            c[:, self.linear] = parts = least_squares(columns, target)[0]
             rest = target - np.einsum("mnk,mk->mn", columns, parts)
             return np.where(good, np.sum(rest**2, axis=1), np.inf), c
         few = max(1, AT_ONCE // max(len(self.cells), 1))
@@ -377,7 +452,7 @@ class LeastSquares:
         smallest = 1e-6 * self.size
         factors = np.ones_like(target)
         for _ in range(REWEIGHTINGS):
-            parts = least_squares(columns * factors[:, :, None], target * factors)
+            parts, _ = least_squares(columns * factors[:, :, None], target * factors)
             rest = target - np.einsum("mnk,mk->mn", columns, parts)
             factors[:, :n] = self.terms.reweighting(rest[:, :n], smallest)
         c[:, self.linear] = parts
@@ -385,17 +460,20 @@ class LeastSquares:
         return np.where(good, cost, np.inf), c
 
 
-def least_squares(columns: Array, target: Array) -> Array:
-    """Least-norm solutions (m, k) of many small problems (m, n, k), in columns of unit length."""
+def least_squares(columns: Array, target: Array) -> tuple[Array, Array]:
+    """Least-norm solutions (m, k) of many small problems (m, n, k), in columns of unit length, and
+    roots (m, k, k) of their covariances for errors of variance 1.
+    """
     with np.errstate(over="ignore"):  # such columns count as zero
         norms: Array = np.asarray(np.linalg.norm(columns, axis=1))
     norms[norms == 0] = 1.0
     if not columns.shape[2]:
-        return norms
+        return norms, np.empty((len(norms), 0, 0))
     u, s, vt = np.linalg.svd(columns / norms[:, None, :], full_matrices=False)
-    parts = np.einsum("mnk,mn->mk", u, target)
-    parts = np.divide(parts, s, out=np.zeros_like(parts), where=s > 1e-10 * s[:, :1])
-    return np.asarray(np.einsum("mkl,mk->ml", vt, parts) / norms)
+    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > 1e-10 * s[:, :1])
+    parts = np.einsum("mnk,mn->mk", u, target) * inverse
+    root = vt.transpose(0, 2, 1) * inverse[:, None, :] / norms[:, :, None]
+    return np.asarray(np.einsum("mkl,mk->ml", vt, parts) / norms), np.asarray(root)
 
 
 def sizes(variable: Variable) -> Array:
@@ -413,3 +491,41 @@ def sizes(variable: Variable) -> Array:
     order = np.argsort(np.abs(values - variable.nominal), kind="stable")
     result: Array = values[order]
     return result
+
+
+# ---- scales of robust fits -----------------------------------------------------------------------
+def spread(residuals: Array, fitted: int) -> float:
+    """Standard deviation of normal errors from the median of the largest n - fitted residuals.
+
+    A fit of k coefficients by absolute values leaves k residuals at zero, which say nothing.
+    """
+    size = np.sort(np.abs(residuals))[min(fitted, residuals.size - 1) :]
+    return float(np.median(size) / 0.6745)
+
+
+def robust_scale(terms: Terms, residuals: Array, fitted: int) -> float:
+    """The factor s of the covariance s^2 (J^T J)^-1 of a robust fit (weighted residuals [N]).
+
+    Huber, bisquare: P. Huber, Robust Statistics (1981), eq. 7.6.6, with its correction for small
+    samples.
+    Absolute values: 1/(2 f(0)), the density f of the residuals by a normal kernel of Silverman's
+    width (asymptotic; G. Bassett, R. Koenker, J. Am. Stat. Assoc. 73 (1978) 618-622).
+    """
+    n = residuals.size
+    if terms.loss == "huber":
+        inside = float(np.mean(np.abs(residuals) <= terms.threshold))
+        slopes = np.clip(residuals, -terms.threshold, terms.threshold)
+        correction = 1 + fitted / n * (1 - inside) / inside
+        return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / inside)
+    if terms.loss == "bisquare":
+        near = terms.reweighting(residuals, 0.0)  # 1 - u2
+        slopes = residuals * near**2
+        bends = near * (5 * near - 4)  # (1 - u2)(1 - 5 u2), 0 beyond
+        mean = float(np.mean(bends))
+        correction = 1 + fitted / n * float(np.var(bends)) / mean**2
+        return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / mean)
+    width = 1.06 * spread(residuals, fitted) * n**-0.2
+    if not width > 0:
+        return 0.0  # most residuals are zero: the fit is exact
+    density = np.mean(np.exp(-((residuals / width) ** 2) / 2)) / (width * np.sqrt(2 * np.pi))
+    return float(1 / (2 * density) * np.sqrt(n / (n - fitted)))

@@ -1,32 +1,252 @@
-"""The last step of a static fit, over all coefficients: Newton steps on the few columns of the
-Jacobian, or, for robust losses and inequalities, IPOPT.
+"""The optimum of a sum of squares next to a start: damped Newton steps from many starts side by
+side, or, for robust losses and inequalities, IPOPT.
+
+Newton's steps are on the few columns of the Jacobian. The exact second derivatives make the last
+steps quadratic; where they have no minimum, far from an optimum, those of Gauss and Newton stand in
+(K. Levenberg, D. Marquardt). A coefficient that is pushed against a bound rests there
+(D. Bertsekas, SIAM J. Control Optim. 20 (1982) 221-246).
+
+SciPy's least_squares comes to the same optima: from 60 starts of a force law in 4 to 9 times as
+long, for they go down one by one; in fits of holds in nine tenths of the time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
+from ...core.stop import check
 from ...muscles.law import ForceLaw
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
-from .descent import descend
-from .least_squares import LeastSquares, Loss, sizes
+from .least_squares import LeastSquares, Loss, Sums, Terms
 
 __all__ = [
     "STATIONARY",
-    "Optimum",
+    "Descended",
+    "Minimum",
+    "Problem",
+    "Squares",
     "by_ipopt",
+    "by_newton",
     "cosine",
-    "ending",
+    "descend",
     "local_optima",
-    "local_optimum",
 ]
 
+ITERATIONS = 150
+"""Evaluations of all starts that are still on their way."""
+FIRST_DAMPING = 1e-6
+"""Of columns of unit length; none as long as whole steps do."""
+LARGEST_DAMPING = 1e8
+NEAR = 0.1
+"""Part of the cost that a step took off, from which on second derivatives of residuals pay."""
+LAST_STEP = 1e-12
+"""Part of the cost that a whole Newton step would still take off, from which it is the last."""
+SAME = 1e-6
+"""Part of a cost by which a start that comes down to it leads to the same place."""
+FAR, PATIENCE = 1.5, 25
+"""Times the least cost so far, and evaluations after which a start that is above it is left."""
+DEFINITE = 1e-13
+"""Smallest eigenvalue of second derivatives, columns of unit length, that counts as positive."""
+
+
+class Squares(Protocol):
+    """A sum of squares over unknowns, of which the ``free`` ones may move."""
+
+    @property
+    def free(self) -> Sequence[int]: ...
+
+    @property
+    def size(self) -> float:
+        """Norm of the weighted measurements."""
+        ...
+
+    def sums(self, coefficients: Array, second: bool = False) -> Sums: ...
+
+
+class Problem(Squares, Protocol):
+    """One of force laws, whose ``nonlinear`` unknowns are scanned."""
+
+    @property
+    def law(self) -> type[ForceLaw]: ...
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    @property
+    def nonlinear(self) -> Sequence[int]: ...
+
+    @property
+    def terms(self) -> Terms: ...
+
+    @property
+    def limited(self) -> bool: ...
+
+    @property
+    def scales(self) -> list[Array]: ...
+
+    def thinned(self) -> Problem: ...
+
+    def near(self, start: Array) -> tuple[Array, Array]: ...
+
+    def project(self, values: Array) -> tuple[Array, Array]: ...
+
+    def with_priors(self, coefficients: Array) -> tuple[Array, Array]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Descended:
+    """Where starts came to: coefficients (m, all), costs (m,), steps (m,), and which free
+    coefficients rest at a bound (m, free).
+    """
+
+    coefficients: Array
+    cost: Array
+    steps: NDArray[np.intp]
+    resting: NDArray[np.bool_]
+
+
+def descend(
+    problem: Squares, starts: Array, low: Array, high: Array, settled: float = 0.0
+) -> Descended:
+    """Follow starts (m, all) to the least squares next to them, priors included.
+
+    low, high : bounds of the free coefficients, (m, free); those with low = high stay where they
+    are. settled : relative fall of the cost in one step at which a descent ends; by default it goes
+    on to a stationary point. Costs are infinite where the law gives no finite force at the start.
+    """
+    return _Descent(problem, starts, low, high, settled).run()
+
+
+class _Descent:
+    def __init__(
+        self, problem: Squares, starts: Array, low: Array, high: Array, settled: float
+    ) -> None:
+        self.problem, self.free, self.settled = problem, list(problem.free), settled
+        self.low, self.high, self.c = low, high, starts.copy()
+        self.c[:, self.free] = np.clip(starts[:, self.free], low, high)
+        m, k = len(starts), len(self.free)
+        self.near = np.zeros(m, dtype=bool)
+        self.cost, *rest = self._at(self.c, self.near)
+        self.sums: list[Array] = rest
+        self.damping, self.steps = np.zeros(m), np.zeros(m, dtype=np.intp)
+        self.resting, self.newton = low >= high, np.zeros(m, dtype=bool)
+        self.norms, self.right = np.ones((m, k)), np.zeros((m, k))
+        self.values, self.vectors = np.ones((m, k)), np.zeros((m, k, k))
+        self.floor = 1e-24 * problem.size**2
+
+    def run(self) -> Descended:
+        active = np.isfinite(self.cost) & ~self.resting.all(axis=1)
+        fresh = active.copy()
+        least = np.inf
+        for count in range(ITERATIONS):
+            check()
+            rows = np.nonzero(active)[0]
+            if not rows.size:
+                break
+            self._model(np.nonzero(active & fresh)[0])
+            step, gain = self._step(rows)
+            trial = self.c[rows]
+            with np.errstate(all="ignore"):
+                trial[:, self.free] = np.clip(
+                    trial[:, self.free] + step, self.low[rows], self.high[rows]
+                )
+            cost, *sums = self._at(trial, self.near[rows])
+            before = self.cost[rows]
+            part = np.where(self.newton[rows], LAST_STEP, LAST_STEP**1.5)
+            last = (self.damping[rows] == 0) & (gain <= part * before + self.floor)
+            last &= cost <= before * (1 + 1e-9) + self.floor
+            better = (cost <= before) | last
+            fall = before - cost
+            done = last | (better & (fall <= self.settled * before) & (self.settled > 0))
+            done |= better & (fall <= 0) & (gain <= LAST_STEP * before)
+            good, bad = rows[better], rows[~better]
+            self.c[good], self.cost[good] = trial[better], cost[better]
+            for held, new in zip(self.sums, sums, strict=True):
+                held[good] = new[better]
+            self.steps[good] += 1
+            damping = self.damping[good]
+            self.damping[good] = np.where(damping > FIRST_DAMPING, damping / 10, 0.0)
+            self.damping[bad] = np.maximum(4 * self.damping[bad], FIRST_DAMPING)
+            self.near[good] = fall[better] <= NEAR * cost[better]
+            fresh[good], fresh[bad] = True, False
+            active[rows[done]] = False
+            least = float(np.min(self.cost[rows[done]], initial=least))
+            active &= ~self._idle(least, count)
+            active &= self.damping < LARGEST_DAMPING
+        return Descended(self.c, self.cost, self.steps, self.resting)
+
+    def _idle(self, least: float, count: int) -> NDArray[np.bool_]:
+        """Starts that need not be followed: on their way to where another has come, or long on a
+        way from far above it.
+        """
+        same = (self.cost >= least) & (self.cost <= least * (1 + SAME))
+        return same | ((self.cost > FAR * least) & (count > PATIENCE))
+
+    def _at(self, c: Array, near: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:
+        """Cost, J^T r, J^T J and second derivatives of the free coefficients; the last only where
+        ``near``.
+        """
+        m, k = len(c), len(self.free)
+        found = (np.empty(m), np.empty((m, k)), np.empty((m, k, k)), np.zeros((m, k, k)))
+        for chosen, second in ((~near, False), (near, True)):
+            if chosen.any():
+                cost, right, normal, bent = self.problem.sums(c[chosen], second)
+                found[0][chosen], found[1][chosen] = cost, right[:, self.free]
+                found[2][chosen] = normal[:, self.free][:, :, self.free]
+                found[3][chosen] = bent[:, self.free][:, :, self.free]
+        finite = np.isfinite(found[0]) & np.isfinite(found[2]).all(axis=(1, 2))
+        found[0][~finite] = np.inf
+        found[3][~np.isfinite(found[3]).all(axis=(1, 2))] = 0.0
+        return found
+
+    def _model(self, rows: NDArray[np.intp]) -> None:
+        """The quadratic model at where these rows stand, in columns of unit length."""
+        if not rows.size:
+            return
+        right, normal, second = (held[rows] for held in self.sums)
+        z, low, high = self.c[rows][:, self.free], self.low[rows], self.high[rows]
+        norms = np.sqrt(np.einsum("mii->mi", normal))
+        norms = np.where(norms > 0, norms, 1.0)
+        right = right / norms
+        resting = (low >= high) | ((z <= low) & (right < 0)) | ((z >= high) & (right > 0))
+        both = norms[:, :, None] * norms[:, None, :]
+        normal = normal / both
+        values, vectors = np.linalg.eigh(_without(normal, resting))
+        newton = self.near[rows] & second.any(axis=(1, 2))
+        if newton.any():
+            whole = (normal + second / both)[newton]
+            exact = np.linalg.eigh(_without(whole, resting[newton]))
+            definite = exact[0][:, 0] > DEFINITE
+            newton[newton] = definite
+            values[newton], vectors[newton] = exact[0][definite], exact[1][definite]
+        self.newton[rows], self.resting[rows] = newton, resting
+        self.norms[rows], self.right[rows] = norms, np.where(resting, 0.0, right)
+        self.values[rows], self.vectors[rows] = np.maximum(values, 1e-12), vectors
+
+    def _step(self, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Steps (r, free), and what they promise to take off the costs (r,)."""
+        along = np.einsum("mij,mi->mj", self.vectors[rows], self.right[rows])
+        parts = along / (self.values[rows] + self.damping[rows, None])
+        step = np.einsum("mij,mj->mi", self.vectors[rows], parts)
+        return step / self.norms[rows], np.sum(along * parts, axis=1)
+
+
+def _without(matrix: Array, resting: NDArray[np.bool_]) -> Array:
+    """The rows and columns of coefficients that rest made those of the identity."""
+    open_ = ~resting
+    kept = np.where(open_[:, :, None] & open_[:, None, :], matrix, 0.0)
+    return np.asarray(kept + np.eye(resting.shape[1]) * resting[:, :, None])
+
+
+# ---- optima --------------------------------------------------------------------------------------
 EXPANDED = 1000
 """Cells up to which the solver's functions are written out, which makes many small fits fast.
 
@@ -42,7 +262,7 @@ SPLIT = ("huber", "l1")
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class Minimum:
     """Coefficients (all of the law) and what they cost [N2]."""
 
     coefficients: Array
@@ -97,44 +317,43 @@ def _solver(
     return nlpsol("fit", "ipopt", nlp, options)
 
 
-def local_optimum(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
-    """The optimum next to ``start`` (all coefficients)."""
-    return local_optima(problem, start[None], scanned)[0]
-
-
-def local_optima(problem: LeastSquares, starts: Array, scanned: int) -> list[Optimum]:
+def local_optima(problem: Problem, starts: Array, scanned: int) -> list[Minimum]:
     """The optima next to each of ``starts`` (m, all)."""
-    if problem.terms.loss == "squares" and not problem.censored:
-        return _by_newton(problem, starts, scanned)
-    return [by_ipopt(problem, start, scanned) for start in starts]
+    if isinstance(problem, LeastSquares) and not problem.smooth:
+        return [by_ipopt(problem, start, scanned) for start in starts]
+    return by_newton(problem, starts, scanned)
 
 
-def _by_newton(problem: LeastSquares, starts: Array, scanned: int) -> list[Optimum]:
-    limits = [_bounds(problem, start) for start in starts]
+def by_newton(
+    problem: Problem, starts: Array, scanned: int, held: Sequence[int] = ()
+) -> list[Minimum]:
+    """The least squares next to each of ``starts``; ``held`` unknowns stay where they are."""
+    limits = [problem.near(start) for start in starts]
     low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
+    kept = [place for place, i in enumerate(problem.free) if i in held]
+    low[:, kept] = high[:, kept] = starts[:, list(held)]
     ended = descend(problem, starts, low, high)
     residuals, jacobians = problem.with_priors(ended.coefficients)
-    size = problem.size
     found = []
     for row, resting in enumerate(ended.resting):
         free = list(zip(problem.free, resting, strict=True))
         columns = jacobians[row][:, [i for i, rests in free if not rests]]
-        gradient = cosine(residuals[row], columns, size)
+        gradient = cosine(residuals[row], columns, problem.size)
         statistics = SolverStatistics(
-            ending(gradient),
+            "Newton_Converged" if gradient <= STATIONARY else "Newton_Stalled",
             int(ended.steps[row]),
             gradient,
             scanned,
-            tuple(problem.names[i] for i, rests in free if rests),
+            tuple(problem.names[i] for i, rests in free if rests and i not in held),
         )
-        found.append(Optimum(ended.coefficients[row], float(ended.cost[row]), statistics))
+        found.append(Minimum(ended.coefficients[row], float(ended.cost[row]), statistics))
     return found
 
 
-def by_ipopt(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
+def by_ipopt(problem: LeastSquares, start: Array, scanned: int) -> Minimum:
     """The optimum next to ``start`` (all coefficients), whatever the loss and the inequalities."""
     free, terms = list(problem.free), problem.terms
-    lower, upper = _bounds(problem, start)
+    lower, upper = problem.near(start)
     start = start.copy()
     start[free] = np.clip(start[free], lower, upper)
     residuals, jacobian = problem.evaluate(start[None])
@@ -165,7 +384,7 @@ def by_ipopt(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
     at_bound = (c[free] - lower <= hair) | (upper - c[free] <= hair)
     inside = [i for i, bound in zip(free, at_bound, strict=True) if not bound]
     statistics = solver.stats()
-    return Optimum(
+    return Minimum(
         c,
         problem.cost(c),
         SolverStatistics(
@@ -216,11 +435,6 @@ def _gradient(
     return cosine(residual, jacobian[:, inside], size)
 
 
-def ending(gradient: float) -> str:
-    """How Newton steps ended, in a word."""
-    return "Newton_Converged" if gradient <= STATIONARY else "Newton_Stalled"
-
-
 def cosine(residual: Array, columns: Array, size: float) -> float:
     """Largest cosine between residual and columns; 0 for a residual of rounding errors."""
     length = float(np.linalg.norm(residual))
@@ -231,19 +445,3 @@ def cosine(residual: Array, columns: Array, size: float) -> float:
     if length <= 1e-9 * size or not np.any(chosen):
         return 0.0
     return float(np.max(np.abs(residual @ columns[:, chosen]) / norms[chosen]) / length)
-
-
-def _bounds(problem: LeastSquares, start: Array) -> tuple[Array, Array]:
-    """The law's own bounds; a coefficient that the scan left at its edge is held there.
-
-    At an edge the law degenerates (exp(a3 kappa) becomes a straight line, or a step), the linear
-    coefficients grow without end, and no optimum is reached by going on.
-    """
-    lower = np.array([problem.variables[i].min for i in problem.free])
-    upper = np.array([problem.variables[i].max for i in problem.free])
-    for place, i in enumerate(problem.free):
-        if i in problem.nonlinear and not np.isfinite(upper[place] - lower[place]):
-            reach = np.abs(sizes(problem.variables[i]))
-            if not 1.01 * reach.min() < abs(start[i]) < 0.99 * reach.max():
-                lower[place] = upper[place] = start[i]
-    return lower, upper

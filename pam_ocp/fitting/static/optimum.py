@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ...muscles.law import ForceLaw
+from ..estimates import Estimates
 from ..statistics import (
     Array,
     Coefficient,
@@ -18,14 +19,13 @@ from ..statistics import (
 )
 from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
-from .least_squares import PLAIN, LeastSquares, Terms
-from .scales import BISQUARE, HUBER, robust_scale, spread
+from .least_squares import BISQUARE, HUBER, PLAIN, LeastSquares, Terms, robust_scale, spread
 
 __all__ = ["Optimum"]
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
+class Optimum(Estimates):
     """A force law at the coefficients that fit a table best, and the problem near them.
 
     law : the fitted law. table : the data, slack cells included. held : coefficients that were
@@ -59,7 +59,7 @@ class Optimum:
     def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
         names = list(self.law.values)
-        tension, jacobian = forces_and_slopes(type(self.law), p, kappa, self._vector)
+        tension, jacobian = forces_and_slopes(type(self.law), p, kappa, self.vector[None])
         return tension[0], jacobian[0][:, [names.index(n) for n in self.free]]
 
     @cached_property
@@ -95,7 +95,7 @@ class Optimum:
     @property
     def cost(self) -> float:
         """What the fit made smallest [N2]: ``squares``, or the robust loss, and the priors."""
-        return self.problem.cost(np.array([float(v) for v in self.law.values.values()]))
+        return self.problem.cost(self.vector)
 
     @property
     def squares(self) -> float:
@@ -132,7 +132,7 @@ class Optimum:
     def linearisation(self) -> Linearisation:
         """The weighted least-squares problem near its optimum."""
         variables = {v.name: v for v in self.law.coefficient_variables()}
-        jacobian = self.problem.with_priors(self._vector)[1][0][:, list(self.problem.free)]
+        jacobian = self.problem.with_priors(self.vector[None])[1][0][:, list(self.problem.free)]
         return Linearisation(
             self.free,
             np.array([float(self.law.values[n]) for n in self.free]),
@@ -167,8 +167,9 @@ class Optimum:
         return self.linearisation.serial
 
     @property
-    def _vector(self) -> Array:
-        return np.array([[float(v) for v in self.law.values.values()]])
+    def vector(self) -> Array:
+        """All coefficients of the law, in its order."""
+        return np.array([float(v) for v in self.law.values.values()])
 
     @property
     def _scale(self) -> float:
@@ -182,23 +183,17 @@ class Optimum:
         """Gradients of the slack cells at which the law would pull more if it could."""
         if not self.problem.censored:
             return None
-        tension, gradients = self.problem.tension_where_slack(self._vector[0])
+        tension, gradients = self.problem.tension_where_slack(self.vector)
         return gradients[tension > 0.999 * self.problem.slack_tolerance][:, list(self.problem.free)]
 
     @property
-    def rank(self) -> int:
-        """How many independent combinations of the coefficients the data determine."""
-        return self.linearisation.rank
+    def has_profile(self) -> bool:
+        """Whether intervals are those of the profile likelihood."""
+        return self.terms.loss == "squares" and not self.problem.limited and self.dof > 0
 
     @property
-    def condition(self) -> float:
-        """Condition number of the Jacobian with columns of unit length."""
-        return self.linearisation.condition
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the free coefficients; of what the data determine where rank is lacking."""
-        return self.linearisation.covariance
+    def _called(self) -> str:
+        return f"coefficient of the {self.law.name} law"
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
@@ -215,8 +210,3 @@ class Optimum:
             )
             for v in self.law.coefficient_variables()
         }
-
-    @property
-    def correlation(self) -> Array:
-        """Correlation matrix of the free coefficients."""
-        return self.linearisation.correlation

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -22,14 +22,53 @@ from ...muscles.laws.user_defined import polynomial_law
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, surprise
 from .force_fit import ForceFit
-from .search import minimise
+from .search import NEAR, minimise
+from .shared import JointForceFit
 from .static import fit_force, independent, law_class
 
-__all__ = ["ComparedLaw", "LawComparison", "compare_laws"]
+__all__ = ["Candidate", "ComparedLaw", "LawComparison", "compare_laws"]
+
+
+Fit = TypeVar("Fit", ForceFit, JointForceFit)
 
 
 @dataclass(frozen=True, eq=False)
-class ComparedLaw:
+class Candidate(Generic[Fit]):
+    """A law that was tried.
+
+    fit : None, with the reason in ``problem``, where there is none.
+    left_out : what was left out of a fit (a level, a muscle) -> RMSE [N] there.
+    """
+
+    name: str
+    fit: Fit | None
+    left_out: Mapping[Any, float]
+    problem: str = ""
+
+    @property
+    def parameters(self) -> int:
+        """Number of fitted coefficients."""
+        return len(self.fit.linearisation.names) if self.fit else 0
+
+    @property
+    def rmse(self) -> float:
+        """RMSE over the taut cells [N]."""
+        return self.fit.rmse if self.fit else float("nan")
+
+    @property
+    def left_out_rmse(self) -> float:
+        """Mean RMSE over what was left out, each of its fit [N]; NaN when there is nothing."""
+        return float(np.mean([*self.left_out.values()])) if self.left_out else float("nan")
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """By which candidates are sorted: the best where it was not fitted first."""
+        doubt = np.inf if np.isnan(self.left_out_rmse) else self.left_out_rmse
+        return self.fit is None, doubt, self.rmse
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedLaw(Candidate[ForceFit]):
     """One law on the table.
 
     fit : None, with the reason in ``problem``, where there is none.
@@ -41,28 +80,6 @@ class ComparedLaw:
     >>> best.name, round(best.left_out_rmse, 1)
     ('five-parameter', 16.4)
     """
-
-    name: str
-    fit: ForceFit | None
-    left_out: Mapping[float, float]
-    problem: str = ""
-
-    @property
-    def parameters(self) -> int:
-        """Number of fitted coefficients."""
-        return len(self.fit.free) if self.fit else 0
-
-    @property
-    def rmse(self) -> float:
-        """RMSE over the taut cells [N]."""
-        return self.fit.rmse if self.fit else float("nan")
-
-    @property
-    def left_out_rmse(self) -> float:
-        """Mean RMSE over the interior levels, each left out of its fit [N]; NaN when there are
-        none.
-        """
-        return float(np.mean([*self.left_out.values()])) if self.left_out else float("nan")
 
     @property
     def aic(self) -> float:
@@ -189,12 +206,7 @@ def compare_laws(
             ended[i] = law
     late = f"{deadline()} was over"
     found = [ended.get(i, ComparedLaw(k.name, None, {}, late)) for i, k in enumerate(kinds)]
-
-    def rank(law: ComparedLaw) -> tuple[bool, float, float]:
-        doubt = np.inf if np.isnan(law.left_out_rmse) else law.left_out_rmse
-        return law.fit is None, doubt, law.rmse
-
-    return LawComparison(tuple(sorted(found, key=rank)), table.source)
+    return LawComparison(tuple(sorted(found, key=lambda law: law.rank)), table.source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +252,7 @@ def _compared(
 def _left_out(fit: ForceFit) -> dict[float, float]:
     whole, errors = fit.problem, {}
     level = fit.cells.levels()
-    values = np.array([float(v) for v in fit.law.values.values()])
-    start = values[None, list(whole.nonlinear)] if whole.nonlinear else None
+    start = fit.vector[None, list(whole.nonlinear)] if whole.nonlinear else None
     for i in range(1, level.max()):
         kept = level != i
         part = replace(whole, cells=fit.cells.subset(kept), weights=whole.weights[kept])
@@ -249,7 +260,7 @@ def _left_out(fit: ForceFit) -> dict[float, float]:
             raise InputError(
                 f"{len(part.cells)} taut cells remain, fewer than the {len(part.free)} coefficients"
             )
-        found = minimise(part, start, near=True).coefficients
+        found = minimise(part, start, effort=NEAR).coefficients
         there = replace(whole, cells=fit.cells.subset(~kept), weights=np.ones(int(np.sum(~kept))))
         errors[float(there.cells.contraction.mean())] = float(
             np.sqrt(np.mean(there.residuals(found[None])[0] ** 2))

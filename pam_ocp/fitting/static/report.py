@@ -1,4 +1,6 @@
-"""Fits as text, in the habit of lmfit."""
+"""What a static fit says in words: its report, in the habit of lmfit, and what to know before its
+coefficients are trusted.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +8,22 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..statistics import Coefficient, Linearisation
+from ..estimates import at_edge, correlation_lines, following
 from .branches import branch_lines
-from .force_fit import ForceFit
+from .correlation import FEWEST
+from .optimum import Optimum
 
-__all__ = ["coefficient_line", "correlation_lines", "force_report"]
+__all__ = ["floor_doubts", "force_report", "force_warnings", "unseen"]
+
+MOST_SHOWN = 3
+"""Combinations that are spelled out."""
+SURE = 3.0
+"""Standard errors from which a difference is stated as a fact."""
 
 
-def force_report(fit: ForceFit, level: float) -> str:
-    """See :meth:`ForceFit.report`."""
+def force_report(fit: Optimum, level: float, opened: Mapping[str, str]) -> str:
+    """See :meth:`ForceFit.report`; opened : why an interval has an infinite end."""
     data, solver = fit.table, fit.solver
-    intervals, opened = fit.intervals(level), fit.open_ends(level)
     worst = int(np.argmax(np.abs(fit.residuals)))
     place = f"{fit.cells.pressure[worst] / 1e5:.3g} bar, {100 * fit.cells.contraction[worst]:.3g} %"
     length = "" if data.rest_length is None else f", rest length {data.rest_length:g} m"
@@ -38,49 +45,28 @@ def force_report(fit: ForceFit, level: float) -> str:
         f"{100 * fit.serial.probability:.3g} %, which intervals and bands count",
         f"    {solver.status}, {solver.iterations} iterations after a scan of "
         f"{solver.scanned} points, {1e3 * solver.seconds:.0f} ms",
-        f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval"
-        f"{' (profile likelihood)' if fit.has_profile else ''}; SI",
-        *(
-            coefficient_line(c, intervals.get(c.name, (c.value,) * 2), opened.get(c.name, ""))
-            for c in fit.coefficients.values()
+        *fit._coefficient_lines(
+            f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval"
+            f"{' (profile likelihood)' if fit.has_profile else ''}",
+            level,
+            opened,
         ),
         *_published_lines(fit),
         *correlation_lines(fit.linearisation),
         *branch_lines(fit),
+        *fit._warning_lines(),
     ]
-    if fit.warnings:
-        lines += ["[[Warnings]]", *(f"    {text}" for text in fit.warnings)]
     return "\n".join(lines)
 
 
-def _weight_lines(fit: ForceFit) -> list[str]:
+def _weight_lines(fit: Optimum) -> list[str]:
     if fit.weights is None:
         return []
     low, high = fit.weights.min(), fit.weights.max()
     return [f"    cells are weighted, from {low:.3g} to {high:.3g}"]
 
 
-def coefficient_line(c: Coefficient, interval: tuple[float, float], reason: str = "") -> str:
-    """``a3: -56.66 ± 4.5 (8 %), -65.8 .. -47.6``; ``reason`` why an end is open."""
-    unit = "" if c.unit == "1" else f" {c.unit}"
-    if c.held:
-        return f"    {c.name}: {c.value:.6g}{unit} (held)"
-    low, high = interval
-    relative = f"{100 * c.stderr / abs(c.value):.2g} %" if c.value else "-"
-    return (
-        f"    {c.name}: {c.value:.6g} ± {c.stderr:.2g}{unit} ({relative}), {low:.5g} .. {high:.5g}"
-        + (f" (open: {reason})" if reason else "")
-    )
-
-
-def correlation_lines(linearisation: Linearisation) -> list[str]:
-    """Correlations beyond 0.5 under a heading; nothing when there are none."""
-    pairs = linearisation.correlated()
-    lines = [f"    C({a}, {b}) = {r:+.4f}" for r, a, b in pairs]
-    return ["[[Correlations]] (beyond 0.5)", *lines] if lines else []
-
-
-def _published_lines(fit: ForceFit) -> list[str]:
+def _published_lines(fit: Optimum) -> list[str]:
     """The same as laboratories print it, for laws that know their published units."""
     published = getattr(fit.law, "published", None)
     if published is None:
@@ -92,3 +78,103 @@ def _published_lines(fit: ForceFit) -> list[str]:
         if fit.law.values[n]
     ]
     return ["    with p in bar, kappa in %: " + ", ".join(texts)]
+
+
+# ---- doubts --------------------------------------------------------------------------------------
+def force_warnings(fit: Optimum) -> tuple[str, ...]:
+    """See :attr:`ForceFit.warnings`."""
+    found = [fit.solver.doubt] if fit.solver.doubt else []
+    found += [*floor_doubts(fit), *unseen(fit), *_saturated(fit), *following(fit.linearisation)]
+    if 0 < fit.dof < FEWEST and not fit.terms.independent:
+        found.append(
+            f"with {fit.dof} degrees of freedom nothing tells whether errors follow each other: "
+            "intervals hold for independent ones only"
+        )
+    if fit.dof == 0:
+        found.append("as many coefficients as taut cells: no error can be estimated")
+    return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
+
+
+def floor_doubts(fit: Optimum) -> list[str]:
+    """What slack cells read, whether taut ones carry it, too, and where the law contradicts."""
+    floor, found = fit.table.floor_found, []
+    if floor is not None and floor.matters:
+        found.append(f"{floor}{_carried(fit, floor.value) if floor.shifted else ''}")
+    far = SURE * fit.sigma if fit.dof else float("inf")
+    tension = fit.cells.force - fit.residuals
+    pushed = tension < -far
+    if pushed.any():
+        found.append(
+            f"the law pushes at {int(pushed.sum())} taut cells (with up to {-tension.min():.3g} "
+            "N), as no muscle can: these may be slack (read_table(..., floor='5 N'), or "
+            "table.with_floor(5.0), says up to which reading cells are), or the law does not fit"
+        )
+    limp = fit.table.subset(fit.table.slack & (fit.table.force > 0))
+    if floor is not None and len(limp):
+        pulled = np.asarray(fit.law.tension(limp.pressure, limp.contraction)) - floor.limit
+        if np.any(pulled > far):
+            found.append(
+                f"the law pulls at {int(np.sum(pulled > far))} cells that count as slack (with up "
+                f"to {pulled.max() + floor.limit:.3g} N): if they are taut, give floor=None, or "
+                "table.with_floor(None)"
+            )
+    return found
+
+
+def _carried(fit: Optimum, floor: float) -> str:
+    """Whether a constant force beside the law, in taut cells, is the floor (Wald test)."""
+    w, rest = fit.root_weights, fit._influential
+    jacobian = w[:, None] * fit.jacobian
+    norms = np.linalg.norm(jacobian, axis=0)
+    basis = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)[0]
+    alone = w - basis @ (basis.T @ w)
+    size = float(np.linalg.norm(alone))
+    remedy = "floor='zero' (of read_table, or table.with_floor('zero')) takes it off"
+    unknown = (
+        f"; whether it is the zero of the load cell, which taut cells then carry, too, they do not "
+        f"tell: if so, {remedy}"
+    )
+    serial = fit.linearisation.serial
+    error = fit.sigma * (serial.spread if serial else 1.0) / max(size, 1e-300)
+    if not fit.dof or size <= 1e-6 * np.linalg.norm(w) or not error > 0:
+        return unknown
+    zero = float(alone @ rest) / size**2
+    seen, same = abs(zero) > SURE * error, abs(zero - floor) <= SURE * error
+    size_said = f"({zero:.3g} ± {error:.2g} N)"
+    if same:
+        return f"; taut cells carry it, too {size_said}: {remedy}" if seen else unknown
+    return unknown if seen else f"; taut cells do not carry it {size_said}"
+
+
+def unseen(fit: Optimum) -> list[str]:
+    """Combinations of coefficients that the data do not, or hardly, see."""
+    found = [
+        f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
+        "together moves the force of no taut cell by more than "
+        f"{np.max(np.abs(fit.jacobian @ move)):.2g} N"
+        f"{'' if lost or not fit.dof else ' (one standard error)'}"
+        for lost, move, words in fit.linearisation.hardly_seen()
+    ]
+    if len(found) > MOST_SHOWN:
+        more = len(found) - MOST_SHOWN
+        found[MOST_SHOWN:] = [
+            f"{more} more combinations of the {len(fit.free)} coefficients are not seen, or "
+            "hardly; take a law with fewer"
+        ]
+    return found
+
+
+def _saturated(fit: Optimum) -> list[str]:
+    if not type(fit.law).is_affine():
+        return []
+    # at each contraction the law is a straight line in p: two numbers at most
+    level = fit.cells.levels()
+    lines = [np.unique(fit.cells.pressure[level == i]).size for i in range(level.max() + 1)]
+    told = sum(min(2, count) for count in lines)
+    if told - len(fit.free) > 2:
+        return []
+    return [
+        f"{len(lines)} contraction levels: at each the law is a straight line in p, so they tell "
+        f"{told} numbers for {len(fit.free)} coefficients, nearly saturated; a small RMSE proves "
+        "little, measure at more lengths"
+    ]

@@ -3,32 +3,196 @@
 The scan takes both signs and several decades of the nonlinear coefficients only, the others
 projected out; of a large table it looks at some cells from everywhere. The best are followed over
 all coefficients and cells, with exact derivatives.
+
+A loss that counts cells far off no more begins where wrong cells cannot pull, at least trimmed
+squares: the cells with the largest residuals are left out, up to 15 % of all, and the coefficients
+sought whose other cells fit best (P. Rousseeuw, K. van Driessen, Computing LTS regression for large
+data sets, Data Min. Knowl. Disc. 12 (2006) 29-45). At most half of a contraction level may be left
+out: a law that misses a whole level does not bend far enough, which is no error of measurement.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import FitError
 from ..statistics import Array
-from .high_breakdown import SUBSETS, robust_start
-from .least_squares import LeastSquares, sizes
-from .local_optimum import STATIONARY, Optimum, by_ipopt, local_optima
+from .least_squares import BISQUARE, LeastSquares, least_squares
+from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, descend, local_optima
 
-__all__ = ["minimise", "thinned"]
+__all__ = ["NEAR", "SUBSETS", "WIDE", "Effort", "minimise", "robust_start", "trimmed_start"]
 
-SCANNED = {False: 400, True: 100}
-"""Scan points for laws with two or more nonlinear coefficients (always the same ones); with a start
-that is known to be near, fewer.
-"""
-POLISHED = {False: 60, True: 6}
-"""How many local minima of their scan are followed up."""
+TRIMMED = 0.15
+"""Part of the cells that may be wrong."""
+SUBSETS = 400
+"""Random subsets in all."""
+NONLINEAR = (20, 60)
+"""Values of one nonlinear coefficient that they are spread over; of several together."""
+FOLLOWED = 6
+"""How many of the best are followed to the end."""
+STEPS = 40
+
+
+def robust_start(problem: LeastSquares) -> tuple[Array, float]:
+    """Coefficients (all) from which to seek the optimum of a bisquare, and where it ends [N].
+
+    Twice: what lies beyond the end at first is taken out before scale and start are found again,
+    so that wrong cells do not change how many of the others are left out.
+
+    Raises FitError where no subset gives a finite law.
+    """
+    least = 1e-9 * problem.size
+    within = replace(problem, terms=replace(problem.terms, loss="bisquare"))
+    for _ in range(2):
+        starts, scale = trimmed_start(within)
+        edge = BISQUARE * max(scale, least)
+        terms = replace(problem.terms, threshold=edge)
+        found = local_optima(replace(within, terms=terms), starts[:1], SUBSETS)[0].coefficients
+        near = np.abs(problem.evaluate(found[None])[0][0]) < edge
+        if near.all() or int(near.sum()) <= len(problem.free):
+            break
+        within = replace(within, cells=problem.cells.subset(near), weights=problem.weights[near])
+    return found, edge
+
+
+def trimmed_start(problem: LeastSquares) -> tuple[Array, float]:
+    """Coefficients (m, all), the best first, and the standard deviation of the cells kept [N].
+
+    The deviation is that of normal errors whose largest were left out.
+
+    Raises FitError where no subset gives a finite law.
+    """
+    trim = _Trim.of(problem)
+    followed = [_followed(problem, c, trim) for c in _candidates(problem, trim)]
+    followed.sort(key=lambda pair: pair[1])
+    kept = len(problem.cells) - trim.count
+    freedom = max(kept - len(problem.free), 1)
+    return np.array([c for c, _ in followed]), float(
+        np.sqrt(followed[0][1] / freedom) * _normal_factor(trim.count / len(problem.cells))
+    )
+
+
+def _normal_factor(share: float) -> float:
+    """Standard deviation of normal errors over that of those without the largest ``share``."""
+    from scipy.special import ndtri
+
+    if not share:
+        return 1.0
+    q = float(ndtri(1 - share / 2))
+    density = float(np.exp(-(q**2) / 2) / np.sqrt(2 * np.pi))
+    return float((1 - 2 * q * density / (1 - share)) ** -0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trim:
+    """Which cells are left out: the ``count`` largest residuals, at most half of a level.
+
+    groups : the cells of each contraction level.
+    """
+
+    count: int
+    groups: tuple[NDArray[np.intp], ...]
+
+    @classmethod
+    def of(cls, problem: LeastSquares) -> _Trim:
+        level = problem.cells.levels()
+        groups = tuple(np.nonzero(level == i)[0] for i in range(level.max() + 1))
+        spare = max(len(problem.cells) - len(problem.free) - 1, 0)
+        allowed = sum(g.size // 2 for g in groups)
+        return cls(min(int(TRIMMED * len(problem.cells)), spare, allowed), groups)
+
+    def kept(self, residuals: Array) -> NDArray[np.bool_]:
+        """For each row (m, n) of residuals."""
+        size = np.abs(residuals)
+        open_ = np.zeros_like(size)
+        for group in self.groups:
+            here = size[:, group]
+            rank = np.argsort(np.argsort(-here, axis=1), axis=1)
+            open_[:, group] = np.where(rank < group.size // 2, here, -1.0)
+        order = np.argsort(-open_, axis=1, kind="stable")[:, : self.count]
+        result = np.ones(size.shape, dtype=bool)
+        np.put_along_axis(result, order, False, axis=1)
+        return result
+
+    def cost(self, residuals: Array) -> Array:
+        """Sum of squares (m,) of the cells kept."""
+        with np.errstate(over="ignore"):
+            squares = np.where(self.kept(residuals), residuals, 0.0) ** 2
+            return np.asarray(np.sum(squares, axis=1))
+
+
+def _candidates(problem: LeastSquares, trim: _Trim) -> Array:
+    """The best coefficients (FOLLOWED, all) through random subsets, after two improvements."""
+    random = np.random.default_rng(19840701)
+    values = _nonlinear_values(problem, random)
+    c, target, columns, good = problem.linear_in(values, problem.evaluate)
+    if not good.any():
+        raise FitError(f"the {problem.law.name} law gives no finite force anywhere in the scan")
+    per = max(SUBSETS // int(good.sum()), 10)
+    n, k = len(problem.cells), max(len(problem.linear), 1)
+    found, costs = [], []
+    for row, y, a in zip(c[good], target[good], columns[good], strict=True):
+        drawn = np.argsort(random.random((per, n)), axis=1)[:, :k]
+        parts, _ = least_squares(a[drawn], y[drawn])
+        for _ in range(3):
+            weights = trim.kept(y - parts @ a.T).astype(float)
+            parts, _ = least_squares(a * weights[:, :, None], y * weights)
+        cost = trim.cost(y - parts @ a.T)
+        best = int(np.argmin(cost))
+        whole = row.copy()
+        whole[problem.linear] = parts[best]
+        found.append(whole)
+        costs.append(cost[best])
+    return np.array(found)[np.argsort(costs)[:FOLLOWED]]
+
+
+def _nonlinear_values(problem: LeastSquares, random: np.random.Generator) -> Array:
+    scales = problem.scales
+    if not scales:
+        return np.zeros((1, 0))
+    if len(scales) == 1:
+        ordered = np.sort(scales[0])
+        places = np.linspace(0, ordered.size - 1, NONLINEAR[0]).astype(int)
+        return np.asarray(ordered[places][:, None])
+    return np.stack([random.choice(s, NONLINEAR[1]) for s in scales], axis=1)
+
+
+def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, float]:
+    """The least squares of the cells kept, and which are kept, in turns, as long as they fall."""
+    low, high = (
+        np.array([[getattr(problem.variables[i], end) for i in problem.free]])
+        for end in ("min", "max")
+    )
+    c, cost = start, np.inf
+    for _ in range(STEPS):
+        kept = trim.kept(problem.residuals(c[None]))[0]
+        part = replace(problem, cells=problem.cells.subset(kept), weights=problem.weights[kept])
+        found = descend(part, c[None], low, high).coefficients
+        least = float(trim.cost(problem.residuals(found))[0])
+        if not least < cost * (1 - 1e-10):
+            break
+        c, cost = found[0], least
+    return c, cost
+
+
+class Effort(NamedTuple):
+    """points : of the scan with two or more nonlinear unknowns (always the same ones). followed :
+    how many local minima of it are followed up.
+    """
+
+    points: int
+    followed: int
+
+
+WIDE = Effort(400, 60)
+NEAR = Effort(100, 6)
+"""With a start that is known to be near."""
 POLISHED_ALONE = 3
 """As many for a law with one nonlinear coefficient."""
-ENOUGH = 1000
-"""Cells that a scan looks at."""
 FLAT = 1e-7
 """Part of the cost by which a point that is not stationary must be better to be looked at at all.
 """
@@ -39,25 +203,25 @@ DOUBT = (
 
 
 def minimise(
-    problem: LeastSquares,
+    problem: Problem,
     start: Array | None = None,
     begin: Array | None = None,
-    near: bool = False,
-) -> Optimum:
+    effort: Effort = WIDE,
+) -> Minimum:
     """The global optimum: scan, follow up the best few.
 
     Tukey's bisquare, which counts cells far off no more, has an optimum for every choice of those:
     what is sought is the one next to ``begin`` (all coefficients), a start that wrong cells cannot
     pull; it is found anew where it is not given.
 
-    start : values (m, k) of the nonlinear coefficients to try beside the scan. near : whether these
-    are those of almost the same table, so that a smaller scan will do.
+    start : values (m, k) of the nonlinear coefficients to try beside the scan. effort : of the
+    scan; NEAR where these are those of almost the same table.
     """
-    if problem.terms.loss == "bisquare":
+    if isinstance(problem, LeastSquares) and problem.terms.loss == "bisquare":
         begin = robust_start(problem)[0] if begin is None else begin
         starts, scanned = begin[None], SUBSETS
     else:
-        starts, scanned = _scan(thinned(problem), start, near)
+        starts, scanned = _scan(problem.thinned(), start, effort)
     found = [o for o in local_optima(problem, starts, scanned) if np.isfinite(o.cost)]
     if not found:
         raise FitError(
@@ -80,11 +244,11 @@ def minimise(
     return min(equal, key=lambda o: int(np.sum(o.coefficients[list(problem.nonlinear)] < 0)))
 
 
-def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
+def _settled(problem: Problem, found: Minimum) -> Minimum:
     """A point at which Newton steps did not end, followed by IPOPT; accepted with a doubt, if need
     be.
     """
-    if problem.terms.loss == "squares" and not problem.censored:
+    if isinstance(problem, LeastSquares) and problem.smooth:
         again = by_ipopt(problem, found.coefficients, found.solver.scanned)
         if again.cost <= found.cost * (1 + FLAT):
             found = again
@@ -93,28 +257,16 @@ def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
     return replace(found, solver=replace(found.solver, doubt=DOUBT))
 
 
-def thinned(problem: LeastSquares, enough: int = ENOUGH) -> LeastSquares:
-    """The problem on so many cells as a scan needs, evenly spread over contraction and pressure."""
-    n, cells, weights = len(problem.cells), problem.cells, problem.weights
-    if n <= enough or np.max(weights) > 10 * np.min(weights):
-        return problem
-    order = np.lexsort((cells.pressure, cells.contraction))
-    chosen = order[np.linspace(0, n - 1, enough).astype(int)]
-    return replace(
-        problem, cells=cells.subset(chosen), weights=weights[chosen] * np.sqrt(n / enough)
-    )
-
-
-def _scan(problem: LeastSquares, start: Array | None, near: bool) -> tuple[Array, int]:
+def _scan(problem: Problem, start: Array | None, effort: Effort) -> tuple[Array, int]:
     """Coefficients (m, all) from which the optimum is to be sought, best first; points scanned."""
-    scales = [sizes(problem.variables[i]) for i in problem.nonlinear]
+    scales = problem.scales
     if not scales:
         return problem.project(np.zeros((1, 0)))[1], 1
     if len(scales) == 1:
         points = np.sort(scales[0])[:, None]
     else:
         random = np.random.default_rng(20150101)
-        points = np.stack([random.choice(s, SCANNED[near]) for s in scales], axis=1)
+        points = np.stack([random.choice(s, effort.points) for s in scales], axis=1)
         points[0] = [s[0] for s in scales]
     if start is not None:
         points = np.concatenate([points, start])
@@ -127,10 +279,10 @@ def _scan(problem: LeastSquares, start: Array | None, near: bool) -> tuple[Array
         )
     if len(scales) == 1:
         return _zoomed(problem, points[:, 0], squares), len(points)
-    return _distinct(coefficients, squares, list(problem.nonlinear), POLISHED[near]), len(points)
+    return _distinct(coefficients, squares, list(problem.nonlinear), effort.followed), len(points)
 
 
-def _zoomed(problem: LeastSquares, values: Array, squares: Array) -> Array:
+def _zoomed(problem: Problem, values: Array, squares: Array) -> Array:
     """The best local minima along one coefficient, each bracket narrowed twice."""
     order = np.argsort(values)
     values, squares = values[order], squares[order]

@@ -6,10 +6,12 @@ shows another may. The law that knows the length (length-scaled) fits all length
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -18,23 +20,96 @@ from numpy.typing import ArrayLike
 from ...core.cases import Place, results_of
 from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.executors import placed
-from ...core.stop import verb
 from ...muscles.law import ForceLaw
-from ..statistics import Array, Coefficient, Linearisation, SerialErrors, SolverStatistics
+from ..estimates import Estimates, at_edge, correlation_lines
+from ..statistics import Array, Linearisation, SerialErrors, SolverStatistics
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
-from .doubts import at_edge, floor_doubts, following
+from .force_fit import ForceFit
 from .least_squares import PLAIN, LeastSquares, Terms
-from .member_fit import MemberFit, marginal_root
-from .report import coefficient_line, correlation_lines
-from .shared_problem import JointOptimum, JointProblem
-from .static import cell_weights, checked_pairs, held_coefficients, independent, law_class
+from .likelihood_profile import FARTHEST, walked
+from .local_optimum import STATIONARY, Minimum, by_newton
+from .report import floor_doubts, unseen
+from .search import Effort, minimise
+from .shared_problem import JointProblem
+from .static import cell_weights, checked_pairs, held_coefficients, independent
 
-__all__ = ["JointForceFit", "MemberFit", "fit_forces"]
+__all__ = ["JointForceFit", "MemberFit", "jointly_fitted"]
+
+JOINT = Effort(600, 12)
+"""Of the scan."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MemberFit(ForceFit):
+    """One muscle of a joint fit: a ForceFit whose intervals know of the other muscles' data."""
+
+    marginal: Linearisation = field(kw_only=True)
+    """Of this muscle's coefficients, all others of the joint fit unknown."""
+
+    @cached_property
+    def linearisation(self) -> Linearisation:
+        return self.marginal
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of the joint fit."""
+        return self.marginal.dof
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of a measurement of weight 1 of this table [N]."""
+        return self.marginal.scale if self.dof else float("nan")
+
+    @property
+    def _scale(self) -> float:
+        return self.sigma
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """As of a fit alone, but for the number of levels:
+        the other tables tell more than these.
+        """
+        return (*floor_doubts(self), *unseen(self), *at_edge(self.solver.at_bound, self.law.values))
+
+    @property
+    def has_profile(self) -> bool:
+        """No: a profile of one table alone leaves out what the others tell."""
+        return False
+
+    def profile_interval(
+        self, name: str, level: float = 0.95, *, executor: Place = None
+    ) -> tuple[float, float]:
+        raise InputError("a muscle of a joint fit: take profile_interval of the joint fit")
+
+    def bootstrap(self, n: int = 500, seed: int = 0, **options: Any) -> Any:
+        raise InputError("a muscle of a joint fit cannot be resampled without the others")
+
+    def to_json(self, path: str | os.PathLike[str]) -> Path:
+        raise InputError(
+            "a muscle of a joint fit has intervals that its own table does not tell; save the "
+            "muscle with save_muscle(fit.muscle(...), file)"
+        )
+
+
+def marginal_root(jacobian: Array, place: Any) -> Array:
+    """R (k, k) with R^T R the information on some unknowns when the others are unknown too.
+
+    The columns of the others are projected out of theirs (what is left of a QR decomposition).
+    """
+    norms = np.linalg.norm(jacobian, axis=0)
+    scaled = jacobian / np.where(norms > 0, norms, 1.0)
+    others = np.delete(scaled, place, axis=1)
+    rest = scaled[:, place]
+    if others.shape[1]:
+        u, s, _ = np.linalg.svd(others, full_matrices=False)
+        u = u[:, s > 1e-12 * max(float(s[0]), 1e-300)]
+        rest = rest - u @ (u.T @ rest)
+    return np.asarray(np.linalg.qr(rest, mode="r") * norms[place])
 
 
 @dataclass(frozen=True, eq=False)
-class JointForceFit:
+class JointForceFit(Estimates):
     """Several muscles fitted together.
 
     fits : {muscle: its fit}. names : of the unknowns, ``"a4"`` where shared, ``"a1[20 mm]"`` where
@@ -62,14 +137,8 @@ class JointForceFit:
         return self.fits[name]
 
     @property
-    def dof(self) -> int:
-        """Degrees of freedom: taut cells of all tables less unknowns."""
-        return self.linearisation.dof
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the unknowns, in the order of ``names``."""
-        return self.linearisation.covariance
+    def _called(self) -> str:
+        return "unknown of the joint fit"
 
     @property
     def cost(self) -> float:
@@ -82,33 +151,6 @@ class JointForceFit:
         residuals = np.concatenate([f.residuals for f in self.fits.values()])
         return float(np.sqrt(np.mean(residuals**2)))
 
-    @cached_property
-    def coefficients(self) -> dict[str, Coefficient]:
-        """Every unknown by name."""
-        rows = zip(
-            self.names,
-            self.linearisation.values,
-            self.linearisation.stderr(),
-            self.linearisation.units,
-            strict=True,
-        )
-        return {n: Coefficient(n, float(v), float(e), u, False) for n, v, e, u in rows}
-
-    def _place(self, name: str) -> int:
-        if name not in self.names:
-            raise UnknownNameError("unknown of the joint fit", name, self.names)
-        return self.names.index(name)
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Linearised confidence interval of an unknown [its unit]."""
-        c = self.coefficients[self.names[self._place(name)]]
-        half = self.linearisation.reach(level) * c.stderr
-        return c.value - half, c.value + half
-
-    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Linearised confidence intervals of all unknowns."""
-        return {n: self.interval(n, level) for n in self.names}
-
     def profile_interval(
         self, name: str, level: float = 0.95, *, executor: Place = None
     ) -> tuple[float, float]:
@@ -117,11 +159,11 @@ class JointForceFit:
         Infinite at an end that the data leave open. executor : where the two ends are sought, as
         for :func:`pam_ocp.each`.
         """
-        i, linear = self._place(name), self.linearisation
+        step, linear = self._entry(name).stderr, self.linearisation
         placed(executor)
-        if not np.isfinite(self.coefficients[name].stderr):
+        if not np.isfinite(step):
             return -np.inf, np.inf
-        step = self.coefficients[name].stderr
+        i = self.names.index(name)
         widened = step / float(linear.independent.stderr()[i])
         limit = self.cost + (linear.reach(level) * widened * linear.scale) ** 2
         ends = [(i, -step, limit), (i, step, limit)]
@@ -133,31 +175,14 @@ class JointForceFit:
         each from the last.
         """
         i, step, limit = end
-        low, high = (b[i] for b in self.problem.bounds())
-        best = value = inside = float(self.linearisation.values[i])
+
+        def others(trial: Array) -> tuple[Array, float]:
+            found = by_newton(self.problem, trial[None], 0, (i,))[0]
+            return found.coefficients, found.cost
+
+        low, high = (float(b[i]) for b in self.problem.bounds())
         z = np.array(self.linearisation.values)
-        for _ in range(40):
-            value = float(np.clip(value + step, low, high))
-            trial = z.copy()
-            trial[i] = value
-            found = self.problem.local_optima(trial[None], held=i)[0]
-            if found.cost > limit:
-                break
-            if value in (low, high):
-                return value
-            inside, z, step = value, found.z, 1.6 * step
-        else:
-            return float(np.copysign(np.inf, step))
-        outside = value
-        while abs(outside - inside) > 1e-6 * abs(outside - best):
-            trial = z.copy()
-            trial[i] = middle = (inside + outside) / 2
-            found = self.problem.local_optima(trial[None], held=i)[0]
-            if found.cost > limit:
-                outside = middle
-            else:
-                inside, z = middle, found.z
-        return (inside + outside) / 2
+        return walked(others, z, i, step, limit, (low, high), FARTHEST * abs(step))[0]
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -168,8 +193,7 @@ class JointForceFit:
             "together moves no taut cell beyond its noise"
             for lost, _, words in self.linearisation.hardly_seen()
         ]
-        values = {n: c.value for n, c in self.coefficients.items()}
-        return (*found, *following(self.linearisation), *at_edge(self.solver.at_bound, values))
+        return (*found, *super().warnings, *at_edge(self.solver.at_bound, self.values))
 
     def report(self, level: float = 0.95) -> str:
         """The fit as text: muscles, shared and own coefficients with intervals, warnings."""
@@ -188,19 +212,18 @@ class JointForceFit:
             f"    RMSE {self.rmse:.4g} N over all, {self.dof} degrees of freedom, rank "
             f"{self.linearisation.rank} of {len(self.names)}",
             f"    {self.solver.status}, {1e3 * self.solver.seconds:.0f} ms",
-            f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval; SI",
-            *(coefficient_line(c, self.interval(n, level)) for n, c in self.coefficients.items()),
+            *self._coefficient_lines(
+                f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval", level
+            ),
             *correlation_lines(self.linearisation),
+            *self._warning_lines(),
         ]
-        if self.warnings:
-            lines += ["[[Warnings]]", *(f"    {text}" for text in self.warnings)]
         return "\n".join(lines)
 
 
-@verb
-def fit_forces(
-    tables: Mapping[str, ForceTable] | Sequence[ForceTable],
-    law: str | type[ForceLaw] = "six-parameter",
+def jointly_fitted(
+    tables: Any,
+    kind: type[ForceLaw],
     *,
     shared: Sequence[str] | Literal["all"] = "all",
     fixed: Mapping[str, float | Sequence[float]] | None = None,
@@ -208,60 +231,26 @@ def fit_forces(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     noise: Literal["equal", "each"] = "equal",
     errors: Literal["as found", "independent"] = "as found",
-    time_limit: float | None = None,
 ) -> JointForceFit:
-    """Fit one law to the tables of several muscles that have coefficients in common.
-
-    Parameters
-    ----------
-    tables : {muscle: table}, or a sequence of tables (named by their sources, or numbered).
-    law : name in ``LAWS``, or a class.
-    shared : coefficients that all muscles have in common; "all" of the free ones by default, as the
-        length-scaled law wants it for muscles of different rest length.
-    fixed : coefficients to hold [SI]: one number for all muscles, or one for each in their order.
-        A law's ``rest_length`` is taken from each table.
-    weights : per muscle, as for :func:`fit_force`.
-    bounds : {coefficient: (low, high)} [SI].
-    noise : "equal": one standard deviation for all tables (times 1/weight); "each": every table has
-        its own, estimated from its residuals (iterated least squares).
-    errors : as for :func:`fit_force`.
-    time_limit : [s]; OutOfTime when it is over before there is a result.
-
-    Returns
-    -------
-    JointForceFit; ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; fewer cells than unknowns.
-    FitError : no stationary point was found.
-
-    Examples
-    --------
-    >>> joint = pam.fit_forces({"new": table, "old": table}, shared=["a3"])
-    >>> len(joint.names)  # a3, and five of each
-    11
-    """
+    """See :func:`fit_forces`; tables : {muscle: table}, or a sequence of tables."""
     began = time.perf_counter()
     named = _named(tables)
-    kind = law_class(law)
     if noise not in ("equal", "each"):
         raise InputError(f"noise = {noise!r}: choose 'equal' or 'each'")
-    problem, names, common, units = _stated(kind, named, shared, fixed, weights, bounds)
+    problem, common, units = _stated(kind, named, shared, fixed, weights, bounds)
     optimum, factors = _settled(problem, noise)
     weighted = problem.weighted(factors)
-    linear = _linearised(weighted, optimum, names, units)
+    linear = _linearised(weighted, optimum, units)
     if independent(errors):
         linear = linear.independent
     sizes = linear.scale / np.array(factors) if linear.dof else np.full(len(named), np.nan)
-    at_bound = tuple(names[int(i)] for i in optimum.solver.at_bound)
-    solver = replace(optimum.solver, seconds=time.perf_counter() - began, at_bound=at_bound)
+    solver = replace(optimum.solver, seconds=time.perf_counter() - began)
     fits = {}
     for i, (name, table) in enumerate(named.items()):
         fits[name] = _member(problem, i, factors[i], table, optimum, linear, solver)
     return JointForceFit(
         fits=fits,
-        names=names,
+        names=problem.names,
         shared=common,
         linearisation=linear,
         noise=dict(zip(named, sizes.tolist(), strict=True)),
@@ -270,28 +259,34 @@ def fit_forces(
     )
 
 
-def _settled(problem: JointProblem, noise: str) -> tuple[JointOptimum, list[float]]:
+def _settled(problem: JointProblem, noise: str) -> tuple[Minimum, list[float]]:
     """The optimum, and the factor of each table's weights (their geometric mean is 1)."""
     factors = [1.0] * len(problem.parts)
-    optimum = problem.minimise(_separate(problem))
+    optimum = minimise(problem, _separate(problem), effort=JOINT)
+    if optimum.solver.gradient > STATIONARY:
+        raise FitError(
+            f"the joint fit came to no stationary point ({optimum.solver.status}); share "
+            "fewer coefficients, or hold the nonlinear ones with fixed=..."
+        )
     for _ in range(50 if noise == "each" else 0):
         rms = []
-        for part, c in zip(problem.parts, problem.coefficients(optimum.z[None]), strict=True):
+        for part, c in zip(
+            problem.parts, problem.coefficients(optimum.coefficients[None]), strict=True
+        ):
             size = part.size
             rms.append(max(np.sqrt(np.mean(part.evaluate(c)[0] ** 2)), 1e-9 * size))
         found = (np.exp(np.mean(np.log(rms))) / np.array(rms)).tolist()
         change = float(np.max(np.abs(np.log(np.array(found) / factors))))
         factors = found
-        optimum = problem.weighted(factors).local_optima(optimum.z[None], optimum.solver.scanned)[0]
+        scanned, near = optimum.solver.scanned, optimum.coefficients[None]
+        optimum = by_newton(problem.weighted(factors), near, scanned)[0]
         if change < 1e-8:
             break
     return optimum, factors
 
 
-def _separate(problem: JointProblem) -> list[Array]:
+def _separate(problem: JointProblem) -> Array | None:
     """Nonlinear unknowns that the tables alone would have: every one's for what is shared."""
-    from .search import minimise
-
     alone = []
     for part in problem.parts:
         try:
@@ -299,14 +294,14 @@ def _separate(problem: JointProblem) -> list[Array]:
         except FitError:  # a table too poor to be fitted alone gives no start
             continue
     if len(alone) < len(problem.parts):
-        return []
+        return None
     starts = []
     for lead in range(len(alone)):
         z = np.zeros(problem.count)
         for i in [*(j for j in range(len(alone)) if j != lead), lead]:
             z[problem.places[i]] = alone[i][list(problem.parts[i].free)]
         starts.append(z[problem.nonlinear])
-    return starts
+    return np.array(starts)
 
 
 def _stated(
@@ -316,8 +311,8 @@ def _stated(
     fixed: Mapping[str, Any] | None,
     weights: Any,
     bounds: Any,
-) -> tuple[JointProblem, tuple[str, ...], tuple[str, ...], list[str]]:
-    """The problem, names of its unknowns, those shared, and their units."""
+) -> tuple[JointProblem, tuple[str, ...], list[str]]:
+    """The problem, which unknowns are shared, and the units of all."""
     every = [v.name for v in kind.coefficient_variables()]
     unit_of = {v.name: v.unit for v in kind.coefficient_variables()}
     helds = [
@@ -349,26 +344,24 @@ def _stated(
                 kind, table, held, cell_weights(own, table), Terms(bounds=pairs), few=True
             )
         )
-    problem = JointProblem(tuple(parts), tuple(places))
+    problem = JointProblem(tuple(parts), tuple(places), tuple(names))
     if problem.cells < problem.count:
         raise InputError(
             f"the tables have {problem.cells} taut cells, fewer than the {problem.count} unknowns: "
             "share more coefficients, hold some with fixed=..., or measure more"
         )
-    return problem, tuple(names), common, [unit_of[n.split("[")[0]] for n in names]
+    return problem, common, [unit_of[n.split("[")[0]] for n in names]
 
 
-def _linearised(
-    problem: JointProblem, optimum: JointOptimum, names: Sequence[str], units: Sequence[str]
-) -> Linearisation:
-    jacobian = problem.evaluate(optimum.z[None])[1][0]
+def _linearised(problem: JointProblem, optimum: Minimum, units: Sequence[str]) -> Linearisation:
+    z = optimum.coefficients
+    residuals, jacobian = (a[0] for a in problem.evaluate(z[None]))
     dof = problem.cells - problem.count
-    scale = float(np.sqrt(problem.cost(optimum.z) / dof)) if dof else float("nan")
-    residuals = problem.evaluate(optimum.z[None])[0][0]
+    scale = float(np.sqrt(problem.cost(z) / dof)) if dof else float("nan")
     rounding = np.linalg.norm(residuals) <= 1e-9 * problem.size
     orders = sequences(*(p.cells for p in problem.parts))
     serial = None if rounding else serial_errors(jacobian, residuals, orders)
-    return Linearisation(names, optimum.z, units, jacobian, scale, dof, serial=serial)
+    return Linearisation(problem.names, z, units, jacobian, scale, dof, serial=serial)
 
 
 def _member(
@@ -376,12 +369,12 @@ def _member(
     i: int,
     factor: float,
     table: ForceTable,
-    optimum: JointOptimum,
+    optimum: Minimum,
     linear: Linearisation,
     solver: SolverStatistics,
 ) -> MemberFit:
     part, place = problem.parts[i], problem.places[i]
-    c = problem.coefficients(optimum.z[None])[i][0]
+    c = problem.coefficients(optimum.coefficients[None])[i][0]
     names = part.names
     free = tuple(names[j] for j in part.free)
     root = marginal_root(linear.jacobian, place)

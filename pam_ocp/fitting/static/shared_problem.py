@@ -9,31 +9,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import FitError
 from ...core.variables import Variable
-from ..statistics import Array, SolverStatistics
-from .descent import descend
-from .least_squares import AT_ONCE, LeastSquares, Sums, least_squares, sizes
-from .local_optimum import STATIONARY, cosine, ending
-from .search import ENOUGH, thinned
+from ...muscles.law import ForceLaw
+from ..statistics import Array
+from .least_squares import ENOUGH, PLAIN, LeastSquares, Sums, Terms, least_squares, sizes
 
-__all__ = ["JointOptimum", "JointProblem"]
+__all__ = ["JointProblem"]
 
-SCANNED = 600
-"""Scan points for two or more nonlinear coefficients (always the same ones)."""
 FEWEST = 100
 """Cells of each table that a scan looks at."""
-POLISHED = 12
-"""How many of the best are followed up."""
-
-
-@dataclass(frozen=True, eq=False)
-class JointOptimum:
-    """Unknowns z and what they cost [N2]."""
-
-    z: Array
-    cost: float
-    solver: SolverStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +27,22 @@ class JointProblem:
 
     parts: tuple[LeastSquares, ...]
     places: tuple[NDArray[np.intp], ...]
+    names: tuple[str, ...] = ()
+    """Of the unknowns."""
+
+    @property
+    def law(self) -> type[ForceLaw]:
+        return self.parts[0].law
+
+    @property
+    def terms(self) -> Terms:
+        """Plain squares."""
+        return PLAIN
+
+    @property
+    def limited(self) -> bool:
+        """Whether there are inequalities other than the law's own."""
+        return any(p.limited for p in self.parts)
 
     @cached_property
     def count(self) -> int:
@@ -114,24 +114,27 @@ class JointProblem:
         """Weighted sum of squares [N2]."""
         return float(self.sums(z[None]).cost[0])
 
+    def with_priors(self, z: Array) -> tuple[Array, Array]:
+        """As :meth:`evaluate`: there are no priors on what several tables share."""
+        return self.evaluate(z)
+
     def project(self, values: Array) -> tuple[Array, Array]:
         """Best linear unknowns for nonlinear ``values`` (m, k): costs (m,), z (m, count)."""
-        few = max(1, AT_ONCE // max(self.cells, 1))
-        pairs = [self._project(values[i : i + few]) for i in range(0, len(values), few)]
-        return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
-
-    def _project(self, values: Array) -> tuple[Array, Array]:
-        z = np.zeros((len(values), self.count))
+        z, good = np.zeros((len(values), self.count)), np.ones(len(values), dtype=bool)
         z[:, self.nonlinear] = values
         linear = [i for i in range(self.count) if i not in self.nonlinear]
-        with np.errstate(all="ignore"):
-            target, jacobian = self.evaluate(z)
-            columns = jacobian[:, :, linear]
-            good = np.isfinite(target).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
-        columns[~good], target[~good] = 0.0, 0.0
-        parts = least_squares(columns, target)
+        rows = []
+        for part, place in zip(self.parts, self.places, strict=True):
+            at = dict(zip(part.free, place.tolist(), strict=True))
+            _, whole, finite = part.triangles(z[:, [at[i] for i in part.nonlinear]])
+            wide = np.zeros((*whole.shape[:2], len(linear) + 1))
+            wide[:, :, [*(linear.index(at[i]) for i in part.linear), -1]] = whole
+            rows.append(wide)
+            good &= finite
+        stacked = np.concatenate(rows, axis=1)
+        columns, target = stacked[:, :, :-1], stacked[:, :, -1]
+        z[:, linear] = parts = least_squares(columns, target)[0]
         cost = np.sum((target - np.einsum("mnk,mk->mn", columns, parts)) ** 2, axis=1)
-        z[:, linear] = parts
         return np.where(good, cost, np.inf), z
 
     def bounds(self) -> tuple[Array, Array]:
@@ -143,78 +146,33 @@ class JointProblem:
                 high[z] = min(high[z], part.variables[i].max)
         return low, high
 
-    # ---- the optimum ------------------------------------------------------------------------
-    def minimise(self, starts: Sequence[Array] = ()) -> JointOptimum:
-        """The best of many scan points (and of ``starts``, values of the nonlinear unknowns),
-        followed up.
-        """
-        points = self._scan_points()
-        if len(starts):
-            points = np.concatenate([points, np.array(starts).reshape(len(starts), -1)])
-        enough = max(ENOUGH // len(self.parts), FEWEST)
-        few = JointProblem(tuple(thinned(p, enough) for p in self.parts), self.places)
-        costs, z = few.project(points)
-        if not np.any(np.isfinite(costs)):
-            raise FitError("the law gives no finite force anywhere in the scan; check the tables")
-        best = np.argsort(costs)[: POLISHED if self.nonlinear else 1]
-        found = self.local_optima(z[best], len(points))
-        stationary = [o for o in found if o.solver.gradient <= STATIONARY]
-        if not stationary:
-            raise FitError(
-                f"the joint fit came to no stationary point ({found[0].solver.status}); share "
-                "fewer coefficients, or hold the nonlinear ones with fixed=..."
-            )
-        return min(stationary, key=lambda o: o.cost)
-
     @cached_property
-    def _scales(self) -> list[Array]:
+    def scales(self) -> list[Array]:
         """Values at which each nonlinear unknown is scanned."""
         variables: dict[int, Variable] = {}
         for part, place in zip(self.parts, self.places, strict=True):
             variables |= {int(z): part.variables[i] for i, z in zip(part.free, place, strict=True)}
         return [sizes(variables[z]) for z in self.nonlinear]
 
-    def _near(self, start: Array) -> tuple[Array, Array]:
+    def near(self, start: Array) -> tuple[Array, Array]:
         """Bounds within the reach of the scan: beyond it a law degenerates,
         and nothing is reached.
         """
         low, high = self.bounds()
-        for i, scale in zip(self.nonlinear, self._scales, strict=True):
+        for i, scale in zip(self.nonlinear, self.scales, strict=True):
             if not np.isfinite(high[i] - low[i]):
                 reach = np.sort(np.copysign([np.abs(scale).min(), np.abs(scale).max()], start[i]))
                 low[i], high[i] = max(low[i], reach[0]), min(high[i], reach[1])
         return low, high
 
-    def _scan_points(self) -> Array:
-        scales = self._scales
-        if len(scales) < 2:
-            return np.sort(scales[0])[:, None] if scales else np.zeros((1, 0))
-        random = np.random.default_rng(20150101)
-        return np.stack([random.choice(s, SCANNED) for s in scales], axis=1)
-
-    def local_optima(
-        self, starts: Array, scanned: int = 0, held: int | None = None
-    ) -> list[JointOptimum]:
-        """The optima next to ``starts`` (m, size); unknown number ``held`` is kept where it is."""
-        limits = [self._near(start) for start in starts]
-        low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
-        if held is not None:
-            low[:, held] = high[:, held] = starts[:, held]
-        ended = descend(self, starts, low, high)
-        found = []
-        for z, cost, steps, resting in zip(
-            ended.coefficients, ended.cost, ended.steps, ended.resting, strict=True
-        ):
-            rest, slopes = (a[0] for a in self.evaluate(z[None]))
-            gradient = cosine(rest, slopes[:, ~resting], self.size)
-            at_bound = tuple(str(i) for i in np.nonzero(resting)[0] if i != held)
-            statistics = SolverStatistics(ending(gradient), int(steps), gradient, scanned, at_bound)
-            found.append(JointOptimum(z, float(cost), statistics))
-        return found
+    def thinned(self) -> JointProblem:
+        """The problem on so many cells as a scan needs."""
+        enough = max(ENOUGH // len(self.parts), FEWEST)
+        return replace(self, parts=tuple(p.thinned(enough) for p in self.parts))
 
     def weighted(self, factors: Sequence[float]) -> JointProblem:
         """The same with all weights of each table multiplied."""
         parts = (
             replace(p, weights=p.weights * f) for p, f in zip(self.parts, factors, strict=True)
         )
-        return JointProblem(tuple(parts), self.places)
+        return replace(self, parts=tuple(parts))

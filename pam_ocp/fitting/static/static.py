@@ -11,17 +11,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.errors import InputError, UnknownNameError, require_positive
+from ...core.errors import InputError, UnknownNameError, require_ends, require_positive
 from ...core.stop import verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ..statistics import Array
 from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
-from .high_breakdown import robust_start
-from .least_squares import LeastSquares, Loss, Terms, nonlinear_coefficients, sizes
-from .scales import HUBER, spread
-from .search import minimise
+from .least_squares import HUBER, LeastSquares, Loss, Terms, nonlinear_coefficients, sizes, spread
+from .search import minimise, robust_start
 
 __all__ = [
     "ForceFit",
@@ -125,7 +123,7 @@ def fit_force(
     )
 
 
-# ---- arguments ----------------------------------------------------------------------------------
+# ---- arguments -----------------------------------------------------------------------------------
 def law_class(law: Any) -> type[ForceLaw]:
     if isinstance(law, str):
         return law_named(law)
@@ -215,28 +213,29 @@ def checked_pairs(
     kind: type[ForceLaw], argument: str, given: Mapping[str, Any] | None, held: Mapping[str, float]
 ) -> tuple[tuple[str, float, float], ...]:
     """(name, first, second) of bounds or priors, checked."""
-    known = [v.name for v in kind.coefficient_variables()]
-    words = "(low, high)" if argument == "bounds" else "(mean, standard deviation)"
+    known = {v.name: v for v in kind.coefficient_variables()}
     pairs = []
     for name, value in (given or {}).items():
         if name not in known:
             raise UnknownNameError(f"coefficient of the {kind.name} law in {argument}", name, known)
         if name in held:
             raise InputError(f"{argument}: {name} is held; take it out of {argument} or of fixed")
-        try:
-            first, second = (float(v) for v in value)
-        except (TypeError, ValueError):
-            raise InputError(f"{argument}[{name!r}] = {value!r}: give {words}") from None
-        good = (
-            first < second if argument == "bounds" else np.isfinite(first) and 0 < second < np.inf
-        )
-        if not good:
-            raise InputError(
-                f"{argument}[{name!r}] = {value!r} must be {words}, the "
-                + ("first the smaller" if argument == "bounds" else "second positive")
-            )
-        pairs.append((name, first, second))
+        where, unit = f"{argument}[{name!r}]", known[name].unit
+        two = require_ends(where, value, unit) if argument == "bounds" else _prior(where, value)
+        pairs.append((name, *two))
     return tuple(pairs)
+
+
+def _prior(where: str, value: Any) -> tuple[float, float]:
+    try:
+        mean, deviation = (float(v) for v in value)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} = {value!r}: give (mean, standard deviation)") from None
+    if not (np.isfinite(mean) and 0 < deviation < np.inf):
+        raise InputError(
+            f"{where} = {value!r} must be (mean, standard deviation), the second positive"
+        )
+    return mean, deviation
 
 
 def _settled(problem: LeastSquares, noise: float | None) -> tuple[LeastSquares, Array | None]:

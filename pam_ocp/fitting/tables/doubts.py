@@ -8,15 +8,14 @@ names the keyword to settle it. The ranges stand in :mod:`pam_ocp.core.plausible
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.calibration import Scale
-from ...core.errors import InputError, require_positive
-from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, doubt, inside_by
+from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, inside_by
 from ...core.units import unit
 from ...core.variables import Variable
 from .cells import is_empty, is_number, numbers_of
@@ -26,13 +25,12 @@ from .raw import Doubt, RawTable
 
 __all__ = [
     "Column",
+    "Understood",
     "above_ambient",
     "checked_cells",
     "doubts_of",
     "doubts_of_table",
     "kind_of",
-    "require_ambient",
-    "require_missing",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
@@ -91,6 +89,11 @@ class Column:
         return self.scale is None or self.scale.formula is None
 
     @property
+    def shift(self) -> float:
+        """What is taken off, of an absolute pressure [Pa]."""
+        return 0.0 if self.scale is None else self.scale.shift
+
+    @property
     def unit(self) -> str:
         return SI.get(self.kind, "1") if self.scale is None else self.scale.unit
 
@@ -98,6 +101,17 @@ class Column:
     def reading(self) -> str:
         named = "" if self.scale is not None else ", as no unit was named"
         return f"read in {self.unit}{named}"
+
+
+@dataclass
+class Understood:
+    """How far a source was understood, filled while it is read: its cells; {header: (quantity or
+    variable, scale)} of the columns of use; its clock in words.
+    """
+
+    raw: RawTable
+    meanings: dict[str, tuple[str, Scale | None]] = field(default_factory=dict)
+    clock: str = ""
 
 
 def kind_of(name: str, measured: str | None, *, told: bool) -> str:
@@ -148,27 +162,6 @@ def checked_cells(raw: RawTable, columns: Sequence[Column], missing: Any = "foun
         if np.any(gone):
             raw = _emptied(raw, column.header, gone)
     return raw
-
-
-def require_missing(missing: Any) -> Any:
-    """ "found", None, or the values that mark missing ones as a tuple. Raises InputError."""
-    if missing is None or (isinstance(missing, str) and missing == "found"):
-        return missing
-    values = tuple(missing) if isinstance(missing, list | tuple | set) else (missing,)
-    for value in values:
-        if isinstance(value, bool) or not isinstance(value, str | int | float):
-            raise InputError(
-                f"missing = {missing!r}: give the values that mark missing ones, as [9999, 'off'], "
-                "'found', or None where there are none"
-            )
-    return values
-
-
-def require_ambient(pressure: Any) -> float:
-    """The pressure of the surroundings [Pa absolute]. Raises InputError; doubts a wrong unit."""
-    found = require_positive("ambient_pressure", pressure, "Pa")
-    doubt("ambient_pressure", found, "Pa")
-    return found
 
 
 def _equal(cells: Sequence[Any], given: Sequence[Any], sign: str) -> NDArray[np.bool_]:
@@ -358,7 +351,7 @@ def above_ambient(column: Column, si: Array, command: Array | None = None) -> li
 
     command : of the same muscle in the same record, which counts from the atmosphere.
     """
-    if column.settled or not si.size or (column.scale is not None and column.scale.shift):
+    if column.settled or not si.size or column.shift:
         return []
     low = float(np.percentile(si, 5)) if si.size >= FEW_ROWS else float(si.min())
     if command is not None:
@@ -411,7 +404,7 @@ def doubts_of_table(
                 f"({pull.reading}) is in another unit; say units={{'pressure': ..., 'force': ...}}"
             )
         )
-    elif not (pressure.settled or (pressure.scale is not None and pressure.scale.shift)):
+    elif not (pressure.settled or pressure.shift):
         low = _from_zero(p, contraction, force, strong)
         found += [_absolute(pressure, low)] if low else []
     if not strained.settled and _rises(force[pulling] / p[pulling], contraction[pulling]):

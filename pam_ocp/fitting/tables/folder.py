@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 from ...core.errors import InputError, UnknownNameError
 from ...core.files import require_local
 from ...core.plausible import outside
-from .constants import glob_of, labels_of, require_pattern
 from .force_table import ForceTable, joined_tables
 from .preview import Preview, look
-from .raw import ReadingWarning
+from .raw import ReadingWarning, glob_of, labels_of, require_pattern
 from .sources import is_readable
 
 if TYPE_CHECKING:

@@ -26,20 +26,17 @@ from ...core.errors import (
 )
 from ...core.quantities import quantity
 from ...core.shown import shown
-from .assign import Assigned, assigned, require_columns
+from .columns import assigned, read_labels, require_columns
 from .doubts import (
-    Column,
+    Understood,
     checked_cells,
     doubts_of,
     doubts_of_table,
-    require_ambient,
-    require_missing,
 )
 from .floor import DETECTED, Floor, find_floor, part_names
-from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
-from .raw import RawTable, complete, say
-from .sources import Reading, is_source, load, naming, sources_of
+from .raw import RawTable, ReadingArguments, complete, say
+from .sources import is_source, load, naming, sources_of
 from .table_checks import (
     Series,
     check_force,
@@ -50,16 +47,19 @@ from .table_checks import (
 
 __all__ = [
     "ForceTable",
-    "TableWords",
+    "TableArguments",
     "joined_floor",
     "joined_tables",
     "read_table",
     "require_table",
-    "table_columns",
     "table_of",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
+
+MEASURES = ("pressure", "contraction", "force", "scatter", "error")
+LABELLED = ("branch", "run", "file")
+"""Of each cell."""
 
 
 @shown
@@ -218,21 +218,13 @@ class ForceTable:
             raise InputError(
                 f"chosen: {error}; give a mask of {len(self)} cells, their numbers or a slice"
             ) from None
-        return ForceTable(
-            self.pressure[index],
-            self.contraction[index],
-            self.force[index],
-            self.rest_length,
-            self.source,
-            tuple(self.branch[i] for i in index) if self.branch else (),
-            tuple(self.run[i] for i in index) if self.run else (),
-            tuple(self.file[i] for i in index) if self.file else (),
-            None if self.scatter is None else self.scatter[index],
-            None if self.error is None else self.error[index],
-            self.notes,
-            self._floor[0],
-            self._floor[1][index],
-        )
+        chosen_cells: dict[str, Any] = {
+            n: a[index] for n in MEASURES if (a := getattr(self, n)) is not None
+        }
+        for name in LABELLED:
+            chosen_cells[name] = tuple(getattr(self, name)[i] for i in index if getattr(self, name))
+        floor, at_floor = self._floor
+        return replace(self, **chosen_cells, floor=floor, censored=at_floor[index])
 
     @property
     def branches(self) -> tuple[str, ...]:
@@ -355,35 +347,17 @@ def read_table(
     >>> len(table), len(table.taut)  # cells, those with a force
     (126, 60)
     """
-    how, words = TableWords.of(
-        rest_length=rest_length,
-        columns=columns,
-        units=units,
-        ambient_pressure=ambient_pressure,
-        empty=empty,
-        missing=missing,
-        ramp=ramp,
-        floor=floor,
-        sheet=sheet,
-        skip=skip,
-        pick=pick,
-        pivot=pivot,
-        delimiter=delimiter,
-        decimal=decimal,
-        encoding=encoding,
-        bad_lines=bad_lines,
-        constants=constants,
-        pattern=pattern,
-    )
+    given = {name: value for name, value in locals().items() if name != "source"}
+    words = TableArguments.of(**given)
     if is_source(source):
         with naming(source):
-            table = table_of(load(source, how), words)
+            table = table_of(load(source, words.how), words)
         say(table.source, table.notes)
         return table
     tables = []
     for one in sources_of(source):
         with naming(one):
-            tables.append(table_of(load(one, how), words))
+            tables.append(table_of(load(one, words.how), words))
         say(tables[-1].source, tables[-1].notes)
     whole = joined_tables(tables)
     if whole.floor_found and not any(t.floor_found for t in tables):
@@ -392,59 +366,42 @@ def read_table(
 
 
 @dataclass(frozen=True)
-class TableWords:
-    """What the user said of a table's columns and rows."""
+class TableArguments(ReadingArguments):
+    """What the user says of a force table; see :func:`read_table`."""
 
-    rest_length: float | None
-    columns: dict[str, str]
-    units: dict[str, str]
-    ambient: float
-    empty: str
-    missing: Any
-    ramp: bool | None
-    floor: Any
+    rest_length: float | None = None
+    ramp: bool | None = None
+    floor: Any = "found"
 
     @classmethod
     def of(
         cls,
         *,
         rest_length: float | None = None,
-        columns: Any = None,
-        units: Mapping[str, str] | None = None,
-        ambient_pressure: float = AMBIENT,
-        empty: str = "drop",
-        missing: Any = "found",
         ramp: bool | None = None,
         floor: Any = "found",
-        **layout: Any,
-    ) -> tuple[Reading, TableWords]:
-        """(layout, what the user said), checked. Raises InputError."""
-        words = cls(
-            None if rest_length is None else require_positive("rest_length", rest_length, "m"),
-            dict(columns) if isinstance(columns, Mapping) else {},
-            dict(units or {}),
-            require_ambient(ambient_pressure),
-            empty,
-            require_missing(missing),
-            ramp,
-            _floor_said(floor),
+        **common: Any,
+    ) -> TableArguments:
+        """Checked. Raises InputError."""
+        if rest_length is not None:
+            rest_length = require_positive("rest_length", rest_length, "m")
+        return cls(
+            **cls.checked(**common), rest_length=rest_length, ramp=ramp, floor=_floor_said(floor)
         )
-        return Reading.of(columns, **layout), words
 
 
-def table_columns(found: Assigned, words: TableWords) -> dict[str, Column]:
-    """The columns of a table by their quantities."""
-    return {q: Column(h, q, q, scale, q in words.units) for q, (h, scale) in found.items()}
+def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:
+    """The table that columns hold; ``seen`` is told what was understood until an error.
 
-
-def table_of(raw: RawTable, words: TableWords) -> ForceTable:
-    """The table that columns hold. Raises InputError."""
-    found = assigned(raw, words.columns, words.units, words.ambient)
-    require_columns(raw, found)
-    columns = table_columns(found, words)
-    raw = checked_cells(raw, tuple(columns.values()), words.missing)
-    raw = complete(raw, [header for header, _ in found.values()], words.empty)
-    series = {q: Series(q, header, scale, raw) for q, (header, scale) in found.items()}
+    Raises InputError.
+    """
+    seen = seen or Understood(raw)
+    columns = assigned(raw, words.columns, words.units, words.ambient)
+    seen.meanings |= {column.header: (q, column.scale) for q, column in columns.items()}
+    require_columns(raw, columns)
+    seen.raw = raw = checked_cells(raw, tuple(columns.values()), words.missing)
+    raw = complete(raw, [column.header for column in columns.values()], words.empty)
+    series = {q: Series(column, raw) for q, column in columns.items()}
     check_pressure(series["pressure"])
     check_force(series["force"])
     kappa = contraction_of(series, words.rest_length)
@@ -561,22 +518,19 @@ def joined_tables(tables: Sequence[ForceTable]) -> ForceTable:
         there = [getattr(t, name) or ("",) * len(t) for t in tables]
         return tuple(text for own in there for text in own) if any(map(any, there)) else ()
 
-    def numbers(name: str) -> Array | None:
-        known = [getattr(t, name) for t in tables]
-        return None if any(k is None for k in known) else np.concatenate(known)
-
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(t, name) for t in tables])
+        for name in MEASURES
+        if all(getattr(t, name) is not None for t in tables)
+    }
     return ForceTable(
-        np.concatenate([t.pressure for t in tables]),
-        np.concatenate([t.contraction for t in tables]),
-        np.concatenate([t.force for t in tables]),
-        tables[0].rest_length,
-        f"{len(tables)} files",
-        labels("branch"),
-        labels("run"),
-        tuple(t.source for t in tables for _ in range(len(t))),
-        numbers("scatter"),
-        numbers("error"),
-        tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
+        **columns,
+        rest_length=tables[0].rest_length,
+        source=f"{len(tables)} files",
+        branch=labels("branch"),
+        run=labels("run"),
+        file=tuple(t.source for t in tables for _ in range(len(t))),
+        notes=tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
         **joined_floor(tables),
     )
 

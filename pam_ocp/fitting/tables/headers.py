@@ -13,12 +13,17 @@ from ...core.errors import UnknownNameError
 from ...core.units import unit
 
 __all__ = [
+    "COMMANDS",
+    "LABELS",
     "MEASURED",
     "NAMES",
     "PLACES",
+    "QUANTITIES",
     "TIME_NAMES",
+    "branch_of",
     "is_unit",
     "matching",
+    "named_branch",
     "parse_header",
     "plain",
     "words_of",
@@ -73,6 +78,44 @@ MEASURED = words_of(
     muskel"""
 )
 """Words that say no more than that the quantity was measured."""
+COMMANDS = words_of(
+    """command, cmd, set, setpoint, set point, pressure command, pressure set, p set, p cmd, p soll,
+    p ref, p des, reference, ref, target, soll, sollwert, druck soll, solldruck, consigne, consigna,
+    setpunkt"""
+)
+"""Names of what was asked for."""
+QUANTITIES: dict[str, tuple[str, frozenset[str]]] = {
+    "length": ("m", NAMES["length"]),
+    "contraction": ("1", NAMES["contraction"]),
+    "pressure": ("Pa", NAMES["pressure"]),
+    "force": ("N", NAMES["force"]),
+}
+"""Quantity of a force table: (SI unit, names by which a header calls it)."""
+LABELS: dict[str, frozenset[str]] = {
+    "branch": words_of(
+        """branch, direction, phase, half cycle, path, richtung, ast, halbzyklus, sens, branche,
+        dirección, sentido, direzione, richting"""
+    ),
+    "run": words_of(
+        """run, repeat, repetition, rep, replicate, trial, cycle, lauf, zyklus, wiederholung,
+        durchgang, versuch, essai, répétition, ciclo, ensayo, prova, herhaling"""
+    ),
+}
+"""Label: names by which a header calls it."""
+_BRANCH_WORDS = {
+    "inflation": words_of(
+        """inflation, inflating, inflate, inf, up, filling, fill, loading, rising, increasing,
+        pressurising, pressurizing, ascending, auf, aufwärts, befüllen, befüllung, füllen,
+        belüften, steigend, gonflage, montée, inflado, subida, gonfiaggio, +, +1"""
+    ),
+    "deflation": words_of(
+        """deflation, deflating, deflate, def, down, venting, vent, unloading, falling,
+        decreasing, depressurising, depressurizing, descending, ab, abwärts, entlüften,
+        entlüftung, entleeren, fallend, dégonflage, descente, desinflado, bajada,
+        sgonfiaggio, -, -1, -1.0"""
+    ),
+}
+_BRANCHES = {word: branch for branch, words in _BRANCH_WORDS.items() for word in words}
 # A bracket that ends the header, or what stands behind a slash or a comma
 _BRACKETED = re.compile(
     r"(?P<name>.+?)\s*[\[(](?P<unit>[^\])]*(?:\([^)]*\))?)[\])]$|(?P<left>.+?)\s*/\s*(?P<right>\S+)$"
@@ -154,3 +197,14 @@ def matching(names: frozenset[str], headers: Iterable[str]) -> list[str]:
         if (words := [w for w in name.split() if w not in MEASURED]) != name.split()
         and " ".join(words) in names
     ]
+
+
+def named_branch(text: str) -> str:
+    """ "inflation" or "deflation" for the usual words; other words stay as they are."""
+    return _BRANCHES.get(text.lower(), text)
+
+
+def branch_of(text: str) -> str | None:
+    """ "inflation" or "deflation" where a word says so; signs alone do not."""
+    word = text.strip().lower()
+    return _BRANCHES.get(word) if word.isalpha() else None

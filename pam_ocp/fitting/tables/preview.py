@@ -13,18 +13,15 @@ import numpy as np
 
 from ...core.calibration import Scale
 from ...core.errors import InputError
-from .assign import assigned
 from .cells import is_empty, is_stamp
-from .clock import Clock, find_clock, read_clock
+from .clock import find_clock
 from .dialect import Unsaid
-from .doubts import checked_cells
-from .force_table import ForceTable, TableWords, table_columns, table_of
-from .labels import LABELS
-from .raw import Doubt, RawTable
-from .record_columns import record_variables
-from .records import RecordWords, clock_of, columns_of, in_known_units, loaded, record_parts
+from .doubts import Understood
+from .force_table import ForceTable, TableArguments, table_of
+from .headers import LABELS, QUANTITIES
+from .raw import Doubt, RawTable, ReadingArguments
+from .records import RecordArguments, loaded, record_parts
 from .sources import is_source, naming, sources_of
-from .table_checks import QUANTITIES
 
 if TYPE_CHECKING:
     from ...core.trajectory import Trajectory
@@ -194,21 +191,22 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     if kind not in (None, "table", "record"):
         raise InputError(f"kind = {kind!r}: choose 'table' or 'record'")
     kind = kind or ("record" if plant is not None else None)
-    shared = {k: v for k, v in options.items() if k not in (*_TABLE_ONLY, *_RECORD_ONLY)}
     for_table = {k: v for k, v in options.items() if k not in _RECORD_ONLY}
     for_record = {k: v for k, v in options.items() if k not in _TABLE_ONLY}
-    pivot = {"pivot": options["pivot"]} if "pivot" in options else {}
-    words = RecordWords.of(**for_record) if kind == "record" else RecordWords.of(**shared, **pivot)
+    general = {k: v for k, v in for_table.items() if k in for_record}
+    if kind != "record" and "pivot" in options:
+        general["pivot"] = options["pivot"]
+    how = ReadingArguments.checked(**general)["how"]
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            raw = loaded(source, words.how)
+            raw = loaded(source, how)
         except Unsaid as error:
             return _unsaid(source, kind, str(error), options)
         kind = kind or _kind(raw, options)
         if kind == "table":
-            return _table(source, raw, TableWords.of(**for_table)[1], options)
-        return _record(source, raw, plant, RecordWords.of(**for_record), options)
+            return _table(source, raw, TableArguments.of(**for_table), options)
+        return _record(source, raw, plant, RecordArguments.of(**for_record), options)
 
 
 def _unsaid(source: Any, kind: str | None, problem: str, options: Mapping[str, Any]) -> Preview:
@@ -235,28 +233,22 @@ def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
 
 
 # ---- tables --------------------------------------------------------------------------------------
-def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any]) -> Preview:
-    meanings: dict[str, tuple[str, Scale | None]] = {}
-    problem, table = "", None
+def _table(source: Any, raw: RawTable, words: TableArguments, options: dict[str, Any]) -> Preview:
+    seen, problem, table = Understood(raw), "", None
     try:
-        found = assigned(raw, words.columns, words.units, words.ambient)
-        raw = checked_cells(raw, tuple(table_columns(found, words).values()), words.missing)
-        meanings = {header: (quantity, scale) for quantity, (header, scale) in found.items()}
-        table = table_of(raw, words)
+        table = table_of(raw, words, seen)
     except InputError as error:
         problem = str(error)
-        meanings = meanings or _named(raw, words)
+    raw, meanings = seen.raw, seen.meanings or _named(raw, words)
     for label, names in LABELS.items():
         header = raw.header(label, names, words.columns)
         if header:
             meanings[header] = (label, None)
     columns = tuple(_column(raw, h, *meanings.get(h, ("", None)), QUANTITIES) for h in raw.columns)
-    if table is not None and words.rest_length is None and "length" in dict(meanings.values()):
-        problem = ""
     return _preview(source, "table", raw, columns, table, problem, options, table and table.notes)
 
 
-def _named(raw: RawTable, words: TableWords) -> dict[str, tuple[str, Scale | None]]:
+def _named(raw: RawTable, words: TableArguments) -> dict[str, tuple[str, Scale | None]]:
     """Which columns bear the name of a quantity, whatever their units say."""
     found: dict[str, tuple[str, Scale | None]] = {}
     for quantity, (_, names) in QUANTITIES.items():
@@ -311,30 +303,20 @@ def _saturated(header: str, values: Any) -> list[str]:
 
 # ---- records -------------------------------------------------------------------------------------
 def _record(
-    source: Any, raw: RawTable, plant: Plant | None, words: RecordWords, options: dict[str, Any]
+    source: Any, raw: RawTable, plant: Plant | None, words: RecordArguments, options: dict[str, Any]
 ) -> Preview:
-    problem, records, clock = "", None, ""
+    seen, problem, records = Understood(raw), "", None
     notes: list[str] = []
-    meanings: dict[str, tuple[str, Scale | None]] = {}
     try:
-        raw, header = clock_of(raw, words)
-        meanings[header] = ("time", None)
-        t, kind, _ = read_clock(raw, header, words.units.get("time"))
-        clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
-        for variable, name in record_variables(raw, plant, dict(words.columns), header):
-            meanings[name] = (variable.name, None)
-        used = raw if plant is not None else in_known_units(raw, words, header)
-        own = columns_of(used, plant, words, header)
-        meanings |= {c.header: (c.argument, c.scale) for c in own}
-        raw = checked_cells(raw, own, words.missing)
-        records, notes, found = record_parts(raw, plant, words)
-        clock = str(found)
+        records, notes = record_parts(raw, plant, words, seen)
     except InputError as error:
         problem = str(error)
+    raw, meanings = seen.raw, seen.meanings
     known = {v.name: (v.unit,) for v in plant.variables} if plant is not None else {}
     columns = tuple(_column(raw, h, *meanings.get(h, ("", None)), known) for h in raw.columns)
-    made = _preview(source, "record", raw, columns, records, problem, options, notes, clock, plant)
-    return made
+    return _preview(
+        source, "record", raw, columns, records, problem, options, notes, seen.clock, plant
+    )
 
 
 def _preview(

@@ -1,22 +1,46 @@
-"""Columns as they stand in a source, with their headers, units and places."""
+"""Columns as they stand in a source, with their headers, units and places; and what a file does not
+hold and its user knows: a contraction, a muscle, a run, the same for all its rows, given as it is
+or by a pattern of the file's name.
+
+A pattern has headers in braces, ``"{muscle}_{contraction [%]}pct_run{run}.csv"``, and ``*`` for
+what does not count.
+"""
 
 from __future__ import annotations
 
+import codecs
+import re
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError
+from ...core.calibration import AMBIENT, COUNTS, spelled
+from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.files import MOST_NAME
-from ...core.plausible import UnitWarning, outside
+from ...core.plausible import UnitWarning, doubt, outside
+from ...core.quantities import quantity
 from .cells import decimal_of, numbers_of
-from .headers import matching, parse_header
+from .headers import LABELS, NAMES, QUANTITIES, is_unit, matching, parse_header
 
-__all__ = ["Doubt", "RawTable", "ReadingWarning", "complete", "say"]
+__all__ = [
+    "Doubt",
+    "RawTable",
+    "Reading",
+    "ReadingArguments",
+    "ReadingWarning",
+    "checked_constants",
+    "complete",
+    "glob_of",
+    "labels_of",
+    "require_pattern",
+    "say",
+    "with_constants",
+]
 
 
 class ReadingWarning(UserWarning):
@@ -176,3 +200,267 @@ def complete(raw: RawTable, headers: Sequence[str], empty: str = "drop") -> RawT
     words = ", ".join(f"{n} in {h!r}" for h, n in counts.items())
     dropped = f"{int(gone.sum())} of {len(raw)} rows dropped for empty cells ({words}; first "
     return raw.taken(np.nonzero(~gone)[0], f"{dropped}{raw.row(first)})")
+
+
+# ---- what the user says --------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Reading:
+    """How a file is to be read, where it does not say it itself.
+
+    columns : names of the columns from the left. skip : lines or rows at the beginning that are
+    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data,
+    or several to be put on one clock. delimiter, decimal, encoding : of a text. bad_lines : "drop"
+    or "refuse". pivot : what runs down, across, and stands in the cells. constants : columns of one
+    value that the file does not hold. pattern : of the file's name, which holds such values.
+    """
+
+    columns: tuple[str | None, ...] | None = None
+    skip: int = 0
+    sheet: str | int | None = None
+    pick: str | tuple[str, ...] | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    bad_lines: str = "refuse"
+    pivot: tuple[str, ...] | None = None
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    pattern: str | None = None
+
+    @classmethod
+    def of(cls, columns: Any, **said: Any) -> Reading:
+        """Checked. Raises InputError."""
+        require_count("skip", said.get("skip", 0), 0)
+        if said.get("decimal") not in (None, ".", ","):
+            raise InputError(f"decimal = {said['decimal']!r}: choose '.' or ','")
+        if said.get("bad_lines", "refuse") not in ("refuse", "drop"):
+            raise InputError(f"bad_lines = {said['bad_lines']!r}: choose 'refuse' or 'drop'")
+        if said.get("encoding") is not None:
+            _require_encoding(said["encoding"])
+        said["constants"] = checked_constants(said.get("constants"))
+        if said.get("pattern") is not None:
+            require_pattern(said["pattern"])
+        if isinstance(said.get("pick"), list):
+            said["pick"] = tuple(said["pick"])
+        delimiter = said.get("delimiter")
+        if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1):
+            raise InputError(f"delimiter = {delimiter!r}: give one character, ' ' for blanks")
+        names = None
+        if columns is not None and not isinstance(columns, Mapping):
+            if isinstance(columns, str) or not isinstance(columns, Sequence):
+                raise InputError(
+                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from "
+                    "the left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
+                )
+            names = tuple(None if name is None else str(name) for name in columns)
+        pivot = said.pop("pivot", None)
+        return cls(names, **said, pivot=None if pivot is None else _pivot(pivot))
+
+
+def _require_encoding(encoding: Any) -> None:
+    try:
+        codecs.lookup(encoding)
+    except (LookupError, TypeError):
+        raise InputError(
+            f"encoding = {encoding!r} is not known; give one as 'utf-8', 'cp1252' or 'shift_jis'"
+        ) from None
+
+
+def _pivot(said: Any) -> tuple[str, ...]:
+    if isinstance(said, str) or not isinstance(said, Sequence):
+        raise InputError(
+            f"pivot = {said!r}: say what runs down, across and stands in the cells, as "
+            "pivot=('contraction [%]', 'pressure [bar]', 'force [N]')"
+        )
+    return tuple(str(s) for s in said)
+
+
+@dataclass(frozen=True)
+class ReadingArguments:
+    """What the user says of a source, whatever it holds: how it is read, its columns and rows."""
+
+    how: Reading
+    columns: Mapping[str, str]
+    units: Mapping[str, str]
+    ambient: float
+    empty: str
+    missing: Any
+
+    @staticmethod
+    def checked(
+        columns: Mapping[str, str] | Sequence[str | None] | None = None,
+        units: Mapping[str, str] | None = None,
+        ambient_pressure: float = AMBIENT,
+        empty: str = "drop",
+        missing: Any = "found",
+        **layout: Any,
+    ) -> dict[str, Any]:
+        """The fields, of arguments as ``read_table`` and ``read_record`` have them.
+
+        Raises InputError.
+        """
+        return {
+            "how": Reading.of(columns, **layout),
+            "columns": dict(columns) if isinstance(columns, Mapping) else {},
+            "units": dict(units or {}),
+            "ambient": require_ambient(ambient_pressure),
+            "empty": empty,
+            "missing": require_missing(missing),
+        }
+
+
+def require_missing(missing: Any) -> Any:
+    """ "found", None, or the values that mark missing ones as a tuple. Raises InputError."""
+    if missing is None or (isinstance(missing, str) and missing == "found"):
+        return missing
+    values = tuple(missing) if isinstance(missing, list | tuple | set) else (missing,)
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise InputError(
+                f"missing = {missing!r}: give the values that mark missing ones, as [9999, 'off'], "
+                "'found', or None where there are none"
+            )
+    return values
+
+
+def require_ambient(pressure: Any) -> float:
+    """The pressure of the surroundings [Pa absolute]. Raises InputError; doubts a wrong unit."""
+    found = require_positive("ambient_pressure", pressure, "Pa")
+    doubt("ambient_pressure", found, "Pa")
+    return found
+
+
+# ---- constants -----------------------------------------------------------------------------------
+MEASURES = {quantity: si for quantity, (si, _) in QUANTITIES.items()}
+_FIELD = re.compile(r"\{([^{}]+)\}")
+_NUMBER = r"[+-]?\d+(?:[.,p]\d+)?"
+
+
+def checked_constants(given: Any) -> dict[str, Any]:
+    """{header: value}: quantities in SI, whatever the unit they were said in. Raises InputError."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"constants = {given!r}: give {{name: value}}, as {{'contraction': '5 %', 'run': 2}}"
+        )
+    made: dict[str, Any] = {}
+    for name, value in given.items():
+        plain, said = parse_header(str(name))
+        if plain in (*LABELS, "muscle"):
+            made[plain] = str(value)
+            continue
+        measured = MEASURES.get(plain)
+        if isinstance(value, str):
+            match = re.match(rf"\s*({_NUMBER}|[+-]?[\d.]+[eE][+-]?\d+)\s*(\S.*)$", value)
+            if match and is_unit(match[2]) and measured is None and said is None:
+                made[f"{name} [{match[2]}]"] = float(match[1].replace(",", "."))
+                continue
+        if measured is not None and said is None:
+            where = f"constants[{name!r}]"
+            value = quantity(
+                where, value.replace(",", ".") if isinstance(value, str) else value, measured
+            )
+            made[f"{plain} [{measured}]"] = value
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(
+                f"constants[{name!r}] = {value!r}: give a number, with its unit where it has one, "
+                "as '300 mm'; muscle, branch and run may be any text"
+            )
+        else:
+            made[str(name)] = value
+    return made
+
+
+def require_pattern(pattern: Any) -> list[str]:
+    """The headers of a pattern, checked. Raises InputError."""
+    if not isinstance(pattern, str) or not pattern.strip():
+        raise InputError(
+            f"pattern = {pattern!r}: give the form of the files' names, with headers in braces, as "
+            "'{muscle}_{contraction [%]}pct_run{run}.csv'"
+        )
+    rest = _FIELD.sub("", pattern)
+    fields = [f.strip() for f in _FIELD.findall(pattern)]
+    if "{" in rest or "}" in rest or len(set(fields)) < len(fields):
+        raise InputError(
+            f"pattern = {pattern!r}: each brace holds one header, and each header stands once"
+        )
+    for header in fields:
+        said = parse_header(header)[1]
+        if said is not None and not is_unit(said):
+            raise InputError(f"pattern = {pattern!r}: {said!r} in {header!r} is no unit")
+    return fields
+
+
+def glob_of(pattern: str) -> str:
+    """The files that a pattern may fit."""
+    return _FIELD.sub("*", pattern)
+
+
+def labels_of(name: str | None, pattern: str | None) -> dict[str, Any]:
+    """{header: value} that a file's name holds. Raises InputError where it does not fit."""
+    fields = [] if pattern is None else require_pattern(pattern)
+    if pattern is None or not fields:
+        return {}
+    form = Path(pattern).name
+    match = None if name is None else re.fullmatch(_expression(form), name, re.IGNORECASE)
+    if match is None:
+        raise InputError(f"pattern = {form!r} does not fit the name {str(name)!r}; correct it")
+    inside = [f.strip() for f in _FIELD.findall(form)]
+    made: dict[str, Any] = {}
+    for header, text in zip(inside, match.groups(), strict=True):
+        plain, said = parse_header(header)
+        if _is_number(header):
+            if not re.fullmatch(_NUMBER, text):
+                raise InputError(
+                    f"{name}: {text!r} stands where pattern = {form!r} has {header!r}, a number"
+                )
+            if plain in MEASURES and said is None:
+                raise InputError(
+                    f"pattern = {form!r}: say the unit of {plain}, as '{{{plain} [%]}}' or "
+                    f"'{{{plain} [mm]}}'"
+                )
+            made[header] = float(re.sub("[,p]", ".", text))
+        else:
+            made[plain if plain in (*LABELS, "muscle") else header] = text
+    return made
+
+
+def _is_number(header: str) -> bool:
+    plain, said = parse_header(header)
+    return said is not None or plain in MEASURES
+
+
+def _expression(form: str) -> str:
+    """A regular expression of a pattern: numbers where a unit is named, else words."""
+    parts, at = [], 0
+    for match in _FIELD.finditer(form):
+        parts.append(re.escape(form[at : match.start()]))
+        parts.append(f"({_NUMBER})" if _is_number(match[1]) else "(.+?)")
+        at = match.end()
+    parts.append(re.escape(form[at:]))
+    return "".join(parts).replace(r"\*", ".*").replace(r"\?", ".")
+
+
+def with_constants(raw: RawTable, constants: Mapping[str, Any]) -> RawTable:
+    """The table with columns of one value. Raises InputError where it has such a column already."""
+    names = {parse_header(h)[0]: h for h in raw.columns}
+    for header in constants:
+        plain = parse_header(header)[0]
+        alike = NAMES.get(plain, frozenset({plain}))
+        there = next((h for name, h in names.items() if name in alike), None)
+        if there is not None:
+            raise InputError(
+                f"{raw.label} has a column {there!r} already, beside the constant {header!r}; "
+                "leave one of them"
+            )
+        said = parse_header(header)[1]
+        if said is not None and spelled(said).lower() not in COUNTS and not is_unit(said):
+            raise UnknownNameError(f"unit of constant {header!r}", said, MEASURES.values())
+    words = ", ".join(f"{n} = {v}" for n, v in constants.items())
+    columns = {n: [v] * len(raw) for n, v in constants.items()}
+    return replace(
+        raw,
+        columns={**raw.columns, **columns},
+        dialect=(*raw.dialect, f"constant: {words}"),
+        constant=frozenset(columns),
+    )

@@ -17,29 +17,25 @@ from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
 from .clock import Clock, doubts_of_clock, find_clock, mended, parts_of, read_clock
+from .columns import check_size, display_of, record_scale, record_variables
 from .doubts import (
     Column,
+    Understood,
     above_ambient,
     checked_cells,
     doubts_of,
     kind_of,
-    require_ambient,
-    require_missing,
 )
 from .headers import parse_header
-from .raw import Doubt, RawTable, complete, say
-from .record_columns import check_size, display_of, record_scale, record_variables
-from .sources import Reading, is_source, load, naming, sources_of
+from .raw import Doubt, RawTable, Reading, ReadingArguments, complete, say
+from .sources import is_source, load, naming, sources_of
 
 if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
 __all__ = [
-    "RecordWords",
-    "clock_of",
-    "columns_of",
-    "in_known_units",
+    "RecordArguments",
     "loaded",
     "read_record",
     "read_records",
@@ -48,55 +44,39 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class RecordWords:
-    """What the user said of a record; see :func:`read_record`."""
+class RecordArguments(ReadingArguments):
+    """What the user says of a record; see :func:`read_record`."""
 
-    how: Reading
-    columns: Mapping[str, str]
-    units: Mapping[str, str]
     time: str | None = None
     between: Interpolation | None = None
     max_gap: float | None = None
     clock: str = "mend"
     sample_time: float | str | None = None
-    ambient: float = AMBIENT
-    empty: str = "drop"
-    missing: Any = "found"
 
     @classmethod
     def of(
         cls,
         *,
-        columns: Mapping[str, str] | Sequence[str | None] | None = None,
-        units: Mapping[str, str] | None = None,
         time: str | None = None,
         interpolation: Interpolation | None = None,
         inputs: Literal["held", "linear"] | None = None,
         max_gap: float | None = None,
         clock: Literal["mend", "cut", "refuse"] = "mend",
         sample_time: float | str | None = None,
-        ambient_pressure: float = AMBIENT,
-        empty: Literal["drop", "refuse"] = "drop",
-        missing: Any = "found",
-        **layout: Any,
-    ) -> RecordWords:
+        **common: Any,
+    ) -> RecordArguments:
         """Checked. Raises InputError."""
         if clock not in ("mend", "cut", "refuse"):
             raise InputError(f"clock = {clock!r}: choose 'mend', 'cut' or 'refuse'")
         if sample_time is not None and sample_time != "even":
             sample_time = require_positive("sample_time", sample_time, "s")
         return cls(
-            Reading.of(columns, **layout),
-            dict(columns) if isinstance(columns, Mapping) else {},
-            dict(units or {}),
-            time,
-            _between(inputs, interpolation),
-            max_gap,
-            clock,
-            sample_time,
-            require_ambient(ambient_pressure),
-            empty,
-            require_missing(missing),
+            **cls.checked(**common),
+            time=time,
+            between=_between(inputs, interpolation),
+            max_gap=max_gap,
+            clock=clock,
+            sample_time=sample_time,
         )
 
 
@@ -172,35 +152,15 @@ def read_record(
     >>> pam.read_record(path, plant)["x"].shape
     (201,)
     """
-    words = RecordWords.of(
-        columns=columns,
-        units=units,
-        time=time,
-        interpolation=interpolation,
-        inputs=inputs,
-        max_gap=max_gap,
-        clock=clock,
-        sample_time=sample_time,
-        ambient_pressure=ambient_pressure,
-        empty=empty,
-        missing=missing,
-        sheet=sheet,
-        skip=skip,
-        pick=pick,
-        delimiter=delimiter,
-        decimal=decimal,
-        encoding=encoding,
-        bad_lines=bad_lines,
-        constants=constants,
-        pattern=pattern,
-    )
+    given = {n: value for n, value in locals().items() if n not in ("source", "plant")}
+    words = RecordArguments.of(**given)
     if not is_source(source):
         folder = isinstance(source, str | Path) and Path(source).is_dir()
         what = f"{source} is a folder" if folder else "source is several"
         raise InputError(f"{what}; give a file, or read all of them by read_records(...)")
     with naming(source):
         raw = loaded(source, words.how)
-        parts, notes, _ = record_parts(raw, plant, words)
+        parts, notes = record_parts(raw, plant, words)
     longest = max(parts, key=len)
     if len(parts) > 1:
         notes.append(f"the longest of {len(parts)} parts is taken, {len(longest)} rows")
@@ -222,14 +182,14 @@ def read_records(
     >>> len(pam.read_records(paths, plant))
     2
     """
-    words = RecordWords.of(**options)
+    words = RecordArguments.of(**options)
     found: list[Trajectory] = []
     for source in [sources] if is_source(sources) else sources_of(sources):
         with naming(source):
             raw = loaded(source, words.how)
             notes: list[str] = []
             for part in [raw] if split is None else _split(raw, split):
-                records, told, _ = record_parts(part, plant, words)
+                records, told = record_parts(part, plant, words)
                 found += records
                 notes += told
         say(raw.label, notes)
@@ -278,25 +238,33 @@ def loaded(source: Any, how: Reading) -> RawTable:
 
 
 def record_parts(
-    raw: RawTable, plant: Plant | None, words: RecordWords
-) -> tuple[list[Trajectory], list[str], Clock]:
-    """(records between the cuts, what was left out or mended, the clock). Raises InputError."""
-    between = words.between
+    raw: RawTable, plant: Plant | None, words: RecordArguments, seen: Understood | None = None
+) -> tuple[list[Trajectory], list[str]]:
+    """(records between the cuts, what was left out or mended); ``seen`` is told what was understood
+    until an error. Raises InputError.
+    """
+    seen, between = seen or Understood(raw), words.between
     if HELD in raw.columns:
         between = between or interpolation_of(raw.numbers(HELD), raw.label)
         raw = replace(raw, columns={n: c for n, c in raw.columns.items() if n != HELD})
     for named in words.columns.values():
         if named not in raw.columns:
             raise UnknownNameError("column", named, raw.columns)
-    raw, header = clock_of(raw, words)
-    raw = raw if plant is not None else in_known_units(raw, words, header)
-    columns = columns_of(raw, plant, words, header)
+    raw, header = _clock_of(raw, words)
+    seen.raw, seen.meanings[header] = raw, ("time", None)
+    raw = raw if plant is not None else _in_known_units(raw, words, header)
+    pairs = record_variables(raw, plant, dict(words.columns), header)
+    seen.meanings |= {h: (variable.name, None) for variable, h in pairs}
+    columns = [_column(raw, variable, h, plant, words) for variable, h in pairs]
+    seen.meanings |= {c.header: (c.argument, c.scale) for c in columns}
     known = [column.argument for column in columns]
     unknown = set(words.units) - {*known, "time"}
     if unknown:
         raise UnknownNameError("variable in units", unknown.pop(), known)
     raw = checked_cells(raw, columns, words.missing)
+    seen.raw = replace(raw, columns={**seen.raw.columns, **raw.columns})
     t, kind, doubts = read_clock(raw, header, words.units.get("time"))
+    seen.clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
     factor = unit(raw.unit(header) or "s").factor if not kind else 1.0
     used = {c.header: raw.columns[c.header] for c in columns}
     timed = replace(raw, columns={**used, header: t.tolist()})
@@ -315,17 +283,17 @@ def record_parts(
         notes += doubts_of_clock(header, t, raw.unit(header), words.units.get("time"))
     if len(spans) > 1:
         notes.append(f"the clock jumps: cut into {len(spans)} parts")
-    clock = Clock.of(header, kind, t)
+    seen.clock = str(Clock.of(header, kind, t))
     if words.sample_time is not None:
         records = [_even(record, words.sample_time) for record in records]
-    return records, notes, clock
+    return records, notes
 
 
 COUNTED = "time [s]"
 """Header of times that were made of ``sample_time``."""
 
 
-def clock_of(raw: RawTable, words: RecordWords) -> tuple[RawTable, str]:
+def _clock_of(raw: RawTable, words: RecordArguments) -> tuple[RawTable, str]:
     """(table, header of its time), which is counted where the user says how long a row takes.
 
     Raises InputError where there is none.
@@ -348,7 +316,7 @@ def clock_of(raw: RawTable, words: RecordWords) -> tuple[RawTable, str]:
     return replace(raw, columns=columns, notes=(*raw.notes, note)), COUNTED
 
 
-def in_known_units(raw: RawTable, words: RecordWords, clock: str) -> RawTable:
+def _in_known_units(raw: RawTable, words: RecordArguments, clock: str) -> RawTable:
     """The table without columns in units that are not known here, such as a temperature in °C; they
     are named, unless the user says what they are.
     """
@@ -381,21 +349,20 @@ def _is_time(said: str | None) -> bool:
         return False
 
 
-def columns_of(raw: RawTable, plant: Plant | None, words: RecordWords, clock: str) -> list[Column]:
-    """The columns of use beside that of the time, with their scales. Raises InputError."""
-    found = []
-    for variable, header in record_variables(raw, plant, dict(words.columns), clock):
-        base = unit(variable.unit) if plant is not None else None
-        wanted = words.units.get(variable.name)
-        scale = record_scale(raw, header, variable.name, base, wanted, words.ambient)
-        if plant is not None:
-            kind = kind_of(variable.name, variable.unit, told=True)
-        else:
-            measured = None if scale is None else display_of(scale)
-            kind = kind_of(parse_header(header)[0], measured, told=False)
-        known = variable if plant is not None else None
-        found.append(Column(header, variable.name, kind, scale, wanted is not None, known))
-    return found
+def _column(
+    raw: RawTable, variable: Variable, header: str, plant: Plant | None, words: RecordArguments
+) -> Column:
+    """A column of use with its scale. Raises InputError."""
+    base = unit(variable.unit) if plant is not None else None
+    wanted = words.units.get(variable.name)
+    scale = record_scale(raw, header, variable.name, base, wanted, words.ambient)
+    if plant is not None:
+        kind = kind_of(variable.name, variable.unit, told=True)
+    else:
+        measured = None if scale is None else display_of(scale)
+        kind = kind_of(parse_header(header)[0], measured, told=False)
+    known = variable if plant is not None else None
+    return Column(header, variable.name, kind, scale, wanted is not None, known)
 
 
 def _values(

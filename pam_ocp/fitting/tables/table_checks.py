@@ -8,15 +8,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.calibration import Scale
 from ...core.errors import InputError
 from ...core.plausible import MEASURED, inside_by
-from ...core.units import unit
-from .headers import NAMES
+from .doubts import Column
 from .raw import RawTable
 
 __all__ = [
-    "QUANTITIES",
     "Series",
     "check_force",
     "check_mixed_pressure",
@@ -25,14 +22,6 @@ __all__ = [
 ]
 
 Array: TypeAlias = NDArray[np.float64]
-
-QUANTITIES: dict[str, tuple[str, frozenset[str]]] = {
-    "length": ("m", NAMES["length"]),
-    "contraction": ("1", NAMES["contraction"]),
-    "pressure": ("Pa", NAMES["pressure"]),
-    "force": ("N", NAMES["force"]),
-}
-"""Quantity: (SI unit, names by which a header calls it)."""
 
 LARGEST_PRESSURE = (1e3, 5e6)
 """Where the largest gauge pressure of a table may lie [Pa]; beyond, its unit is in doubt."""
@@ -43,25 +32,23 @@ CONTRACTION_RANGE = (-0.10, 0.60)
 
 
 class Series:
-    """One column as numbers: ``values`` as they stand, ``si`` converted."""
+    """A column as numbers: ``values`` as they stand, ``si`` converted."""
 
-    def __init__(self, quantity: str, header: str, scale: Scale | None, raw: RawTable) -> None:
-        self.quantity, self.header, self.raw = quantity, header, raw
-        self.declared = scale is not None
-        self.scale = scale or Scale(QUANTITIES[quantity][0], unit(QUANTITIES[quantity][0]))
+    def __init__(self, column: Column, raw: RawTable) -> None:
+        self.column, self.raw = column, raw
+        self.values = raw.numbers(column.header)
+        self.si: Array = column.si(self.values)
         # what messages call the numbers that stand in the file
-        self.unit = self.scale.unit if self.scale.formula is None else raw.unit(header) or "1"
-        self.values = raw.numbers(header)
-        self.si: Array = self.scale.si(self.values)
+        self.unit = column.unit if column.plain else raw.unit(column.header) or "1"
 
     def shown(self, index: int) -> str:
         """``pressure 0.35 bar in row 3``."""
         name = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.quantity} {self.values[index]:g}{name} in {self.raw.row(index)}"
+        return f"{self.column.kind} {self.values[index]:g}{name} in {self.raw.row(index)}"
 
     @property
     def reading(self) -> str:
-        return f"read in {self.scale.unit}" + ("" if self.declared else ", as no unit was named")
+        return self.column.reading
 
 
 def check_pressure(pressure: Series) -> None:
@@ -94,11 +81,11 @@ def check_pressure(pressure: Series) -> None:
 
 
 def _from_ambient(pressure: Series, low: int) -> str:
-    if not pressure.scale.shift:
+    if not pressure.column.shift:
         return ""
-    least = pressure.si[low] + pressure.scale.shift
+    least = pressure.si[low] + pressure.column.shift
     return (
-        f" (absolute, {pressure.scale.shift:g} Pa taken off: give ambient_pressure={least:.0f} if "
+        f" (absolute, {pressure.column.shift:g} Pa taken off: give ambient_pressure={least:.0f} if "
         "that was the weather, or the unit without 'abs')"
     )
 
@@ -139,7 +126,7 @@ def contraction_of(series: Mapping[str, Series], rest_length: float | None) -> A
         if direct is not None:
             return direct.si
         raise InputError(
-            f"column {series['length'].header!r} holds lengths: give rest_length in metres, "
+            f"column {series['length'].column.header!r} holds lengths: give rest_length in metres, "
             "as in read_table(..., rest_length=0.300)"
         )
     length = series["length"]

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError
-from .clock import GAP, find_clock, read_clock
+from .clock import GAP, find_clock, read_clock, usual_step
 from .dialect import Unsaid
-from .headers import parse_header
+from .headers import COMMANDS, parse_header
 from .raw import Doubt, RawTable
-from .record_columns import COMMANDS
 
 __all__ = ["clocked", "merged"]
 
@@ -128,7 +127,7 @@ def _at(
     """Values at these times; NaN across gaps of t."""
     after = np.clip(np.searchsorted(t, clock, side="right"), 1, t.size - 1)
     steps = np.diff(t)
-    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    usual = usual_step(t)
     if held:
         last = np.clip(np.searchsorted(t, clock, side="right") - 1, 0, t.size - 1)
         return np.asarray(values[last])

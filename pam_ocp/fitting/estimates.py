@@ -1,0 +1,174 @@
+"""What the results of all fits have in common: estimates with intervals, and words about them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.errors import UnknownNameError
+from .statistics import Array, Coefficient, Linearisation, coefficient_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Estimates", "at_edge", "coefficient_line", "correlation_lines", "following"]
+
+DOUBTFUL = 0.5
+"""Probability of a correlation from which it is a warning; below it still counts in the intervals.
+"""
+LIKELY = 0.95
+"""Probability from which a correlation is stated as a fact."""
+
+
+class Estimates:
+    """A result whose estimates are those of a linearised problem near its optimum.
+
+    linearisation : that problem. A kind of fit overrides what it knows better (a profile in place
+    of value ± t standard errors, coefficients that were held).
+    """
+
+    if TYPE_CHECKING:
+
+        @property
+        def linearisation(self) -> Linearisation: ...
+
+    @property
+    def _called(self) -> str:
+        """What messages call an estimate."""
+        return "estimate"
+
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Every estimate by name."""
+        linear = self.linearisation
+        rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
+        return {n: Coefficient(n, float(v), float(e), u, False) for n, v, e, u in rows}
+
+    @property
+    def values(self) -> dict[str, float]:
+        """{estimate: value} [SI]."""
+        return {n: c.value for n, c in self.coefficients.items()}
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: measured values less estimates."""
+        return self.linearisation.dof
+
+    @property
+    def rank(self) -> int:
+        """How many independent combinations of the estimates the data determine."""
+        return self.linearisation.rank
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the Jacobian with columns of unit length."""
+        return self.linearisation.condition
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the estimates; of what the data determine where rank is lacking."""
+        return self.linearisation.covariance
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix of the estimates."""
+        return self.linearisation.correlation
+
+    def _entry(self, name: str) -> Coefficient:
+        if name not in self.coefficients:
+            raise UnknownNameError(self._called, name, self.coefficients)
+        return self.coefficients[name]
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of an estimate [its unit]: value ± t standard errors."""
+        self._entry(name)
+        return self.intervals(level)[name]
+
+    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of all estimates."""
+        found = {}
+        for name in self.linearisation.names:
+            c = self.coefficients[name]
+            half = self._half(c, level)
+            found[name] = (c.value - half, c.value + half)
+        return found
+
+    def _half(self, c: Coefficient, level: float) -> float:
+        """Half width of the interval of an estimate."""
+        return self.linearisation.reach(level) * c.stderr
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The estimates as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
+        return coefficient_frame(self.coefficients, self.intervals())
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the estimates are trusted; empty when there is nothing."""
+        return tuple(following(self.linearisation))
+
+    def _coefficient_lines(
+        self, title: str, level: float, reasons: Mapping[str, str] | None = None
+    ) -> list[str]:
+        """Estimates with intervals under a heading; reasons : what is to be said of some."""
+        intervals = self.intervals(level)
+        return [
+            f"{title}; SI",
+            *(
+                coefficient_line(c, intervals.get(n, (c.value, c.value)), (reasons or {}).get(n))
+                for n, c in self.coefficients.items()
+            ),
+        ]
+
+    def _warning_lines(self) -> list[str]:
+        found = self.warnings
+        return ["[[Warnings]]", *(f"    {text}" for text in found)] if found else []
+
+
+# ---- words ---------------------------------------------------------------------------------------
+def coefficient_line(c: Coefficient, interval: tuple[float, float], reason: str | None = "") -> str:
+    """``a3: -56.66 ± 4.5 (8 %), -65.8 .. -47.6``; ``reason`` why an end is open."""
+    unit = "" if c.unit == "1" else f" {c.unit}"
+    if c.held:
+        return f"    {c.name}: {c.value:.6g}{unit} (held)"
+    low, high = interval
+    relative = f"{100 * c.stderr / abs(c.value):.2g} %" if c.value else "-"
+    return (
+        f"    {c.name}: {c.value:.6g} ± {c.stderr:.2g}{unit} ({relative}), {low:.5g} .. {high:.5g}"
+        + (f" (open: {reason})" if reason else "")
+    )
+
+
+def correlation_lines(linearisation: Linearisation) -> list[str]:
+    """Correlations beyond 0.5 under a heading; nothing when there are none."""
+    pairs = linearisation.correlated()
+    lines = [f"    C({a}, {b}) = {r:+.4f}" for r, a, b in pairs]
+    return ["[[Correlations]] (beyond 0.5)", *lines] if lines else []
+
+
+def at_edge(names: Iterable[str], values: Mapping[str, float]) -> list[str]:
+    """Coefficients (by name) that ended at the edge of their range."""
+    return [
+        f"{name} = {values[name]:g} ended at the edge of its range: its interval means "
+        "nothing; hold it with fixed=... or take another law"
+        for name in names
+    ]
+
+
+def following(linear: Linearisation) -> list[str]:
+    """That errors follow each other, and what that does to intervals."""
+    serial = linear.serial
+    if serial is None or serial.probability < DOUBTFUL:
+        return []
+    plain, wide = linear.independent.stderr(), linear.stderr()
+    seen = np.isfinite(plain) & (plain > 0)
+    reach = linear.reach(0.95) / linear.independent.reach(0.95)
+    factor = reach * float(np.median(wide[seen] / plain[seen])) if seen.any() else reach
+    return [
+        f"errors {'' if serial.probability > LIKELY else 'may '}follow each other {serial.order} "
+        f"(probability {100 * serial.probability:.3g} %, correlation of neighbours about "
+        f"{serial.correlation:.2g}): intervals and bands are widened for it, by a factor of about "
+        f"{factor:.2g}"
+    ]
