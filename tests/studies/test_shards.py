@@ -111,7 +111,9 @@ run_study(sys.argv[1], sys.argv[2], cache=sys.argv[3], shard=shard, progress=sto
 
 
 @pytest.mark.parametrize("shard", ["1/2", None])
-def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(tmp_path, monkeypatch, shard):
+def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(
+    tmp_path, monkeypatch, shard
+):
     monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
     study, out, cache = loads(tmp_path, 2), tmp_path / "out", tmp_path / "kept"
     command = [sys.executable, "-c", STAYS, str(study), str(out), str(cache), shard or "-"]
