@@ -401,6 +401,7 @@ def test_where_many_motions_cost_nothing_one_of_them_is_found_and_settles():
     assert plan.statistics["objective_gap"] < 1e-3
 
 
+@pytest.mark.slow
 def test_work_between_the_points_of_a_mesh_is_seen_and_saved():
     # on so few intervals the tendon rings, and its muscle works between the points
     plant = pam.SeriesLoad(MUSCLE, 15.0, 1.4e5)

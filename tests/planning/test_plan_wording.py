@@ -525,6 +525,7 @@ def slide():
 WAY = [{"x": -0.01}, {"x": 0.01}]
 
 
+@pytest.mark.slow
 def test_a_bound_of_one_number_is_named_where_it_leaves_no_motion(slide, capfd):
     with pytest.raises(InputError, match=r"bounds hold it at 10 mm all along; give \(low, high\)"):
         pam.plan(slide, WAY, bounds={"x": 0.01})
