@@ -125,7 +125,9 @@ class Program:
         real: Any = ctypes.c_double,
     ) -> None:
         library = folder / f"{name}.so"
-        run(COMPILER, *STRICT, "-shared", "-fPIC", f"{name}.c", "-o", library, "-lm", cwd=folder)
+        source = folder / f"{name}.c"
+        if not library.exists() or library.stat().st_mtime < source.stat().st_mtime:
+            run(COMPILER, *STRICT, "-shared", "-fPIC", source, "-o", library, "-lm", cwd=folder)
         self._library = ctypes.CDLL(str(library))
         self._step = getattr(self._library, f"{name}_step")
         self._init = getattr(self._library, f"{name}_init")

@@ -180,8 +180,12 @@ _PYTHON = tuple(Path(sysconfig.get_path(p)).resolve() for p in ("stdlib", "plats
 
 def is_installed(file: str | None) -> bool:
     """Whether a module of this file (None: of the interpreter) comes from an installation."""
-    if file is None:
-        return True
+    return file is None or _installed(os.path.abspath(file))
+
+
+@cache
+def _installed(file: str) -> bool:
+    # asked of all modules of a process at every step of a study: links are followed once
     path = Path(file).resolve()
     apart = {"site-packages", "dist-packages"} & set(path.parts)
     return bool(apart) or any(path.is_relative_to(p) for p in _PYTHON)

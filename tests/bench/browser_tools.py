@@ -96,6 +96,14 @@ def chromium():
     return webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
 
 
+SHOWN = """
+const shown = selector => [...document.querySelectorAll(selector)].filter(e =>
+    e.checkVisibility({visibilityProperty: true, opacityProperty: true})
+    && e.getBoundingClientRect().width > 0 && e.getBoundingClientRect().height > 0);
+"""
+"""What is to be seen, asked within the page: a question to its driver costs milliseconds."""
+
+
 class Hand:
     """What a user does and sees."""
 
@@ -131,11 +139,12 @@ class Hand:
         return self.driver.find_elements("css selector", selector)
 
     def shown(self, selector):
-        return [e for e in self.all(selector) if e.is_displayed()]
+        return self.driver.execute_script(f"{SHOWN} return shown(arguments[0])", selector)
 
     @property
     def text(self):
-        return self.driver.find_element("tag name", "body").text
+        said = self.driver.execute_script("return document.body.innerText")
+        return said.replace("\u00a0", " ")
 
     def sees(self, text):
         self.until(lambda: text in self.text, f"{text!r}")
@@ -143,11 +152,13 @@ class Hand:
     def press(self, text):
         """A button or a tab by its words."""
 
-        def found():
-            same = [b for b in self.shown("button, [role=tab]") if b.text.strip() == text]
-            return same[0].click() or True if same else False
-
-        self.until(found, f"a button {text!r}")
+        same = (
+            f"{SHOWN} return shown('button, [role=tab]')"
+            ".find(b => b.innerText.trim() === arguments[0])"
+        )
+        self.until(
+            lambda: self.driver.execute_script(same, text).click() or True, f"a button {text!r}"
+        )
 
     def press_icon(self, label):
         """A button by the beginning of its label."""
@@ -159,16 +170,12 @@ class Hand:
     def field(self, label):
         """What the label of a shown field belongs to."""
 
-        def found():
-            for one in self.shown("label"):
-                if one.text == label:
-                    return self.driver.find_element("id", one.get_attribute("for"))
-            for one in self.shown("[aria-label]"):
-                if one.get_attribute("aria-label") == label:
-                    return one
-            return None
-
-        return self.until(found, f"a field {label!r}")
+        found = (
+            f"{SHOWN} const label = shown('label').find(e => e.innerText.trim() === arguments[0]);"
+            "return label ? document.getElementById(label.htmlFor)"
+            " : shown('[aria-label]').find(e => e.ariaLabel === arguments[0])"
+        )
+        return self.until(lambda: self.driver.execute_script(found, label), f"a field {label!r}")
 
     def type(self, label, text):
         from selenium.webdriver.common.keys import Keys
@@ -196,8 +203,9 @@ class Hand:
 
     def plot(self, label):
         return self.until(
-            lambda: next(
-                p for p in self.shown(".js-plotly-plot") if p.get_attribute("aria-label") == label
+            lambda: self.driver.execute_script(
+                f"{SHOWN} return shown('.js-plotly-plot').find(p => p.ariaLabel === arguments[0])",
+                label,
             ),
             f"a picture {label!r}",
         )

@@ -24,6 +24,8 @@ from pam_ocp.core.stop import LOCK, turns
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 posix = pytest.mark.skipif(os.name != "posix", reason="sends a signal to this thread")
 HERE = Path(__file__).parent
+DENSE = int(os.environ.get("PAM_MOMENTS", "5"))
+"""The slow tests try one moment of so many; with PAM_MOMENTS=1 all of them (minutes)."""
 
 
 class Injector:
@@ -115,7 +117,7 @@ def planner():
 
 
 @posix
-@pytest.mark.parametrize("every", [17, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [17, pytest.param(DENSE, marks=pytest.mark.slow)])
 def test_ctrl_c_comes_out_of_a_planner_wherever_it_falls_and_the_planner_can_be_used_again(every):
     made = planner()
     first = made()
@@ -177,7 +179,7 @@ def works():
         ("window", 5),
         ("point", 1),
         *(
-            pytest.param(n, 1, marks=pytest.mark.slow)
+            pytest.param(n, DENSE, marks=pytest.mark.slow)
             for n in ("build", "simulate", "fit_force", "fit_plant", "mpc", "kalman", "window")
         ),
     ],

@@ -22,7 +22,8 @@ from pam_ocp.fitting.tables.force_table import ForceTable
 
 # on meshes as coarse as these
 pytestmark = pytest.mark.filterwarnings("ignore:the plan of .* is not verified")
-PLACES = [2, "threads", "pool", pytest.param("dask", marks=pytest.mark.slow)]
+SLOW = pytest.mark.slow
+PLACES = [pytest.param(2, marks=SLOW), "threads", "pool", pytest.param("dask", marks=SLOW)]
 
 
 @contextmanager

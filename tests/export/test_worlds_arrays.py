@@ -145,6 +145,7 @@ def random_plants(seeds):
         yield plant, low + (high - low) * rng.uniform(0.3, 0.7, (6, len(low)))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_random_plants_move_as_simulate_says(jnp):
     t, count = np.linspace(0.0, 1.0, 6), 0
@@ -196,7 +197,7 @@ def final(plant, mass):
     return pam.simulate(plant, moves, duration=0.2, parameters={"mass": mass})["x"][-1]
 
 
-@pytest.mark.parametrize("method", ["rk4", "rosenbrock"])
+@pytest.mark.parametrize("method", ["rk4", pytest.param("rosenbrock", marks=pytest.mark.slow)])
 def test_the_slope_of_a_motion_by_a_parameter_is_that_of_differences(resting, jnp, method):
     import jax
 

@@ -411,6 +411,7 @@ def test_a_plant_is_one_class(tmp_path):
 
 
 # ---- a solver --------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_a_solver_is_one_class(tmp_path):
     @SOLVERS.register("slsqp")
     class Slsqp:

@@ -401,10 +401,11 @@ def test_where_many_motions_cost_nothing_one_of_them_is_found_and_settles():
     assert plan.statistics["objective_gap"] < 1e-3
 
 
+@pytest.mark.slow
 def test_work_between_the_points_of_a_mesh_is_seen_and_saved():
     # on so few intervals the tendon rings, and its muscle works between the points
     plant = pam.SeriesLoad(MUSCLE, 15.0, 1.4e5)
-    wish = {"duration": 1.4, "minimise": "work", "method": pam.Collocation(25, 3)}
+    wish = {"duration": 0.7, "minimise": "work", "method": pam.Collocation(12, 3)}
     stops = [{"x": 0.03}, {"x": 0.012}]
     rough, plan = (pam.plan(plant, stops, **wish, tolerance=t) for t in (None, 1e-3))
     work = positive_work(plant, rough)

@@ -412,7 +412,7 @@ def test_a_plan_survives_a_file_and_another_process(slide, tmp_path):
 
 def test_a_tie_of_two_constraints_is_named_from_both_sides(slide):
     with pytest.raises(pam.PlanError) as caught:
-        pam.plan(slide, [{"x": -0.015}, {"x": 0.015}], duration=0.03)
+        pam.plan(slide, [{"x": -0.015}, {"x": 0.015}], duration=0.03, method=Collocation(20, 3))
     assert caught.value.plan.conflicts[0].label.startswith("stop")
     assert caught.value.plan.log[-1]["inf_pr"] > 0
 
@@ -525,6 +525,7 @@ def slide():
 WAY = [{"x": -0.01}, {"x": 0.01}]
 
 
+@pytest.mark.slow
 def test_a_bound_of_one_number_is_named_where_it_leaves_no_motion(slide, capfd):
     with pytest.raises(InputError, match=r"bounds hold it at 10 mm all along; give \(low, high\)"):
         pam.plan(slide, WAY, bounds={"x": 0.01})

@@ -56,11 +56,12 @@ def kkt(program, outcome):
 
 
 def test_a_flat_optimum_ends_at_a_place_and_is_an_optimum():
-    program = work_program(40)
+    program = work_program(24)
     solver = Ipopt(program)
     guess = by_stops(program.problem, program.mesh, balanced=True)
     found = solver(program, guess)
     assert found.success
+    assert found.status == "Settled"  # IPOPT alone wanders along it
     violation, slope = kkt(program, found)
     assert violation <= 1e-7  # multipliers and unknowns count in nominals
     assert slope <= 2e-6

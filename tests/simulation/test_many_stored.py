@@ -261,9 +261,9 @@ def test_memory_does_not_grow_with_the_number_of_cases(tmp_path):
         return size
 
     peak(20, into=tmp_path / "imports")
-    few, many = (peak(n, into=tmp_path / str(n)) for n in (60, 600))
-    kept = peak(600) - peak(60)
-    assert many - few < 0.1 * kept  # of what 540 more results take when they are kept
+    few, many = (peak(n, into=tmp_path / str(n)) for n in (40, 200))
+    kept = peak(200) - peak(40)
+    assert many - few < 0.1 * kept  # of what 160 more results take when they are kept
 
 
 SCRIPT = """

@@ -42,9 +42,13 @@ numbers = ["x.last"]
 
 @pytest.fixture
 def study(tmp_path) -> Path:
-    path = tmp_path / "loads.toml"
-    masses = ", ".join(f'"{5 + i} kg"' for i in range(4))
-    path.write_text(STUDY.replace("MASSES", masses))
+    return loads(tmp_path, 4)
+
+
+def loads(folder: Path, count: int) -> Path:
+    """The study with a sweep of so many masses."""
+    path = folder / "loads.toml"
+    path.write_text(STUDY.replace("MASSES", ", ".join(f'"{5 + i} kg"' for i in range(count))))
     return path
 
 
@@ -71,8 +75,8 @@ def test_shards_that_cannot_be_are_refused(text):
         shard_of(text)
 
 
-def test_merged_shards_are_the_study_in_one_go_and_missing_ones_are_named(study, tmp_path):
-    out, cache = tmp_path / "out", tmp_path / "kept"
+def test_merged_shards_are_the_study_in_one_go_and_missing_ones_are_named(tmp_path):
+    study, out, cache = loads(tmp_path, 2), tmp_path / "out", tmp_path / "kept"
     with pytest.raises(InputError, match="no shard has run here"):
         run_study(study, out, cache=cache, merge=True)
     for number in (1, 3):
@@ -107,8 +111,11 @@ run_study(sys.argv[1], sys.argv[2], cache=sys.argv[3], shard=shard, progress=sto
 
 
 @pytest.mark.parametrize("shard", ["1/2", None])
-def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(study, tmp_path, shard):
-    out, cache = tmp_path / "out", tmp_path / "kept"
+def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(
+    tmp_path, monkeypatch, shard
+):
+    monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
+    study, out, cache = loads(tmp_path, 2), tmp_path / "out", tmp_path / "kept"
     command = [sys.executable, "-c", STAYS, str(study), str(out), str(cache), shard or "-"]
     other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert other.stdout is not None

@@ -102,6 +102,12 @@ def fresh(tmp_path):
     return tmp_path
 
 
+@pytest.fixture
+def plain_pictures(monkeypatch):
+    """For tests that ask which steps run: a picture is some bytes, and takes no time to draw."""
+    monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
+
+
 def run(place, **options):
     return run_study(place / "study.toml", place / "out", cache=place / "cache", **options)
 
@@ -122,6 +128,7 @@ def changed(place, old, new, file="study.toml"):
     (place / file).write_text(text.replace(old, new))
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_second_run_does_nothing_and_a_change_runs_what_stands_on_it(place):
     before = tables(place / "out")
     assert before
@@ -204,6 +211,7 @@ def test_a_step_whose_worker_is_lost_is_done_once_more(place, tmp_path, monkeypa
     assert set(states(result).values()) == {"done"}
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_step_that_fails_ends_what_stands_on_it_and_nothing_else(place):
     changed(place, '"muscle.pressure" = "1 bar"', 'x = "290 mm"')  # no pressure holds it there
     result = run(place)
@@ -505,6 +513,7 @@ def test_of_a_table_some_cell_stays(fresh):
         run_study(path, place / "out", cache=place / "cache")
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_what_is_called_as_a_step_beside_the_study_is_no_part_of_it(fresh):
     """Nor does it matter that files come while a study runs."""
     place = fresh
@@ -523,6 +532,7 @@ def test_what_is_called_as_a_step_beside_the_study_is_no_part_of_it(fresh):
     assert {s.state for s in again.steps.values()} == {"kept"}
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_the_command_tells_the_same_as_json_and_judges_by_its_exit_code(place, capsys):
     import json
 
@@ -584,6 +594,7 @@ def lifted(mass):
     ],
     ids=["at its head", "within the function"],
 )
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_change_in_a_module_that_a_named_file_imports_is_seen(tmp_path, monkeypatch, builder):
     monkeypatch.syspath_prepend(tmp_path)
     own_study(tmp_path, builder)
@@ -597,6 +608,7 @@ def test_a_change_in_a_module_that_a_named_file_imports_is_seen(tmp_path, monkey
     assert set(masses(tmp_path)[0].values()) == {"kept"}
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_file_that_own_code_names_is_seen_and_what_it_hides_is_done_anew(tmp_path, monkeypatch):
     own_study(
         tmp_path,
