@@ -211,7 +211,8 @@ def origin(result: dict[str, Any]) -> str:
     machine = result["machine"]
     size = "in small" if result["quick"] else "in full"
     load = "" if result["load"] is None else f" load {result['load']:.1f} at the start,"
-    return f"""`python benchmarks/run.py --page`, {size}, {result["repeats"]} repetitions, medians; processor
+    times = f"{result['repeats']} repetitions, medians"
+    return f"""`python benchmarks/run.py --page`, {size}, {times}; processor
 seconds where nothing else is said. {result["time"][:10]}, commit {result["commit"]},{load}
 {machine["processors"]} x {machine["processor"]}"""
 
