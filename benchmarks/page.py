@@ -1,4 +1,4 @@
-"""What run.py writes: plots of growth, slopes and tools for docs/benchmarks.md, and figures.md."""
+"""What run.py writes: plots of growth and other tools for docs/benchmarks.md, and figures.md."""
 
 from __future__ import annotations
 
@@ -220,18 +220,18 @@ seconds where nothing else is said. {result["time"][:10]}, commit {result["commi
 def section(result: dict[str, Any]) -> str:
     """The text between the marks."""
     pictures = PICTURES if shown(result["figures"]) else ""
-    parts = "\n\n".join(part for part in (growth(result), peers(result)) if part)
     return f"""{BEGIN}
 {origin(result)}.
 
-{pictures}{parts}
+{pictures}{peers(result)}
 {END}"""
 
 
 def goals(result: dict[str, Any]) -> str:
-    """figures.md: every figure with its goal, and the versions of all that was measured."""
+    """figures.md: curves, every figure with its goal, the versions of all that was measured."""
     versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items())
-    return f"# Figures and goals\n\n{origin(result)}, {versions}.\n\n{table(result)}\n"
+    parts = (f"# Figures and goals\n\n{origin(result)}, {versions}.", growth(result), table(result))
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def write_page(

@@ -205,7 +205,7 @@ def test_the_page_tells_curves_slopes_goals_peers_and_failures(run, page, tmp_pa
     assert text.startswith("# How quick\n\n<!-- figures: begin -->\n`python benchmarks/run.py")
     assert text.endswith("<!-- figures: end -->\n\n## More\n")
     assert "old" not in text.split()
-    assert "| plan [s] over intervals | 25: 0.025, 50: 0.05, 100: 0.1 | 1.00 |" in text
+    assert "| plan [s] over intervals | 25: 0.025, 50: 0.05, 100: 0.1 | 1.00 |" in figures
     assert "| fit_force with intervals [s], 60 | 0.005 | 0.005 .. 0.0055 | <= 0.01 |" in figures
     assert "| Kalman filter [ms] | 0.4 | 0.4 .. 0.44 | <= 0.1 (not reached) |" in figures
     assert "| cases | not measured: no end in 900 s |" in figures
