@@ -43,7 +43,7 @@ DIFFERENCES = 2e-5 / 4.0 ** np.arange(6)
 PEAKS = 20
 """So many times more samples where a largest value counts: it may lie in a narrow spike."""
 EDGE = 0.02
-"""What a memory that has slid fully gives up at rest, as a part of it (docs/model.md)."""
+"""What a memory that has slid fully gives up at rest, as a part of it (docs/losses.md)."""
 SETTLED = 1e5
 """Seconds in which a memory comes to where it stays."""
 

@@ -1,4 +1,4 @@
-"""The part of docs/benchmarks.md that run.py writes: plots of growth, their slopes, and tables."""
+"""What run.py writes: plots of growth and other tools for docs/benchmarks.md, and figures.md."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from measuring import write
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+HERE = Path(__file__).resolve().parent
+DOCS = HERE.parent / "docs"
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 CURVES = {
     "intervals": ("plan", "intervals", ("plan [s]", "plan, plain CasADi [s]")),
@@ -205,33 +206,45 @@ PICTURES = """```{image} growth-light.svg
 """
 
 
-def section(result: dict[str, Any]) -> str:
-    """The text between the marks."""
-    versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items())
+def origin(result: dict[str, Any]) -> str:
+    """Where the figures come from: when, what, on which machine, under which load."""
     machine = result["machine"]
     size = "in small" if result["quick"] else "in full"
     load = "" if result["load"] is None else f" load {result['load']:.1f} at the start,"
-    pictures = PICTURES if shown(result["figures"]) else ""
-    parts = "\n\n".join(part for part in (growth(result), table(result), peers(result)) if part)
-    return f"""{BEGIN}
-`python benchmarks/run.py --page`, {size}, {result["repeats"]} repetitions, medians; processor
+    times = f"{result['repeats']} repetitions, medians"
+    return f"""`python benchmarks/run.py --page`, {size}, {times}; processor
 seconds where nothing else is said. {result["time"][:10]}, commit {result["commit"]},{load}
-{machine["processors"]} x {machine["processor"]}, {versions}.
-*plain*: CasADi as a careful user writes it (`benchmarks/plain.py`).
+{machine["processors"]} x {machine["processor"]}"""
 
-{pictures}{parts}
+
+def section(result: dict[str, Any]) -> str:
+    """The text between the marks."""
+    pictures = PICTURES if shown(result["figures"]) else ""
+    return f"""{BEGIN}
+{origin(result)}.
+
+{pictures}{peers(result)}
 {END}"""
 
 
-def write_page(result: dict[str, Any], docs: Path = DOCS) -> list[Path]:
-    """Put table and plots into the page."""
+def goals(result: dict[str, Any]) -> str:
+    """figures.md: curves, every figure with its goal, the versions of all that was measured."""
+    versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items())
+    parts = (f"# Figures and goals\n\n{origin(result)}, {versions}.", growth(result), table(result))
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def write_page(
+    result: dict[str, Any], docs: Path = DOCS, figures: Path = HERE / "figures.md"
+) -> list[Path]:
+    """Put plots and tools into the page; all figures with their goals into a file of their own."""
     page = docs / "benchmarks.md"
     text = page.read_text("utf-8")
     before, _, rest = text.partition(BEGIN)
     _, found, after = rest.partition(END)
     if not found:
         raise SystemExit(f"{page} has no marks {BEGIN} ... {END}")
-    written = [page]
+    written = [page, figures]
     looks = (("light", LIGHT), ("dark", DARK)) if shown(result["figures"]) else ()
     for name, look in looks:
         written.append(docs / f"growth-{name}.svg")
@@ -240,5 +253,6 @@ def write_page(result: dict[str, Any], docs: Path = DOCS) -> list[Path]:
             plot(result["figures"], look).savefig(drawn, format="svg", metadata={"Date": None})
         lines = (line.rstrip() for line in drawn.getvalue().splitlines())
         write(written[-1], "\n".join(lines) + "\n")
+    write(figures, goals(result))
     write(page, before + section(result) + after)
     return written

@@ -11,8 +11,8 @@ change costs, whatever the machine. ``--against`` names a file of an earlier run
 Figures that are more than 20 % slower are listed, and the exit code is 1 (0 where there is none, 2
 where the call is wrong). Peers (peers/run.py: planners, lmfit, python-control) get environments of
 their own in a folder of caches, once, with ``--install``; ``--peers`` runs them. ``--page`` writes
-the plots (light and dark) and the tables of docs/benchmarks.md; with ``--read FILE`` of a run
-before.
+the plots (light and dark) and tables of docs/benchmarks.md, and figures.md; with ``--read FILE``
+of a run before.
 
 Measure on a quiet machine: ``uptime`` below 0.5. The load at the start is written down.
 """

@@ -1,8 +1,8 @@
 """The arrows between rooms, read off the imports; ``python docs/rooms.py`` draws them anew.
 
 Every import statement of pam_ocp counts: at the top of a module, inside a function, and under
-``TYPE_CHECKING``. The picture and the table in docs/architecture.md are written by this script and
-compared with it by tests/package/test_architecture.py.
+``TYPE_CHECKING``. The picture in docs/architecture.md is drawn by this script and compared with
+it by tests/package/test_architecture.py.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def floors(graph: Mapping[str, set[str]]) -> list[list[str]]:
 
 
 def drawn(graph: Mapping[str, set[str]]) -> str:
-    """A Mermaid picture without the arrows that follow from others, and a table with all."""
+    """A Mermaid picture without the arrows that follow from others."""
     lines = ["```mermaid", "flowchart TD"]
     for room in (r for level in floors(graph) for r in level):
         direct = {
@@ -129,10 +129,7 @@ def drawn(graph: Mapping[str, set[str]]) -> str:
             if not any(other in reachable(graph, via) for via in graph[room] - {other})
         }
         lines += [f"    {room} --> {other}" for other in sorted(direct)]
-    lines += ["```", "", "| subpackage | imports |", "|---|---|"]
-    for level in floors(graph):
-        lines += [f"| {room} | {', '.join(sorted(graph[room])) or '-'} |" for room in level]
-    return "\n".join(lines)
+    return "\n".join([*lines, "```"])
 
 
 def page(text: str, picture: str) -> str:

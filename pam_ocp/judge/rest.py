@@ -280,8 +280,8 @@ def _still(
     limits: Sequence[Limit],
     time: float,
 ) -> Array:
-    """Inputs under which the first of some groups that can be held stands still, or the last, as far
-    as there are any.
+    """Inputs under which the first of some groups that can be held stands still, or the last, as
+    far as there are any.
     """
     still = np.asarray(u, float)
     if not any(not v.disturbance for v in plant.inputs):
@@ -303,9 +303,9 @@ def _sums(plant: Plant) -> dict[str, float]:
 def _away(plant: Plant, x: Array, u: Array, kept: Sequence[int]) -> tuple[Array, Array]:
     """(rates, distances from the nearest state where all of them vanish), in nominals.
 
-    The distance is Newton's step of least norm. Directions in which nothing pulls count as none, and
-    so do those in which nothing moves in LONG: what leaks through a valve that is shut but for a
-    rounding would be far from where it leads.
+    The distance is Newton's step of least norm. Directions in which nothing pulls count as none,
+    and so do those in which nothing moves in LONG: what leaks through a valve that is shut but for
+    a rounding would be far from where it leads.
     """
     nominal = plant.vector("state", attribute="nominal")[list(kept)]
     p = plant.vector("parameter")

@@ -114,13 +114,10 @@ def attribution(name: str) -> Attribution:
 
 
 def attribution_table() -> str:
-    """The attributions of all muscles as a table in Markdown: docs/muscles.md has it."""
-    head = ("muscle", "measured", "by, where", "source", "confidence")
-    rows = [head, ("---",) * len(head)]
+    """Sources and confidence of all muscles as a table in Markdown: docs/muscles.md has it."""
+    rows = [("muscle", "source", "confidence"), ("---",) * 3]
     for a in map(attribution, muscle_names()):
-        whose = f"{a.by}; {a.where}"
-        said = f"{a.confidence}: {a.sure}"
-        rows.append((f"`{a.name}`", a.measured, whose, f"{a.source} ({a.obtained})", said))
+        rows.append((f"`{a.name}`", f"{a.source} ({a.obtained})", a.confidence))
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 

@@ -182,7 +182,7 @@ def plan(
         program is not broken off). The best so far is returned, not verified: its verdict says that
         the time was up. PlanError when there is nothing yet.
 
-    Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
+    Raises InputError for an invalid problem, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
     (PlanWarning) when the plan is not verified: ``plan.verdict`` says why.
 

@@ -386,10 +386,10 @@ class Search:
         problem, usual = self.problem, wants_balance(self.problem)
         wide = smoothed_at(self.engine.program(mesh), self.place).problem
         guesses: list[Guess] = [
-            ("a motion led along the stops", lambda: by_leading(wide, mesh), "near"),
+            ("a simulated motion along the stops", lambda: by_leading(wide, mesh), "near"),
             ("a small cost of the inputs", lambda: self._regularised(mesh), "near"),
-            ("points of rest between the stops", lambda: by_rests(problem, mesh), "cold"),
-            ("points of rest between the stops", lambda: by_rests(problem, mesh), "adaptive"),
+            ("equilibria between the stops", lambda: by_rests(problem, mesh), "cold"),
+            ("equilibria between the stops", lambda: by_rests(problem, mesh), "adaptive"),
             ("the stops, balanced", lambda: by_stops(problem, mesh, not usual), "adaptive"),
         ]
         yield from self._from_guesses(mesh, guesses[:most])

@@ -199,29 +199,32 @@ def test_the_page_tells_curves_slopes_goals_peers_and_failures(run, page, tmp_pa
         "x": "failed: a | b",
     }
     said = of_a_run(curves | goals, missing={"cases": "no end in 900 s"}, peers={"planning": tools})
-    written = page.write_page(said, tmp_path)
-    text = (tmp_path / "benchmarks.md").read_text("utf-8")
+    goals = tmp_path / "figures.md"
+    written = page.write_page(said, tmp_path, goals)
+    text, figures = (p.read_text("utf-8") for p in (tmp_path / "benchmarks.md", goals))
     assert text.startswith("# How quick\n\n<!-- figures: begin -->\n`python benchmarks/run.py")
     assert text.endswith("<!-- figures: end -->\n\n## More\n")
     assert "old" not in text.split()
-    assert "| plan [s] over intervals | 25: 0.025, 50: 0.05, 100: 0.1 | 1.00 |" in text
-    assert "| fit_force with intervals [s], 60 | 0.005 | 0.005 .. 0.0055 | <= 0.01 |" in text
-    assert "| Kalman filter [ms] | 0.4 | 0.4 .. 0.44 | <= 0.1 (not reached) |" in text
-    assert "| cases | not measured: no end in 900 s |" in text
+    assert "| plan [s] over intervals | 25: 0.025, 50: 0.05, 100: 0.1 | 1.00 |" in figures
+    assert "| fit_force with intervals [s], 60 | 0.005 | 0.005 .. 0.0055 | <= 0.01 |" in figures
+    assert "| Kalman filter [ms] | 0.4 | 0.4 .. 0.44 | <= 0.1 (not reached) |" in figures
+    assert "| cases | not measured: no end in 900 s |" in figures
     assert "| pam_ocp | 0.5 | 1.7e-08 |" in text
     assert "| x | failed: a \\| b |" in text
-    assert [p.name for p in written] == ["benchmarks.md", "growth-light.svg", "growth-dark.svg"]
-    for path in written[1:]:
+    made = ["benchmarks.md", "figures.md", "growth-light.svg", "growth-dark.svg"]
+    assert [p.name for p in written] == made
+    for path in written[2:]:
         first = path.read_bytes()
         assert b"<svg" in first
-    page.write_page(said, tmp_path)  # again: the same, and nothing beside it
+    page.write_page(said, tmp_path, goals)  # again: the same, and nothing beside it
     assert path.read_bytes() == first
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(p.name for p in written)
 
 
 def test_a_page_without_curves_has_no_plots(page, tmp_path):
     (tmp_path / "benchmarks.md").write_text(PAGE, "utf-8")
-    assert page.write_page(of_a_run({"import [s]": 0.1}), tmp_path) == [tmp_path / "benchmarks.md"]
+    files = [tmp_path / "benchmarks.md", tmp_path / "figures.md"]
+    assert page.write_page(of_a_run({"import [s]": 0.1}), tmp_path, files[1]) == files
     assert "growth" not in (tmp_path / "benchmarks.md").read_text("utf-8")
 
 

@@ -1,5 +1,6 @@
 """What the pages of docs/ show runs as it stands there, block after block."""
 
+import logging
 import re
 from pathlib import Path
 
@@ -33,6 +34,16 @@ PAGES = {
 LONG = {"fmu", "howto", "ladder", "self_excited", "vibration"}
 
 
+@pytest.fixture
+def logger():
+    """The package's logger, whose level a page may change; as it was when the test ends."""
+    found = logging.getLogger("pam_ocp")
+    level = found.level
+    yield found
+    found.setLevel(level)
+
+
+@pytest.mark.usefixtures("logger")
 @pytest.mark.parametrize(
     "page", [pytest.param(p, marks=pytest.mark.slow) if p in LONG else p for p in PAGES]
 )

@@ -114,7 +114,7 @@ def test_at_rest_each_element_gives_up_its_edge_and_no_more(way, edge):
 
 
 def test_after_a_turn_the_sum_gives_up_more_than_each_element():
-    """docs/model.md: 9.6 + 12 N at 10 %, back by 1.5 %: -6 and 9.6 - 400 x 0.015 = 3.6 N."""
+    """docs/losses.md: 9.6 + 12 N at 10 %, back by 1.5 %: -6 and 9.6 - 400 x 0.015 = 3.6 N."""
     bench = Bench(L.PrandtlIshlinskii())
     _, z = bench.along([0.08, 0.03, 0.1, 0.085])
     before = bench.at(0.085, 0.0, z)[1]

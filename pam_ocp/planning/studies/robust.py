@@ -117,7 +117,7 @@ def robust_plan(
 
     ``robust.verdict`` says whether it is verified, or which figure failed: then a PlanWarning is
     given, and the plan is the one with the largest share that was found. Raises InputError for what
-    cannot be meant; PlanError where the spread cannot be kept for the first plants: the message
+    is invalid; PlanError where the spread cannot be kept for the first plants: the message
     names ``NAME.deviation<k>`` at its stop, and what the nominal plan's inputs would keep.
 
     Examples

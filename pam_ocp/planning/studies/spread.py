@@ -254,7 +254,7 @@ def _resting(plant: Plant, start: Mapping[str, float], inputs: Sequence[float]) 
         z, _ = newton(equations, np.array([start[n] for n in names]) / scale, steps=100)
     except NewtonError as error:
         raise SimulationError(
-            f"{plant.name} with these parameters has no point of rest at the start's pressures: "
+            f"{plant.name} with these parameters has no equilibrium at the start's pressures: "
             f"{error}"
         ) from None
     return dict(zip(names, (z * scale).tolist(), strict=True))

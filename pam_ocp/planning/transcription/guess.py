@@ -41,9 +41,9 @@ IDLE = 1e-6
 """Least change of a state's rate, in nominals per second and nominal of an input, to be influence.
 """
 AT_REST = 1e-5
-"""Rates [nominal/s] of a point of rest, at most."""
+"""Rates [nominal/s] of an equilibrium, at most."""
 PLACES = 8
-"""Parts of a way between two stops whose ends are points of rest."""
+"""Parts of a way between two stops whose ends are equilibria."""
 LEVELS = 12
 """Of an input that are tried, to either side of its middle."""
 
@@ -83,7 +83,7 @@ def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: floa
 
 
 def by_rests(problem: Problem, mesh: Mesh) -> Array:
-    """Scaled unknowns along points of rest between the stops, in the usual durations.
+    """Scaled unknowns along equilibria between the stops, in the usual durations.
 
     A slow motion is nearly one of these; where parts are stiff, the states between the stops' own
     would meet large forces instead.
@@ -94,7 +94,7 @@ def by_rests(problem: Problem, mesh: Mesh) -> Array:
 
 
 def path_of_rests(problem: Problem, durations: Array) -> Path:
-    """A minimum-jerk motion along points of rest between the stops."""
+    """A minimum-jerk motion along equilibria between the stops."""
     return Path(problem, _rests(problem), durations, PLACES)
 
 
@@ -126,7 +126,7 @@ def _rests(problem: Problem) -> list[tuple[Array, Array]]:
 def _rest(
     plant: Plant, known: dict[str, float], completed: bool = False
 ) -> tuple[Array, Array] | None:
-    """(states, inputs) of a point of rest with these values; None when there is none.
+    """(states, inputs) of an equilibrium with these values; None when there is none.
 
     completed : with as many pressures at their start values as inputs are open then.
     """
