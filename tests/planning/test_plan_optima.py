@@ -31,19 +31,7 @@ def test_least_time_of_the_double_integrator(points):
         double_integrator(1.0), REST, rest=False, method=Collocation(10, 3, points=points)
     )
     assert plan.duration == pytest.approx(2.0, rel=1e-6)
-
-
-@pytest.mark.parametrize("points", ["radau", "gauss"])
-def test_least_effort_of_the_double_integrator(points):
-    plan = pam.plan(
-        double_integrator(10.0),
-        REST,
-        rest=False,
-        duration=1.0,
-        minimise="effort",
-        method=Collocation(4, 3, "polynomial", points),
-    )
-    assert plan.objective == pytest.approx(12.0, rel=1e-6)
+    assert plan.trajectory["u"][[0, -1]] == pytest.approx([1.0, -1.0], abs=1e-6)
 
 
 @pytest.mark.parametrize("points", ["radau", "gauss"])
