@@ -37,15 +37,10 @@ def test_least_time_of_the_double_integrator(points):
 @pytest.mark.parametrize("points", ["radau", "gauss"])
 def test_bryson_denham(points):
     """x <= L = 1/9: half the squared input comes to 4/(9 L) = 4 (Bryson, Ho 1975, sect. 3.11)."""
-    plan = pam.plan(
-        double_integrator(20.0),
-        [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}],
-        rest=False,
-        duration=1.0,
-        minimise={"effort": 0.5},
-        bounds={"x": (None, 1 / 9)},
-        method=Collocation(30, 3, "linear", points),  # the contact's ends 1/3, 2/3 are on the mesh
-    )
+    method = Collocation(30, 3, "linear", points)  # the contact's ends 1/3, 2/3 are on the mesh
+    asked = {"duration": 1.0, "minimise": {"effort": 0.5}, "bounds": {"x": (None, 1 / 9)}}
+    ends = [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}]
+    plan = pam.plan(double_integrator(20.0), ends, rest=False, method=method, **asked)
     assert plan.objective == pytest.approx(4.0, rel=1e-6)
 
 
