@@ -21,13 +21,14 @@ import pickle
 import re
 import sys
 import sysconfig
+import threading
 import types
 import weakref
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, singledispatch
 from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any
@@ -281,6 +282,8 @@ def _parts(code: types.CodeType) -> Iterator[types.CodeType]:
 _LEAVES = (int, float, complex, bool, bytes, bytearray, range, slice, type(None), type(...))
 _SLOTS = ("__dict__", "__weakref__")
 _WRAPPED = ("fget", "fset", "fdel", "func", "__func__", "__wrapped__", "dispatcher", "args")
+_WEAK = (weakref.WeakKeyDictionary, weakref.WeakValueDictionary)
+_LOCKS = (type(threading.Lock()), type(threading.RLock()), threading.Event, threading.Condition)
 _COMPILED = (
     types.BuiltinFunctionType,
     types.MethodWrapperType,
@@ -395,8 +398,11 @@ class _Walk:
     def _function(self, function: types.FunctionType) -> Iterator[bytes]:
         code = function.__code__
         yield from self._all(code, function.__defaults__, function.__kwdefaults__)
-        yield from self._all(*(function.__closure__ or ()))
-        yield self.of(vars(function))
+        remembers = code.co_filename == singledispatch.__code__.co_filename
+        for cell in function.__closure__ or ():
+            if not (remembers and isinstance(cell.cell_contents, _WEAK)):  # what it looked up
+                yield self.of(cell)
+        yield self.of({n: v for n, v in vars(function).items() if n != "_clear_cache"})
         within = [_seen(part) for part in _parts(code)]
         chains = sorted({c for part in within for c in part.chains})
         values = [_looked_up(function, chain) for chain in chains]
@@ -488,8 +494,8 @@ class _Walk:
             yield from self._all(*wrapped, getattr(value, "keywords", None))
         elif hasattr(value, "serialize") and type(value).__module__.startswith("casadi"):
             yield from self._casadi(value)
-        elif isinstance(value, weakref.WeakKeyDictionary | weakref.WeakValueDictionary):
-            yield b"cache"
+        elif isinstance(value, _WEAK):
+            yield self.of(dict(value))
         elif isinstance(value, weakref.ref):
             yield self.of(value())
         elif value is os.environ:
@@ -524,6 +530,11 @@ class _Walk:
             return
         made, arguments, state, items, entries = (*found, None, None, None)[:5]
         yield from self._all(made, arguments, _stated(type(value), state))
+        if _release(type(value).__module__) is None:  # what its author keeps from copies counts
+            told = state if isinstance(state, dict) else {}
+            left = {n: v for n, v in getattr(value, "__dict__", {}).items() if n not in told}
+            left = {n: v for n, v in left.items() if not isinstance(v, _LOCKS)}
+            yield self.of(_stated(type(value), left))
         yield from self._all(*(items or ()))
         yield self.of(dict(entries or ()))
 

@@ -45,6 +45,8 @@ Guess: TypeAlias = tuple[str, Callable[[], Array | None], Start]
 
 GIVEN, LAST = -1, 99
 """Numbers of the candidates from a given plan, and from openings: before and behind all starts."""
+BLOCKED = "no way from wider smoothing to the plant's own terms"
+"""Status of a search whose starts are solved, while none is led to the end."""
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
 PARTS = 4, 2
@@ -172,6 +174,9 @@ class Search:
             finer = self.engine.refined(c, guarded(c.mesh), "by arcs it is not met")
             c = replace(finer or c, rounds=0)
         self.continuation.led(c)
+        if self.found.best is None and self.found.failure is None:
+            blocked = replace(c.solved.outcome, success=False, status=BLOCKED)
+            self.found.failure = replace(c.solved, outcome=blocked)
 
     def _by_arcs(self, c: Candidate) -> bool:
         """Whether intervals that end where inputs switch met the tolerance."""

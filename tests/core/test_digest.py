@@ -130,6 +130,24 @@ KINDS = {
         "from scipy.interpolate import CubicSpline\nimport numpy as np\n"
         "push = CubicSpline([0.0, 1.0, 2.0], [0.0, 1.0, {gain}])"
     ),
+    "what stays behind in copies": (
+        "class C:\n    def __init__(self, g): self.g = g\n"
+        "    def __getstate__(self): return {{}}\n"
+        "    def __call__(self, t): return self.g * t\npush = C({gain})"
+    ),
+    "what __reduce__ leaves out": (
+        "class C:\n    def __init__(self, g=0.0): self.g = g\n"
+        "    def __reduce__(self): return C, ()\n"
+        "    def __call__(self, t): return self.g * t\npush = C({gain})"
+    ),
+    "numbers of objects that are weakly held": (
+        "from weakref import WeakKeyDictionary\nclass C: pass\nkept = C()\n"
+        "GAINS = WeakKeyDictionary({{kept: {gain}}})\ndef push(t): return GAINS[kept] * t"
+    ),
+    "weakly held values": (
+        "from weakref import WeakValueDictionary\nclass C:\n    g = 1.0\nkept = C()\n"
+        "kept.g = {gain}\nALL = WeakValueDictionary(a=kept)\ndef push(t): return ALL['a'].g * t"
+    ),
     "vectorised": "import numpy as np\npush = np.vectorize(lambda t: {gain} * t)",
     "an attribute of a module": "import helper\ndef push(t): return helper.GAIN * t",
     "a function of a module": "import helper\ndef push(t): return helper.body(t)",
@@ -352,6 +370,24 @@ def test_what_was_computed_meanwhile_is_no_change():
     first = digest_of(area)
     assert area.area > 12.0
     assert digest_of(area) == first
+
+
+def test_what_a_dispatcher_remembers_and_a_lock_are_no_change():
+    @functools.singledispatch
+    def push(t):
+        return t
+
+    class Guarded:
+        def __init__(self):
+            self.lock = threading.Lock()
+
+        def __getstate__(self):
+            return {}
+
+    first = digest_of(push), digest_of(Guarded())
+    assert push(2.0) == 2.0
+    assert (digest_of(push), digest_of(Guarded())) == first
+    assert first[1].doubts == ()
 
 
 def test_equal_content_is_told_by_what_it_says_and_not_by_where_it_lies():
