@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-import locale
 import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait
+
+import locale
 import random
 import signal
 from collections.abc import Callable, Iterator

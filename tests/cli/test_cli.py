@@ -6,17 +6,12 @@ import sys
 
 import numpy as np
 import pytest
+from cli_tools import run
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
 
 TABLE = "DMSP-10-250_static.csv"
-
-
-def run(capsys, *arguments):
-    code = main([str(a) for a in arguments])
-    shown = capsys.readouterr()
-    return code, shown.out, shown.err
 
 
 def test_help_says_where_to_start(capsys):
@@ -29,19 +24,8 @@ def test_help_says_where_to_start(capsys):
 
 def test_fit_prints_a_report_and_writes_the_muscle(capsys, tmp_path):
     file, plot = tmp_path / "muscle.json", tmp_path / "fit.png"
-    code, out, _ = run(
-        capsys,
-        "fit",
-        TABLE,
-        "--rest-length",
-        0.25,
-        "--diameter",
-        0.01,
-        "--out",
-        file,
-        "--plot",
-        plot,
-    )
+    given = f"fit {TABLE} --rest-length 0.25 --diameter 0.01"
+    code, out, _ = run(capsys, given, "--out", file, "--plot", plot)
     assert code == 0
     assert "RMSE 1.10" in out
     muscle = pam.load_muscle(file)
@@ -55,19 +39,8 @@ def test_fit_prints_a_report_and_writes_the_muscle(capsys, tmp_path):
 def test_a_fitted_muscle_goes_into_an_fmu(capsys, tmp_path):
     muscle, fmu = tmp_path / "muscle.toml", tmp_path / "load.fmu"
     run(capsys, "fit", TABLE, "--rest-length", 0.25, "--out", muscle)
-    code, out, err = run(
-        capsys,
-        "export",
-        "hanging_load",
-        "--muscle",
-        muscle,
-        "--set",
-        "mass=5",
-        "--platform",
-        "native",
-        "--out",
-        fmu,
-    )
+    given = "export hanging_load --set mass=5 --platform native"
+    code, out, err = run(capsys, given, "--muscle", muscle, "--out", fmu)
     assert (code, err) == (0, "")
     assert str(fmu) in out
     from fmpy import read_model_description
@@ -94,9 +67,8 @@ def test_a_law_may_be_named_by_its_form(capsys, tmp_path):
 def test_check_tells_by_its_exit_code(capsys, tmp_path):
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.0)
     fmu = pam.export_fmu(plant, tmp_path / "load.fmu", platforms="native")
-    motion = pam.simulate(
-        plant, {"muscle.command": np.linspace(2e5, 4e5, 21)}, t=np.linspace(0, 0.2, 21)
-    )
+    command = {"muscle.command": np.linspace(2e5, 4e5, 21)}
+    motion = pam.simulate(plant, command, t=np.linspace(0, 0.2, 21))
     good = motion.save(tmp_path / "good.npz")
     motion["x"][:] += 1e-4
     bad = motion.save(tmp_path / "bad.npz")
@@ -114,17 +86,8 @@ def test_export_takes_a_plant_from_a_users_file(capsys, tmp_path):
         "x = plant.state('x', start=1.0)\n"
         "plant.der(x, -x)\n"
     )
-    code, _, err = run(
-        capsys,
-        "export",
-        f"{file}:plant",
-        "--platform",
-        "native",
-        "--fmi",
-        "3.0",
-        "--out",
-        tmp_path / "m.fmu",
-    )
+    given = f"{file}:plant", "--out", tmp_path / "m.fmu"
+    code, _, err = run(capsys, "export --platform native --fmi 3.0", *given)
     assert (code, err) == (0, "")
     assert pam.check_fmu(tmp_path / "m.fmu").ok
 
@@ -149,7 +112,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
     capsys, tmp_path, monkeypatch, arguments, message
 ):
     monkeypatch.chdir(tmp_path)
-    code, _, err = run(capsys, *arguments)
+    code, _, err = run(capsys, "", *arguments)
     assert code == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1
@@ -166,7 +129,7 @@ def test_muscles_lists_the_catalogue(capsys):
 
 def test_one_muscle_is_shown_with_its_forces(capsys, tmp_path):
     plot = tmp_path / "muscle.png"
-    code, out, _ = run(capsys, "muscles", "show", "DMSP-20-400N", "--plot", plot)
+    code, out, _ = run(capsys, "muscles show DMSP-20-400N", "--plot", plot)
     assert code == 0
     assert "1804.6" in out  # F(0) at 6 bar of the published set
     assert "27.9 %" in out
@@ -197,18 +160,9 @@ def test_the_tour_leaves_its_figures_fmus_and_summary(capsys, tmp_path):
     assert code == 0
     assert "[6/6]" in out
     written = {p.name for p in (tmp_path / "tour").iterdir()}
-    assert written == {
-        "bode.png",
-        "fit.png",
-        "fmu.png",
-        "motion.png",
-        "muscle.json",
-        "plan.csv",
-        "slide_fmi2.fmu",
-        "slide_fmi3.fmu",
-        "summary.json",
-        "summary.md",
-    }
+    pictures = {f"{name}.png" for name in ("bode", "fit", "fmu", "motion")}
+    files = {"muscle.json", "plan.csv", "slide_fmi2.fmu", "slide_fmi3.fmu"}
+    assert written == {*pictures, *files, "summary.json", "summary.md"}
     summary = json.loads((tmp_path / "tour" / "summary.json").read_text())
     assert summary["fit"]["rmse_N"] == pytest.approx(6.2, abs=0.05)
     assert summary["plan"]["replay_error_of_nominal"] < 1e-6

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_tools import run
 
 import pam_ocp as pam
-from pam_ocp.cli.main import main
 from pam_ocp.fitting.dynamic.saved_plant import load_plant_fit
 from pam_ocp.plants.plant_file import plant_of
 
@@ -36,36 +36,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two records of a slide with damping 20 N s/m and lag 50 ms, and a study file."""
     path = tmp_path_factory.mktemp("study")
     (path / "study.toml").write_text(STUDY)
-    plant = plant_of(
-        {
-            "arrangement": "AntagonisticSlide",
-            "muscle": "DMSP-20-200N",
-            "mass": 2.0,
-            "pre_contraction": 0.1,
-            "feed": {"kind": "Regulator", "lag": 0.05, "max_pressure": 6e5},
-        }
-    )
+    feed = pam.feeds.Regulator(0.05, max_pressure=6e5)
+    plant = pam.AntagonisticSlide("DMSP-20-200N", 2.0, 0.1, feed=feed)
     for seed in range(2):
         random = np.random.default_rng(seed)
         t = np.arange(0, 1.005, 0.01)
         levels = random.uniform(2.2, 4.5, (2, 5))[:, np.minimum((t / 0.25 + 1e-9).astype(int), 4)]
-        run = pam.simulate(
-            plant,
-            {f"muscle{i + 1}.command": (t, 1e5 * levels[i]) for i in (0, 1)},
-            t=t,
-            start={"muscle1.pressure": 3e5, "muscle2.pressure": 3e5},
-        )
-        x = 1e3 * run["x"] + 0.02 * random.standard_normal(t.size)
+        commands = {f"muscle{i + 1}.command": (t, 1e5 * levels[i]) for i in (0, 1)}
+        even = {"muscle1.pressure": 3e5, "muscle2.pressure": 3e5}
+        motion = pam.simulate(plant, commands, t=t, start=even)
+        x = 1e3 * motion["x"] + 0.02 * random.standard_normal(t.size)
         table = np.column_stack([t, *levels, x])
         head = "time [s],muscle1_command [bar],muscle2_command [bar],x [mm]"
         np.savetxt(path / f"run{seed}.csv", table, delimiter=",", header=head, comments="")
     return path
-
-
-def run(capsys: Any, *arguments: Any) -> tuple[int, str, str]:
-    code = main([str(a) for a in arguments])
-    shown = capsys.readouterr()
-    return code, shown.out, shown.err
 
 
 def interval(report: str, name: str) -> tuple[float, float]:
@@ -79,9 +63,8 @@ def test_a_study_file_gives_report_validation_plots_and_a_file(
     folder: Path, tmp_path: Path, capsys: Any
 ) -> None:
     out, plot = tmp_path / "fit.json", tmp_path / "fit.png"
-    code, text, _ = run(
-        capsys, "fit-plant", "--plant", folder / "study.toml", "--out", out, "--plot", plot
-    )
+    study = folder / "study.toml"
+    code, text, _ = run(capsys, "fit-plant --plant", study, "--out", out, "--plot", plot)
     assert code == 0
     low, high = interval(text, "damping")
     assert low - 0.3 <= 20.0 <= high + 0.3
@@ -93,29 +76,14 @@ def test_a_study_file_gives_report_validation_plots_and_a_file(
     assert plot.stat().st_size > 20_000
     assert (tmp_path / "fit-validate.png").stat().st_size > 20_000
     plant = plant_of({"arrangement": "AntagonisticSlide", "muscle": "DMSP-20-200N"})
-    assert load_plant_fit(out, plant).interval("muscle*.lag") == pytest.approx(
-        (low, high), rel=1e-3
-    )
+    found = load_plant_fit(out, plant).interval("muscle*.lag")
+    assert found == pytest.approx((low, high), rel=1e-3)
 
 
 def test_the_command_line_comes_before_the_file(folder: Path, capsys: Any) -> None:
-    code, text, _ = run(
-        capsys,
-        "fit-plant",
-        folder / "run1.csv",
-        "--plant",
-        folder / "study.toml",
-        "--free",
-        "damping",
-        "--set",
-        "muscle1.lag=50ms",
-        "--set",
-        "muscle2.lag=0.05",
-        "--noise",
-        "x=0.02mm",
-        "--validate",
-        folder / "run0.csv",
-    )
+    given = "--free damping --set muscle1.lag=50ms --set muscle2.lag=0.05 --noise x=0.02mm"
+    files = folder / "run1.csv", "--plant", folder / "study.toml", "--validate", folder / "run0.csv"
+    code, text, _ = run(capsys, "fit-plant", *files, *given.split())
     assert code == 0
     assert "muscle*.lag:" not in text
     assert "1 with 101 samples of x" in text
@@ -129,17 +97,14 @@ def test_the_variables_are_listed(folder: Path, capsys: Any) -> None:
 
 
 def test_a_plant_of_the_library_needs_no_file(folder: Path, capsys: Any) -> None:
-    code, text, _ = run(
-        capsys, "fit-plant", "--plant", "hanging_load", "--muscle", "DMSP-20-400N", "--variables"
-    )
+    given = "fit-plant --plant hanging_load --muscle DMSP-20-400N --variables"
+    code, text, _ = run(capsys, given)
     assert code == 0
     assert text.startswith("hanging_load")
 
 
 def test_records_that_do_not_allow_the_fit_end_with_1(folder: Path, capsys: Any) -> None:
-    code, _, words = run(
-        capsys, "fit-plant", "--plant", folder / "study.toml", "--free", "muscle*.a6"
-    )
+    code, _, words = run(capsys, "fit-plant --free muscle*.a6 --plant", folder / "study.toml")
     assert code == 1
     assert "muscle*.a6: no influence on x" in words
 
@@ -185,13 +150,10 @@ def test_what_was_left_out_of_a_file_is_said_in_a_line(tmp_path: Any) -> None:
 
 
 def test_a_robust_fit_of_a_table(capsys: Any) -> None:
-    code, text, _ = run(
-        capsys, "fit", "DMSP-10-250_static.csv", "--rest-length", 0.25, "--loss", "bisquare"
-    )
+    given = "fit DMSP-10-250_static.csv --rest-length 0.25 --loss"
+    code, text, _ = run(capsys, given, "bisquare")
     assert code == 0
     assert "a6: " in text
-    code, _, words = run(
-        capsys, "fit", "DMSP-10-250_static.csv", "--rest-length", 0.25, "--loss", "cubes"
-    )
+    code, _, words = run(capsys, given, "cubes")
     assert code == 2
     assert "'squares', 'huber', 'l1' or 'bisquare'" in words

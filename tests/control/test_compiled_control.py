@@ -3,7 +3,7 @@ compiler."""
 
 import numpy as np
 import pytest
-from test_mpc import double_integrator
+from mpc_cases import mass as free_mass
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
@@ -16,7 +16,7 @@ H = 0.05
 
 def moves(**options):
     """Inputs of an Mpc on a double integrator, from x = 1 to 0, and the library's hand in it."""
-    mpc = Mpc(double_integrator(), horizon=10, sample_time=H, track={"x": 1.0, "v": 0.1}, **options)
+    mpc = Mpc(free_mass(), horizon=10, sample_time=H, track={"x": 1.0, "v": 0.1}, **options)
     state, found = {"x": 1.0, "v": 0.0}, []
     for _ in range(5):
         found.append(mpc.control(state, {"x": 0.0, "v": 0.0})["f"])
@@ -40,7 +40,7 @@ def test_a_compiled_mpc_moves_as_the_other(tmp_path, monkeypatch):
 def bounded(**options):
     """A mass that may not go faster than 0.4 m/s nor be pushed harder than 1 N."""
     return Mpc(
-        double_integrator(limit=1.0),
+        free_mass(limit=1.0),
         horizon=12,
         sample_time=0.1,
         track={"x": 1.0},
@@ -100,7 +100,7 @@ def test_the_compiled_call_of_real_time_is_that_of_python_to_the_last_bit(tmp_pa
 def test_a_compiled_filter_is_the_linear_kalman_filter(tmp_path, monkeypatch):
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
     found = KalmanFilter(
-        double_integrator(),
+        free_mass(),
         sample_time=H,
         measured={"x": 1e-2, "v": 0.3},
         process={"v": 0.5},

@@ -60,29 +60,21 @@ def test_noise_has_the_deviation_asked_for_and_does_not_move_the_plant(slide):
 def test_disturbances_act_and_the_true_parameters_stay_hidden(long_muscle):
     plant = pam.AntagonisticJoint(long_muscle, loads=[pam.loads.ExternalForce()])
     (external,) = [v.name for v in plant.inputs if v.disturbance]
-    run = closed_loop(
-        Fixed({}),
-        plant,
-        duration=2.5,
-        sample_time=1e-2,
-        disturbances={external: 1.0},
-        parameters={"inertia": 0.08},
-    )
+    hidden = {"disturbances": {external: 1.0}, "parameters": {"inertia": 0.08}}
+    run = closed_loop(Fixed({}), plant, duration=2.5, sample_time=1e-2, **hidden)
     assert abs(run["torque"][-1]) == pytest.approx(1.0, rel=1e-3)
     assert np.all(run[external] == 1.0)
 
 
 def test_bad_arguments_of_the_closed_loop_are_named(slide):
-    with pytest.raises(InputError, match="at least one sample"):
-        closed_loop(Fixed({}), slide, duration=1e-4, sample_time=1e-3)
-    with pytest.raises(InputError, match="x is a state of the plant, not an input"):
-        closed_loop(Fixed({"x": 0.0}), slide, duration=0.1, sample_time=1e-2)
-    with pytest.raises(InputError, match="controller's answer at t = 0 s is not finite"):
-        closed_loop(Fixed({"muscle1.command": np.nan}), slide, duration=0.1, sample_time=1e-2)
-    with pytest.raises(InputError, match=r"noise: muscle1\.command is not measured"):
-        closed_loop(
-            Fixed({}), slide, duration=0.1, sample_time=1e-2, noise={"muscle1.command": 1.0}
-        )
+    for answer, change, words in (
+        ({}, {"duration": 1e-4, "sample_time": 1e-3}, "at least one sample"),
+        ({"x": 0.0}, {}, "x is a state of the plant, not an input"),
+        ({"muscle1.command": np.nan}, {}, "controller's answer at t = 0 s is not finite"),
+        ({}, {"noise": {"muscle1.command": 1.0}}, r"noise: muscle1\.command is not measured"),
+    ):
+        with pytest.raises(InputError, match=words):
+            closed_loop(Fixed(answer), slide, **{"duration": 0.1, "sample_time": 1e-2, **change})
 
 
 @pytest.mark.slow
@@ -120,9 +112,8 @@ def test_out_of_reach_the_inverse_stays_in_range_and_keeps_the_acceleration_if_i
     assert tilted.max() == 6e5
     x = {"theta": 0.3, "muscle1.pressure": tilted[0], "muscle2.pressure": tilted[1]}
     moved = joint.with_values(x)
-    xdot = joint.function(moved.vector("state"), moved.vector("input"), joint.vector("parameter"))[
-        0
-    ]
+    given = moved.vector("state"), moved.vector("input"), joint.vector("parameter")
+    xdot, *_ = joint.function(*given)
     assert float(xdot[1]) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -160,9 +151,8 @@ def test_feed_forward_by_the_inverse_alone_follows_the_motion_it_was_made_for(lo
     reference = moves([0.0, 0.4], [0.05], 0.5)
     errors = []
     for sample_time in (2e-3, 1e-3):
-        controller = PositionController(
-            plant, reference, PID(0.0), sample_time=sample_time, stiffness=25.0
-        )
+        how = {"sample_time": sample_time, "stiffness": 25.0}
+        controller = PositionController(plant, reference, PID(0.0), **how)
         run = closed_loop(controller, plant, duration=0.7, sample_time=sample_time)
         errors.append(np.abs(run["theta"] - [reference(t)[0] for t in run.t]).max())
     assert errors[1] < 1e-3
@@ -220,13 +210,8 @@ def test_the_pressure_loop_closes_with_its_time_constant(hanging):
         def __call__(self, t, measured):
             return loop({"muscle": 3.5 * BAR}, measured)
 
-    run = closed_loop(
-        Hold(),
-        hanging,
-        duration=0.05,
-        sample_time=1e-4,
-        start={"x": 0.06, "muscle.pressure": 3 * BAR},
-    )
+    start = {"x": 0.06, "muscle.pressure": 3 * BAR}
+    run = closed_loop(Hold(), hanging, duration=0.05, sample_time=1e-4, start=start)
     expected = 3.5 * BAR - 0.5 * BAR * np.exp(-run.t / 0.01)
     assert run["muscle.pressure"] == pytest.approx(expected, abs=0.01 * BAR)
 
@@ -237,24 +222,12 @@ def test_feed_forward_makes_the_error_a_fifth_of_the_pids_alone(long_muscle, fee
     reference = moves([0.0, 0.5], [0.1], 0.5)
     largest = {}
     for feedforward in (True, False):
-        controller = PositionController(
-            plant,
-            reference,
-            PID.placed(3.0),
-            sample_time=2e-3,
-            stiffness=25.0,
-            feedforward=feedforward,
-            inner=PressureLoop(plant, 0.01),
-        )
+        how = {"sample_time": 2e-3, "stiffness": 25.0, "inner": PressureLoop(plant, 0.01)}
+        pid = PID.placed(3.0)
+        controller = PositionController(plant, reference, pid, feedforward=feedforward, **how)
         first = controller.pressures(0.0)
         start = {f"muscle{i + 1}.pressure": first[i] for i in (0, 1)}
-        run = closed_loop(
-            controller,
-            plant,
-            duration=0.8,
-            sample_time=2e-3,
-            start=start,
-            parameters={"link_mass": 1.2},
-        )
+        real = {"start": start, "parameters": {"link_mass": 1.2}}
+        run = closed_loop(controller, plant, duration=0.8, sample_time=2e-3, **real)
         largest[feedforward] = np.abs(run["theta"] - [reference(t)[0] for t in run.t]).max()
     assert largest[True] < largest[False] / 5

@@ -5,17 +5,16 @@ import itertools
 import numpy as np
 import pytest
 from design_tools import example
+from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control.along_motion import OpenLoop, tvlqr
 from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.loop import closed_loop
+from pam_ocp.operating.linear import linearize_along
 
-
-@pytest.fixture
-def joint(long_muscle):
-    return pam.AntagonisticJoint(long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2)
+EVEN = {"muscle1.pressure": 3e5, "muscle2.pressure": 3e5}
 
 
 # ---- along a motion
@@ -34,12 +33,8 @@ def test_the_riccati_equation_has_the_scalar_solution_of_theory():
 def test_along_a_rest_the_gains_are_those_of_the_lqr_there(slide):
     point = slide.equilibrium(x=0.003, stiffness=2.2e4)
     rest = {v.name: x for v, x in zip(slide.states, point.x, strict=True)}
-    motion = pam.simulate(
-        slide,
-        {n: point[n] for n in ("muscle1.command", "muscle2.command")},
-        duration=0.3,
-        start=rest,
-    )
+    held = {v.name: point[v.name] for v in slide.inputs}
+    motion = pam.simulate(slide, held, duration=0.3, start=rest)
     cost = {"weights": {"x": 20.0, "v": 1.0}, "integral": {"x": 50.0}}
     stationary, varying = lqr(slide, point, **cost), tvlqr(slide, motion, **cost)
     scale = np.abs(stationary.K).max()
@@ -49,21 +44,13 @@ def test_along_a_rest_the_gains_are_those_of_the_lqr_there(slide):
 
 def test_the_cost_to_go_is_what_the_linear_loop_then_costs(slide):
     """z' P(0) z against the integral of the cost along d' = (A - B K) d, integrated on its own."""
-    from scipy.integrate import solve_ivp
-
     t = np.linspace(0, 0.1, 201)
-    motion = pam.simulate(
-        slide,
-        {
-            "muscle1.command": lambda s: 3e5 + 1e5 * np.sin(40 * s),
-            "muscle2.command": lambda s: 3e5 - 1e5 * np.sin(40 * s),
-        },
-        t=t,
-        start={"muscle1.pressure": 3e5, "muscle2.pressure": 3e5},
-    )
+    inputs = {
+        "muscle1.command": lambda s: 3e5 + 1e5 * np.sin(40 * s),
+        "muscle2.command": lambda s: 3e5 - 1e5 * np.sin(40 * s),
+    }
+    motion = pam.simulate(slide, inputs, t=t, start=EVEN)
     feedback = tvlqr(slide, motion, weights={"x": 10.0, "v": 0.5}, final=np.zeros((4, 4)))
-    from pam_ocp.operating.linear import linearize_along
-
     along = linearize_along(slide, motion)
     n, e = slide.vector("state", attribute="nominal"), np.full(2, 1e5)
 
@@ -102,12 +89,8 @@ def test_a_motion_without_inputs_is_refused_and_a_wrong_end_too(slide, hanging):
 
 
 def test_open_loop_plays_the_plan(slide):
-    motion = pam.simulate(
-        slide,
-        {"muscle1.command": lambda t: 3e5 + 1e6 * t, "muscle2.command": 3e5},
-        t=np.linspace(0, 0.1, 101),
-        start={"muscle1.pressure": 3e5, "muscle2.pressure": 3e5},
-    )
+    inputs = {"muscle1.command": lambda t: 3e5 + 1e6 * t, "muscle2.command": 3e5}
+    motion = pam.simulate(slide, inputs, t=np.linspace(0, 0.1, 101), start=EVEN)
     start = {v.name: motion[v.name][0] for v in slide.states}
     run = closed_loop(OpenLoop(slide, motion, 1e-3), slide, duration=0.1, start=start)
     assert run["x"] == pytest.approx(motion["x"], abs=1e-6)

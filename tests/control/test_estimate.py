@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from mpc_cases import mass as free_mass
 from scipy.linalg import expm
-from test_mpc import double_integrator
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
@@ -35,15 +35,9 @@ def test_on_a_linear_plant_it_is_the_linear_kalman_filter():
     step, noise = van_loan(a, np.diag([0.0, 0.2**2]), H)
     into = np.linalg.solve(a, (step - np.eye(2)) @ b)
     x, p = np.array([0.3, 0.0]), np.diag([0.1**2, 0.5**2])
-    filter_ = KalmanFilter(
-        damped_spring(),
-        sample_time=H,
-        measured={"double": 0.02},
-        process={"v": 0.2},
-        start={"x": 0.3},
-        uncertainty={"x": 0.1, "v": 0.5},
-        substeps=10,
-    )
+    known = {"measured": {"double": 0.02}, "process": {"v": 0.2}}
+    known |= {"start": {"x": 0.3}, "uncertainty": {"x": 0.1, "v": 0.5}}
+    filter_ = KalmanFilter(damped_spring(), sample_time=H, substeps=10, **known)
     for seen, f in zip((0.5, 0.2, -0.1, 0.4), (1.0, -2.0, 0.0, 3.0), strict=True):
         gain = p @ c.T / (c @ p @ c.T + 0.02**2)
         x, p = x + (gain * (seen - c @ x)).ravel(), (np.eye(2) - gain @ c) @ p
@@ -55,16 +49,11 @@ def test_on_a_linear_plant_it_is_the_linear_kalman_filter():
 
 
 def test_mass_force_and_offset_converge_to_the_truth():
-    plant = double_integrator()
+    plant = free_mass()
     for truth in ({"push": 1.5}, {"m": 1.3}, {"der(v)": -0.7}):
         (name, value), rng = next(iter(truth.items())), np.random.default_rng(0)
-        filter_ = KalmanFilter(
-            plant,
-            sample_time=H,
-            measured={"x": 1e-4},
-            unknown={name: (1.0, 1e-3)},
-            process={"v": 1e-4},
-        )
+        known = {"measured": {"x": 1e-4}, "process": {"v": 1e-4}}
+        filter_ = KalmanFilter(plant, sample_time=H, unknown={name: (1.0, 1e-3)}, **known)
         m, more = truth.get("m", 1.0), truth.get("push", 0.0) + truth.get("der(v)", 0.0)
         x, v = 0.0, 0.0
         for k in range(200):
@@ -80,7 +69,7 @@ def test_mass_force_and_offset_converge_to_the_truth():
 
 def test_an_estimate_stays_inside_the_bounds_of_its_parameter():
     filter_ = KalmanFilter(
-        double_integrator(), sample_time=H, measured={"x": 1e-6}, unknown={"m": (10.0, 1.0)}
+        free_mass(), sample_time=H, measured={"x": 1e-6}, unknown={"m": (10.0, 1.0)}
     )
     for x in (0.0, 5.0, -5.0, 5.0):
         filter_.correct({"x": x})
@@ -120,14 +109,12 @@ def test_a_measurement_that_is_missing_is_left_out():
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
     settings = {"sample_time": H, "measured": {"x": 1e-3}, **change}
     with pytest.raises(InputError, match=words):
-        KalmanFilter(double_integrator(), **settings)
+        KalmanFilter(free_mass(), **settings)
 
 
 def test_unknown_names_get_the_nearest_one():
     with pytest.raises(UnknownNameError, match="push"):
-        KalmanFilter(
-            double_integrator(), sample_time=H, measured={"x": 1e-3}, unknown={"pus": (1, 1)}
-        )
-    filter_ = KalmanFilter(double_integrator(), sample_time=H, measured={"x": 1e-3})
+        KalmanFilter(free_mass(), sample_time=H, measured={"x": 1e-3}, unknown={"pus": (1, 1)})
+    filter_ = KalmanFilter(free_mass(), sample_time=H, measured={"x": 1e-3})
     with pytest.raises(UnknownNameError, match="measured"):
         filter_.correct({"v": 1.0})

@@ -80,15 +80,8 @@ def test_a_pid_loop_with_noise_and_delay_is_its_recursion(delay, sigma):
 
     acts, acts_by_hand = made(), made()
     draw = np.random.default_rng(4).standard_normal
-    run = closed_loop(
-        lambda t, y: {"u": acts(y["x"])},
-        cart(),
-        duration=N * H,
-        sample_time=H,
-        delay=delay,
-        noise={"x": sigma},
-        seed=4,
-    )
+    answer, real = lambda t, y: {"u": acts(y["x"])}, {"noise": {"x": sigma}, "seed": 4}
+    run = closed_loop(answer, cart(), duration=N * H, sample_time=H, delay=delay, **real)
     states, _ = by_hand(lambda z: acts_by_hand(z[0] + sigma * draw()), [0.0, 0.0], delay)
     assert np.abs(states).max() > 0.1
     assert moved(run) == pytest.approx(states, abs=1e-8)
@@ -117,12 +110,8 @@ def test_a_controllers_own_sample_time_and_reference_are_the_loops():
     assert np.diff(run.t) == pytest.approx(H)
     assert np.all(run.reference["x"] == 0.1)
     assert run.steady_error("x", 1.0) < 1e-3
-    jump = closed_loop(
-        regulator(integral={"x": 1.0}),
-        cart(),
-        {"x": {"stops": ["100 mm", -0.1], "dwell": "1 s", "rest": 0.0, "rest_from": 2.0}},
-        duration=3.0,
-    )
+    stops = {"stops": ["100 mm", -0.1], "dwell": "1 s", "rest": 0.0, "rest_from": 2.0}
+    jump = closed_loop(regulator(integral={"x": 1.0}), cart(), {"x": stops}, duration=3.0)
     expected = np.select([jump.t < 1 - 1e-6, jump.t < 2 - 1e-6], [0.1, -0.1], 0.0)
     assert jump.reference["x"] == pytest.approx(expected)
 
@@ -137,14 +126,16 @@ def test_a_disturbance_may_act_from_a_time_on():
 
 
 # ---- estimators ----------------------------------------------------------------------------------
+def watching():
+    known = {"measured": {"x": 1e-3}, "process": {"v": 0.1}}
+    return pam.control.kalman(cart(), {"x": 0.0}, **known, sample_time=H)
+
+
 def test_the_loops_estimator_is_the_filter_that_a_controller_carries():
-    watch = pam.control.kalman(
-        cart(), {"x": 0.0}, measured={"x": 1e-3}, process={"v": 0.1}, sample_time=H
-    )
+    watch = watching()
     shared = {"duration": N * H, "start": START, "noise": {"x": 1e-3}, "seed": 2}
-    inside = closed_loop(
-        pam.control.WithEstimate(regulator(), watch), cart(), sample_time=H, **shared
-    )
+    carrying = pam.control.WithEstimate(regulator(), watch)
+    inside = closed_loop(carrying, cart(), sample_time=H, **shared)
     outside = closed_loop(regulator(), cart(), estimator=watch, **shared)
     assert moved(outside) == pytest.approx(moved(inside), abs=1e-12)
     assert set(outside.seen.names) == {"x", "v"}
@@ -156,10 +147,7 @@ def test_of_a_linear_plant_all_estimators_end_at_one_covariance():
     from scipy.linalg import solve_discrete_are
 
     sigma, drive = 1e-3, 0.1
-    q = np.diag([0.0, drive**2 * H])
-    watch = pam.control.kalman(
-        cart(), {"x": 0.0}, measured={"x": sigma}, process={"v": drive}, sample_time=H
-    )
+    q, watch = np.diag([0.0, drive**2 * H]), watching()
     c = np.array([[1.0, 0.0]])
     p = solve_discrete_are(A.T, c.T, q, np.array([[sigma**2]]))
     left = p - p @ c.T @ c @ p / (p[0, 0] + sigma**2)
@@ -169,13 +157,8 @@ def test_of_a_linear_plant_all_estimators_end_at_one_covariance():
 
 @pytest.mark.parametrize("kind", [pam.KalmanFilter, pam.control.MovingHorizonEstimator])
 def test_an_estimator_tells_an_lqr_loop_the_push_and_serves_twice_alike(kind):
-    watch = kind(
-        cart(),
-        sample_time=H,
-        measured={"x": 1e-4},
-        process={"v": 1e-3},
-        unknown={"d": (1.0, 0.05)},
-    )
+    known = {"measured": {"x": 1e-4}, "process": {"v": 1e-3}, "unknown": {"d": (1.0, 0.05)}}
+    watch = kind(cart(), sample_time=H, **known)
     heard = []
     feedback = regulator()
 
@@ -183,17 +166,9 @@ def test_an_estimator_tells_an_lqr_loop_the_push_and_serves_twice_alike(kind):
         heard.append(seen["d"])
         return {"u": feedback(t, seen)["u"] - seen["d"]}
 
+    real = {"disturbances": {"d": 0.5}, "start": {"x": 0.1}, "seed": 7}
     runs = [
-        closed_loop(
-            makes_good,
-            cart(),
-            duration=4.0,
-            estimator=watch,
-            disturbances={"d": 0.5},
-            start={"x": 0.1},
-            seed=7,
-        )
-        for _ in range(2)
+        closed_loop(makes_good, cart(), duration=4.0, estimator=watch, **real) for _ in range(2)
     ]
     assert heard[len(heard) // 2 - 1] == pytest.approx(0.5, abs=0.05)
     assert abs(runs[0]["x"][-1]) < 0.01  # without it 0.5 / K is left

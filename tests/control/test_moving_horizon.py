@@ -5,9 +5,9 @@ load.
 import numpy as np
 import pytest
 from conftest import benchmark_slide
+from mpc_cases import mass as free_mass
 from scipy.optimize import lsq_linear
 from test_estimate import H, damped_spring
-from test_mpc import double_integrator
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
@@ -117,14 +117,9 @@ def reservoir() -> pam.Plant:
 
 
 def test_a_pressure_is_never_negative():
-    settings = {
-        "sample_time": H,
-        "measured": {"p": 3e3},
-        "process": {"p": 2e3},
-        "uncertainty": {"p": 3e3},
-    }
-    window = MovingHorizonEstimator(reservoir(), horizon=8, **settings)
-    kalman = KalmanFilter(reservoir(), **settings)
+    known = {"measured": {"p": 3e3}, "process": {"p": 2e3}, "uncertainty": {"p": 3e3}}
+    window = MovingHorizonEstimator(reservoir(), sample_time=H, horizon=8, **known)
+    kalman = KalmanFilter(reservoir(), sample_time=H, **known)
     rng, lowest = np.random.default_rng(2), 0.0
     for _ in range(60):
         seen = {"p": 3e3 * rng.standard_normal()}
@@ -141,13 +136,9 @@ def test_bounds_give_the_constrained_optimum():
     """One measurement, prior and bound: by hand the bound itself, and the prior's share of the
     rest.
     """
-    window = MovingHorizonEstimator(
-        damped_spring(),
-        sample_time=H,
-        measured={"x": 0.1},
-        uncertainty={"x": 0.1, "v": 0.5},
-        bounds={"x": (None, 0.2)},
-    )
+    known = {"measured": {"x": 0.1}, "uncertainty": {"x": 0.1, "v": 0.5}}
+    bounds = {"x": (None, 0.2)}
+    window = MovingHorizonEstimator(damped_spring(), sample_time=H, bounds=bounds, **known)
     assert window.correct({"x": 0.3}).state["x"] == pytest.approx(0.15)  # half way, bound idle
     window.correct({"x": 0.9})  # replaces the value: 0.45 without the bound
     assert window.estimate.state["x"] == pytest.approx(0.2, abs=1e-8)
@@ -155,14 +146,8 @@ def test_bounds_give_the_constrained_optimum():
 
 def test_a_bounded_window_is_the_least_squares_fit_of_scipy():
     """Of a leak p' = -p/0.2: prior, noise of each step and measurements over p >= 0."""
-    window = MovingHorizonEstimator(
-        reservoir(),
-        sample_time=H,
-        measured={"p": 3e3},
-        process={"p": 2e3},
-        uncertainty={"p": 4e3},
-        horizon=15,
-    )
+    known = {"measured": {"p": 3e3}, "process": {"p": 2e3}, "uncertainty": {"p": 4e3}}
+    window = MovingHorizonEstimator(reservoir(), sample_time=H, horizon=15, **known)
     whole, half = np.exp(-H / 0.2), np.exp(-H / 2 / 0.2)
     noise = 2e3 * np.sqrt(H / 6 * (whole**2 + 4 * half**2 + 1))
     seen = 3e3 * np.random.default_rng(4).standard_normal(12)
@@ -181,15 +166,9 @@ def test_a_bounded_window_is_the_least_squares_fit_of_scipy():
 
 
 def test_a_disturbance_inside_given_bounds():
-    plant = double_integrator()
-    window = MovingHorizonEstimator(
-        plant,
-        sample_time=H,
-        measured={"x": 1e-4},
-        process={"v": 1e-4},
-        unknown={"push": (1.0, 1e-3)},
-        bounds={"push": (-0.5, 0.5)},
-    )
+    known = {"measured": {"x": 1e-4}, "process": {"v": 1e-4}, "unknown": {"push": (1.0, 1e-3)}}
+    bounds = {"push": (-0.5, 0.5)}
+    window = MovingHorizonEstimator(free_mass(), sample_time=H, bounds=bounds, **known)
     x, v = 0.0, 0.0
     for _ in range(40):
         found = window.correct({"x": x})
@@ -200,14 +179,9 @@ def test_a_disturbance_inside_given_bounds():
 
 
 def test_it_takes_the_filters_place_in_a_closed_loop():
-    plant = double_integrator(limit=5.0)
-    window = MovingHorizonEstimator(
-        plant,
-        sample_time=0.1,
-        measured={"x": 1e-4},
-        process={"v": 1e-3},
-        unknown={"push": (1.0, 0.01)},
-    )
+    plant = free_mass(limit=5.0)
+    known = {"measured": {"x": 1e-4}, "process": {"v": 1e-3}, "unknown": {"push": (1.0, 0.01)}}
+    window = MovingHorizonEstimator(plant, sample_time=0.1, **known)
     mpc = Mpc(plant, horizon=20, sample_time=0.1, track={"x": 1.0}, rate={"f": 0.01})
     loop = closed_loop(
         mpc, plant, {"x": 0.5}, duration=6.0, estimator=window, disturbances={"push": 0.8}, seed=3
@@ -231,11 +205,11 @@ def test_it_takes_the_filters_place_in_a_closed_loop():
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
     settings = {"sample_time": H, "measured": {"x": 1e-3}, **change}
     with pytest.raises(InputError, match=words):
-        MovingHorizonEstimator(double_integrator(), **settings)
+        MovingHorizonEstimator(free_mass(), **settings)
 
 
 def test_unknown_names_get_the_nearest_one():
     with pytest.raises(UnknownNameError, match="push"):
         MovingHorizonEstimator(
-            double_integrator(), sample_time=H, measured={"x": 1e-3}, bounds={"pushh": (0, 1)}
+            free_mass(), sample_time=H, measured={"x": 1e-3}, bounds={"pushh": (0, 1)}
         )

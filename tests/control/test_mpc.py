@@ -2,10 +2,10 @@
 closed loops.
 """
 
-import casadi as ca
 import numpy as np
 import pytest
-from conftest import benchmark_slide
+from conftest import benchmark_slide, scipy_states
+from mpc_cases import COMMANDS, exact, mass, slide_mpc
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
@@ -18,26 +18,17 @@ from pam_ocp.core.errors import InputError, UnknownNameError
 SOLVERS = ("hpipm", "piqp", "ipopt", "riccati")
 
 
-def double_integrator(limit: float = np.inf) -> pam.Plant:
-    plant = pam.Plant("mass", "a free mass")
-    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
-    f = plant.input("f", unit="N", min=-limit, max=limit)
-    push = plant.input("push", unit="N", disturbance=True)
-    m = plant.parameter("m", 1.0, unit="kg", min=1e-3, tunable=True)
-    plant.der(x, v)
-    plant.der(v, (f + push) / m)
-    return plant
+def mass_mpc(limit: float = np.inf, **options) -> Mpc:
+    settings = {"horizon": 20, "sample_time": 0.1, "track": {"x": 1.0}, **options}
+    return Mpc(mass(limit), **settings)
 
 
-def slide_mpc(**options) -> Mpc:
-    commands = ("muscle1.command", "muscle2.command")
-    settings = {
-        "horizon": 25,
-        "sample_time": 0.005,
-        "track": {"x": 1.0, "stiffness": 0.1},
-        "rate": dict.fromkeys(commands, 0.1),
-    }
-    return Mpc(benchmark_slide(), **{**settings, **options})
+@pytest.fixture(scope="module")
+def rest() -> pam.OperatingPoint:
+    return benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+
+
+SLOW = {"v": (-0.4, 0.4)}
 
 
 def square(t: float) -> float:
@@ -52,13 +43,7 @@ def test_a_linear_plant_with_idle_bounds_gets_the_lqr_of_riccati(solver):
     for _ in range(n):
         gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
         p = q + a.T @ p @ (a - b @ gain)
-    mpc = Mpc(
-        double_integrator(),
-        horizon=n,
-        sample_time=h,
-        track={"x": 3.0, "v": 0.5, "f": 0.2},
-        solver=solver,
-    )
+    mpc = mass_mpc(track={"x": 3.0, "v": 0.5, "f": 0.2}, solver=solver)
     x = np.array([0.7, -0.3])
     assert mpc.control(x)["f"] == pytest.approx((-gain @ x).item(), abs=1e-5)
 
@@ -66,20 +51,13 @@ def test_a_linear_plant_with_idle_bounds_gets_the_lqr_of_riccati(solver):
 def test_weights_on_changes_see_the_input_applied_before():
     """One step of horizon: min x1^2/2 + r (u - u0)^2/2, by hand."""
     h, r, before = 0.1, 0.3, 0.8
-    mpc = Mpc(
-        double_integrator(),
-        horizon=1,
-        sample_time=h,
-        track={"v": 1.0},
-        terminal={"v": 1.0},
-        rate={"f": r},
-    )
+    mpc = mass_mpc(horizon=1, track={"v": 1.0}, terminal={"v": 1.0}, rate={"f": r})
     mpc.reset({"f": before})
     assert mpc.control([0.0, 0.5])["f"] == pytest.approx((r * before - h * 0.5) / (h * h + r))
 
 
 def test_known_disturbances_parameters_and_offsets_are_planned_for():
-    mpc = Mpc(double_integrator(), horizon=40, sample_time=0.1, track={"x": 1.0}, rate={"f": 0.1})
+    mpc = mass_mpc(horizon=40, rate={"f": 0.1})
     mpc.reset({"f": -2.0})
     assert mpc.control([0, 0], values={"push": 2.0})["f"] == pytest.approx(-2.0, abs=1e-5)
     mpc.reset({"f": -2.0})
@@ -89,17 +67,8 @@ def test_known_disturbances_parameters_and_offsets_are_planned_for():
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_bounds_of_inputs_hold_and_those_of_states_where_they_can(solver):
-    mpc = Mpc(
-        double_integrator(limit=1.0),
-        horizon=20,
-        sample_time=0.1,
-        track={"x": 1.0},
-        rate={"f": 1e-3},
-        bounds={"v": (-0.4, 0.4)},
-        solver=solver,
-        iterations=5,
-    )
-    loop = mpc.closed_loop(double_integrator(limit=1.0), {"x": 1.0}, 4.0)
+    mpc = mass_mpc(1.0, rate={"f": 1e-3}, bounds=SLOW, solver=solver, iterations=5)
+    loop = mpc.closed_loop(mass(1.0), {"x": 1.0}, 4.0)
     assert np.abs(loop.trajectory["f"]).max() <= 1.0
     assert np.abs(loop.trajectory["v"]).max() <= 0.4 + 1e-4
     assert loop.trajectory["x"][-1] == pytest.approx(1.0, abs=1e-2)
@@ -107,31 +76,14 @@ def test_bounds_of_inputs_hold_and_those_of_states_where_they_can(solver):
 
 
 def test_a_state_outside_its_soft_bound_is_brought_back():
-    mpc = Mpc(
-        double_integrator(limit=1.0),
-        horizon=20,
-        sample_time=0.1,
-        track={"x": 1.0},
-        rate={"f": 1e-3},
-        bounds={"v": (-0.4, 0.4)},
-        iterations=5,
-    )
-    loop = closed_loop(
-        mpc, double_integrator(limit=1.0), {"x": 1.0}, duration=2.0, start={"v": 0.8}
-    )
+    mpc = mass_mpc(1.0, rate={"f": 1e-3}, bounds=SLOW, iterations=5)
+    loop = closed_loop(mpc, mass(1.0), {"x": 1.0}, duration=2.0, start={"v": 0.8})
     assert loop.statistics.fallbacks == loop.statistics.failures == 0
     assert loop.trajectory["v"][5:].max() <= 0.4 + 1e-3
 
 
 def test_hard_bounds_that_cannot_be_kept_are_reported():
-    mpc = Mpc(
-        double_integrator(limit=1.0),
-        horizon=5,
-        sample_time=0.1,
-        track={"x": 1.0},
-        soft=False,
-        bounds={"v": (-0.4, 0.4)},
-    )
+    mpc = mass_mpc(1.0, horizon=5, soft=False, bounds=SLOW)
     assert np.isfinite(mpc.control([0.0, 2.0])["f"])
     assert mpc.statistics.fallbacks == mpc.statistics.failures == 1
 
@@ -153,16 +105,14 @@ def test_a_shifted_solution_needs_fewer_iterations_than_a_cold_start():
 
 
 @pytest.mark.parametrize("method", ["rk4", "rosenbrock"])
-def test_the_prediction_is_the_motion_that_an_exact_integrator_gives(method):
+def test_the_prediction_is_the_motion_that_an_exact_integrator_gives(rest, method):
     mpc = slide_mpc(method=method, substeps=8, iterations=30, tolerance=1e-6)
-    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
     mpc.control(rest.x, {"x": 0.008, "stiffness": 2e4})
     plan = mpc.prediction()
     assert plan.compare(pam.simulate(mpc.plant, plan), ["x", "v"]).largest < 1e-3
 
 
-def test_a_solution_by_sqp_is_that_of_ipopt():
-    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+def test_a_solution_by_sqp_is_that_of_ipopt(rest):
     found = []
     for solver in SOLVERS:
         mpc = slide_mpc(solver=solver, iterations=30, tolerance=1e-6)
@@ -172,8 +122,7 @@ def test_a_solution_by_sqp_is_that_of_ipopt():
     assert found[0] == pytest.approx(found[2], abs=300.0)  # HPIPM stops at a larger gap
 
 
-def test_with_a_delay_it_plans_from_where_the_inputs_under_way_will_have_led():
-    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+def test_with_a_delay_it_plans_from_where_the_inputs_under_way_will_have_led(rest):
     under_way = {"muscle1.command": 4e5, "muscle2.command": 2e5}
     late, at_once = (slide_mpc(delay=d, iterations=30, tolerance=1e-6) for d in (1, 0))
     late.reset(under_way)
@@ -188,23 +137,16 @@ def test_with_a_delay_it_plans_from_where_the_inputs_under_way_will_have_led():
 
 def test_seeded_noise_gives_the_same_run_twice():
     def run(seed: int) -> pam.Trajectory:
-        return closed_loop(
-            slide_mpc(),
-            benchmark_slide(),
-            {"x": square, "stiffness": 2e4},
-            duration=0.1,
-            noise={"x": 1e-5},
-            seed=seed,
-        ).trajectory
+        wanted, more = {"x": square, "stiffness": 2e4}, {"noise": {"x": 1e-5}, "seed": seed}
+        return closed_loop(slide_mpc(), benchmark_slide(), wanted, duration=0.1, **more).trajectory
 
     assert np.array_equal(run(3)["x"], run(3)["x"])
     assert not np.array_equal(run(3)["x"], run(4)["x"])
 
 
-def test_hpipm_called_directly_solves_the_quadratic_program_that_piqp_solves():
+def test_hpipm_called_directly_solves_the_quadratic_program_that_piqp_solves(rest):
     """After a jump of the reference, with hard bounds and soft ones, some of them active."""
     mpc = slide_mpc(iterations=1, bounds={"x": (None, 0.007)})
-    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
     mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
     mpc.control(rest.x, {"x": -0.008, "stiffness": 2e4})
     point, p = mpc._sqp.point, mpc.program
@@ -214,27 +156,11 @@ def test_hpipm_called_directly_solves_the_quadratic_program_that_piqp_solves():
     point.h[rows == columns] += sqp.PROXIMAL
     direction = np.zeros(p.size)
     StageQp(point, direction)()
-    conic = ca.conic(
-        "exact",
-        "piqp",
-        {"h": p.h_sparsity, "a": p.a_sparsity},
-        {"piqp": {"eps_abs": 1e-11, "eps_rel": 1e-11}},
-    )
-    exact = conic(
-        h=ca.DM(p.h_sparsity, point.h),
-        g=point.gradient,
-        a=ca.DM(p.a_sparsity, point.a),
-        lba=point.a_low,
-        uba=point.a_high,
-        lbx=point.w_low,
-        ubx=point.w_high,
-    )["x"]
     assert np.abs(direction).max() > 0.1
-    assert direction == pytest.approx(np.asarray(exact).ravel(), abs=1e-4)
+    assert direction == pytest.approx(exact(p, point), abs=1e-4)
 
 
-def test_without_the_library_hpipm_is_reached_through_casadi(monkeypatch):
-    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+def test_without_the_library_hpipm_is_reached_through_casadi(rest, monkeypatch):
     found = []
     for direct in (True, False):
         monkeypatch.setattr(sqp, "available", lambda direct=direct: direct)
@@ -245,8 +171,7 @@ def test_without_the_library_hpipm_is_reached_through_casadi(monkeypatch):
     assert found[0] == pytest.approx(found[1], abs=300.0)  # Pa; CasADi's stops at a larger gap
 
 
-def test_the_work_of_a_call_is_bounded_after_a_jump_and_the_solution_completed_later():
-    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+def test_the_work_of_a_call_is_bounded_after_a_jump_and_the_solution_completed_later(rest):
     bounded, free = slide_mpc(iterations=30), slide_mpc(iterations=30, work=None)
     for mpc in (bounded, free):
         mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
@@ -281,24 +206,12 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
         process={"v": 0.01},
         unknown={"mass": (0.5, 0.05)},
     )
-    mpc = Mpc(
-        model,
-        horizon=30,
-        sample_time=0.005,
-        delay=1,
-        track={"x": 1.0, "stiffness": 0.05},
-        rate={"muscle1.command": 0.05, "muscle2.command": 0.05},
-    )
+    weights = {"track": {"x": 1.0, "stiffness": 0.05}, "rate": dict.fromkeys(COMMANDS, 0.05)}
+    mpc = Mpc(model, horizon=30, sample_time=0.005, delay=1, **weights)
     fmu = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms=["native"])
-    loop = closed_loop(
-        mpc,
-        fmu,
-        {"x": lambda t: square(t) if t < 1 else 0.005, "stiffness": 2e4},
-        duration=1.6,
-        estimator=observer,
-        parameters={"mass": 2.6},
-        start=start,
-    )
+    wanted = {"x": lambda t: square(t) if t < 1 else 0.005, "stiffness": 2e4}
+    real = {"estimator": observer, "parameters": {"mass": 2.6}, "start": start}
+    loop = closed_loop(mpc, fmu, wanted, duration=1.6, **real)
     assert loop.steady_error("x", 0.2) < 2e-4
     assert loop.estimate["mass"][-1] == pytest.approx(2.6, rel=0.1)
     assert loop.statistics.failures == 0
@@ -322,13 +235,12 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
     ],
 )
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
-    settings = {"horizon": 5, "sample_time": 0.1, "track": {"x": 1.0}, **change}
     with pytest.raises(InputError, match=words):
-        Mpc(double_integrator(), **settings)
+        mass_mpc(**{"horizon": 5, **change})
 
 
 def test_unknown_names_get_the_nearest_one():
-    mpc = Mpc(double_integrator(), horizon=5, sample_time=0.1, track={"x": 1.0})
+    mpc = mass_mpc(horizon=5)
     with pytest.raises(UnknownNameError, match="push"):
         mpc.control([0, 0], values={"pushh": 1.0})
     with pytest.raises(UnknownNameError, match="tracked"):
@@ -346,23 +258,15 @@ def test_plant_and_fmu_are_the_same_real_side(tmp_path):
     start = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs)}
     fmu = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms=["native"])
     sides = ((plant.with_values(start), {}), (fmu, {"start": start}))
+    wanted, how = {"x": square, "stiffness": 2e4}, {"duration": 0.3, "parameters": {"mass": 2.6}}
     one, other = (
-        closed_loop(
-            slide_mpc(),
-            side,
-            {"x": square, "stiffness": 2e4},
-            duration=0.3,
-            parameters={"mass": 2.6},
-            **more,
-        ).trajectory
-        for side, more in sides
+        closed_loop(slide_mpc(), side, wanted, **how, **more).trajectory for side, more in sides
     )
     assert one.compare(other, ["x", "v", "muscle1.pressure"]).largest < 1e-2
 
 
 def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
-    mpc = Mpc(double_integrator(), horizon=5, sample_time=0.1, track={"x": 1.0})
-    real = double_integrator()
+    mpc, real = mass_mpc(horizon=5), mass()
     with pytest.raises(InputError, match="shorter than a sample"):
         closed_loop(mpc, real, {"x": 1.0}, duration=0.01)
     with pytest.raises(UnknownNameError, match="push"):
@@ -389,9 +293,8 @@ def test_steps_that_are_applied_before_they_converged_are_counted():
     assert f"not converged {expected} times" in str(loop)
 
 
-def test_ipopt_is_asked_less_often_the_longer_it_fails(monkeypatch):
+def test_ipopt_is_asked_less_often_the_longer_it_fails(rest, monkeypatch):
     mpc = slide_mpc()
-    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
     none = sqp.SqpOutcome(False, False, 1, np.inf, 0.0)
     asked: list[int] = []
     monkeypatch.setattr(mpc._sqp, "solve", lambda *_: none)
@@ -407,12 +310,8 @@ def test_predictions_are_stable_where_a_plant_is_quickest():
     up to 2.785 over the pole (Hairer and Wanner, IV.2).
     """
     feed = pam.feeds.SpoolValve(tube=pam.feeds.Tube(), quick_exhaust=pam.feeds.QuickExhaust())
-    mpc = Mpc(
-        pam.HangingLoad("DMSP-20-200N", 10.0, feed=feed),
-        horizon=5,
-        sample_time=0.01,
-        track={"x": 1.0},
-    )
+    plant = pam.HangingLoad("DMSP-20-200N", 10.0, feed=feed)
+    mpc = Mpc(plant, horizon=5, sample_time=0.01, track={"x": 1.0})
     assert 0.01 * 2000 / 2.785 < mpc._how.substeps < 0.01 * 8000 / 2.785
 
 
@@ -431,8 +330,6 @@ def test_inputs_that_nothing_feels_do_not_keep_a_controller_from_converging():
 
 def test_the_error_of_a_prediction_is_that_of_a_tight_integration():
     """One RK4 step of 50 ms on a regulator's lag of 50 ms: by SciPy, from node to node."""
-    from conftest import scipy_states
-
     mpc = slide_mpc(sample_time=0.05, substeps=1, horizon=8)
     mpc.control(mpc.plant.vector("state"), {"x": 0.01})
     motion, plant = mpc.prediction(), mpc.plant

@@ -5,25 +5,13 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import benchmark_slide
+from mpc_cases import COMMANDS, exact, mass
+from mpc_cases import slide_mpc as any_slide_mpc
 
 import pam_ocp as pam
 from pam_ocp.control.mpc.mpc import Mpc
 from pam_ocp.control.mpc.mpc_block import mpc_block
 from pam_ocp.core.errors import InputError, UnknownNameError
-
-COMMANDS = ("muscle1.command", "muscle2.command")
-
-
-def mass(limit: float = 1.0) -> pam.Plant:
-    plant = pam.Plant("mass", "a free mass")
-    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
-    f = plant.input("f", unit="N", min=-limit, max=limit)
-    push = plant.input("push", unit="N", disturbance=True)
-    m = plant.parameter("m", 1.0, unit="kg", min=1e-3, tunable=True)
-    plant.der(x, v)
-    plant.der(v, (f + push) / m)
-    return plant
 
 
 def mass_mpc(**options) -> Mpc:
@@ -35,19 +23,11 @@ def mass_mpc(**options) -> Mpc:
         "solver": "riccati",
         "bounds": {"v": (-0.4, 0.4)},
     }
-    return Mpc(mass(), **{**settings, **options})
+    return Mpc(mass(1.0), **{**settings, **options})
 
 
 def slide_mpc(**options) -> Mpc:
-    settings = {
-        "horizon": 20,
-        "sample_time": 0.005,
-        "track": {"x": 1.0, "stiffness": 0.1},
-        "rate": dict.fromkeys(COMMANDS, 0.1),
-        "solver": "riccati",
-        "iterations": 1,
-    }
-    return Mpc(benchmark_slide(), **{**settings, **options})
+    return any_slide_mpc(**{"horizon": 20, "solver": "riccati", "iterations": 1, **options})
 
 
 class Running:
@@ -69,23 +49,6 @@ class Running:
         )
         self.sent = {n: found[n] for n in self.block.commands}
         return found
-
-
-def exact(program, point):
-    """The quadratic program at a point by PIQP at its tightest, for each node's unknowns."""
-    p = program
-    tight = {"piqp": {"eps_abs": 1e-12, "eps_rel": 1e-12}}
-    solver = ca.conic("exact", "piqp", {"h": p.h_sparsity, "a": p.a_sparsity}, tight)
-    found = solver(
-        h=ca.DM(p.h_sparsity, point.h),
-        g=point.gradient,
-        a=ca.DM(p.a_sparsity, point.a),
-        lba=point.a_low,
-        uba=point.a_high,
-        lbx=point.w_low,
-        ubx=point.w_high,
-    )["x"]
-    return np.asarray(found).ravel()
 
 
 # ---- the quadratic program -----------------------------------------------------------------------

@@ -24,18 +24,21 @@ NOISE = {"theta": 1e-5, "muscle1.pressure": 50.0, "muscle2.pressure": 50.0}
 DRIFT = {"external_force": 30.0}
 
 
-def run(plant, point, controller, duration=1.5, **options):
+def run(plant, point, controller, **options):
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
-    return pam.closed_loop(
-        controller, plant, duration=duration, sample_time=2e-3, start=start, **options
-    )
+    options = {"duration": 1.5, "sample_time": 2e-3, "start": start, **options}
+    return pam.closed_loop(controller, plant, **options)
+
+
+def watching(plant, point, measured=NOISE):
+    """A filter that estimates the torque, too."""
+    known = {"measured": measured, "process": 0.1, "disturbances": DRIFT}
+    return kalman(plant, point, **known, sample_time=2e-3)
 
 
 def test_the_estimate_is_the_torque_that_acts(pushed):
     plant, point = pushed
-    filter_ = kalman(
-        plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, sample_time=2e-3
-    )
+    filter_ = watching(plant, point)
     feedback = lqr(plant, point, sample_time=2e-3)
     controller = OffsetFree(feedback, filter_, ["theta", "stiffness"])
     torque = 0.05
@@ -67,17 +70,11 @@ def test_the_disturbance_is_told_from_an_input_that_feeds_through():
 def test_nothing_is_left_of_an_unknown_torque_load_and_weak_muscle(pushed):
     plant, point = pushed
     feedback = lqr(plant, point, sample_time=2e-3)
-    filter_ = kalman(
-        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, sample_time=2e-3
-    )
+    filter_ = watching(plant, point, {"theta": 1e-5})
     true = {"link_mass": 1.2, "muscle1.a5": 0.95 * plant.variable("muscle1.a5").start}
     about = {"disturbances": {"external_force": 1.0}, "parameters": true, "duration": 3.0}
-    plain = run(
-        plant,
-        point,
-        pam.control.WithEstimate(lqr(plant, point, sample_time=2e-3), filter_),
-        **about,
-    )
+    alone = pam.control.WithEstimate(lqr(plant, point, sample_time=2e-3), filter_)
+    plain = run(plant, point, alone, **about)
     free = run(plant, point, OffsetFree(feedback, filter_, ["theta"]), **about)
     assert abs(plain["theta"][-1] - 0.2) > 1e-3
     assert abs(free["theta"][-1] - 0.2) < 1e-7
@@ -85,9 +82,7 @@ def test_nothing_is_left_of_an_unknown_torque_load_and_weak_muscle(pushed):
 
 def test_it_goes_to_another_goal_without_an_integral(pushed):
     plant, point = pushed
-    filter_ = kalman(
-        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, sample_time=2e-3
-    )
+    filter_ = watching(plant, point, {"theta": 1e-5})
     controller = OffsetFree(lqr(plant, point, sample_time=2e-3), filter_, ["theta"], {"theta": 0.3})
     moved = run(plant, point, controller, duration=3.0)
     assert moved["theta"][-1] == pytest.approx(0.3, abs=1e-6)
@@ -97,7 +92,7 @@ def test_it_goes_to_another_goal_without_an_integral(pushed):
 def test_the_augmented_gain_is_that_of_the_riccati_equation_written_out(pushed):
     """In the limit of no process noise but the drift: an independent iteration of the filter."""
     plant, point = pushed
-    found = kalman(plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, sample_time=2e-3)
+    found = watching(plant, point)
     a, c = np.asarray(found.system.A), np.asarray(found.system.C)
     n = np.append(plant.vector("state", attribute="nominal"), 10.0)
     q = np.diag(np.append(np.full(len(n) - 1, 0.1), 3.0) ** 2 * 2e-3)

@@ -200,14 +200,8 @@ def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
 @pytest.mark.parametrize("solver", ["hpipm", "piqp", "ipopt"])
 def test_every_solver_moves_the_closed_hanging_load(solver):
     plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve())
-    mpc = pam.Mpc(
-        plant,
-        horizon=15,
-        sample_time=0.02,
-        track={x: 1.0},
-        rate={"muscle.command": 0.05},
-        solver=solver,
-    )
+    how = {"horizon": 15, "sample_time": 0.02, "rate": {"muscle.command": 0.05}}
+    mpc = pam.Mpc(plant, track={x: 1.0}, solver=solver, **how)
     loop = mpc.closed_loop(plant, {x: goal[x]}, 0.6, start=at_rest(plant, start))
     assert loop.trajectory["muscle.command"][0] > 0.3
     assert missed(loop.trajectory, x, start, goal) < 0.01
@@ -215,13 +209,8 @@ def test_every_solver_moves_the_closed_hanging_load(solver):
 
 def test_mpc_takes_weights_and_bounds_of_commands_and_predicts_in_commands():
     plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve(overlap=0.1))
-    mpc = pam.Mpc(
-        plant,
-        horizon=10,
-        sample_time=0.02,
-        track={x: 1.0, "muscle.command": 1e-3},
-        bounds={"muscle.command": (-0.3, 0.4)},
-    )
+    asked = {"track": {x: 1.0, "muscle.command": 1e-3}, "bounds": {"muscle.command": (-0.3, 0.4)}}
+    mpc = pam.Mpc(plant, horizon=10, sample_time=0.02, **asked)
     sent = mpc.control(at_rest(plant, start), {x: goal[x], "muscle.command": 0.1})
     assert sent["muscle.command"] == pytest.approx(0.4, rel=1e-6)
     predicted = mpc.prediction()
@@ -236,15 +225,9 @@ def test_mpc_against_the_plants_fmu_sends_commands(tmp_path):
     mpc = pam.Mpc(
         plant, horizon=15, sample_time=0.02, track={x: 1.0}, rate={"muscle.opening": 0.05}
     )
-    estimator = pam.KalmanFilter(
-        plant,
-        sample_time=0.02,
-        measured={x: 1e-5, "muscle.pressure": 200.0},
-        start=at_rest(plant, start),
-    )
-    loop = mpc.closed_loop(
-        path, {x: goal[x]}, 1.0, start=at_rest(plant, start), estimator=estimator, seed=3
-    )
+    begin, measured = at_rest(plant, start), {x: 1e-5, "muscle.pressure": 200.0}
+    estimator = pam.KalmanFilter(plant, sample_time=0.02, measured=measured, start=begin)
+    loop = mpc.closed_loop(path, {x: goal[x]}, 1.0, start=begin, estimator=estimator, seed=3)
     assert missed(loop.trajectory, x, start, goal) < 0.01
 
 
@@ -252,23 +235,11 @@ def test_a_kalman_filter_follows_the_pressure_from_the_commands():
     """LQG on a noisy position alone: the estimate of the pressure goes with the true one."""
     plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve(overlap=0.1))
     feedback = pam.lqr(plant, goal, integral={x: 5.0}, sample_time=2e-3)
-    watch = pam.control.kalman(
-        plant,
-        goal,
-        measured={x: 2e-5},
-        process={"v": 1.0, "muscle.pressure": 1.0},
-        sample_time=2e-3,
-    )
-    begin = {**at_rest(plant, goal), x: goal[x]}
-    run = closed_loop(
-        pam.control.WithEstimate(feedback, watch),
-        plant,
-        duration=1.0,
-        sample_time=2e-3,
-        start=begin,
-        noise={x: 2e-5},
-        rtol=1e-6,
-    )
+    known = {"measured": {x: 2e-5}, "process": {"v": 1.0, "muscle.pressure": 1.0}}
+    watch = pam.control.kalman(plant, goal, **known, sample_time=2e-3)
+    loop = {"duration": 1.0, "sample_time": 2e-3, "rtol": 1e-6, "noise": {x: 2e-5}}
+    loop["start"] = {**at_rest(plant, goal), x: goal[x]}
+    run = closed_loop(pam.control.WithEstimate(feedback, watch), plant, **loop)
     assert missed(run, x, start, goal) < 0.01
     assert watch.point.x[2] + watch.deviation[2] == pytest.approx(
         run["muscle.pressure"][-1], abs=0.03 * BAR
@@ -282,21 +253,13 @@ def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
         plant, {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}, sample_time=4e-3
     )
     assert missed(closed_loop(grid, plant, **loop), x, start, goal) < 0.01
-    watch = pam.control.kalman(
-        plant,
-        goal,
-        measured={x: 1e-5, "muscle.pressure": 500.0},
-        disturbances={"muscle.command": 0.1},
-        sample_time=4e-3,
-    )
+    known = {"measured": {x: 1e-5, "muscle.pressure": 500.0}}
+    known["disturbances"] = {"muscle.command": 0.1}
+    watch = pam.control.kalman(plant, goal, **known, sample_time=4e-3)
     free = pam.control.OffsetFree(pam.lqr(plant, goal, sample_time=4e-3), watch, hold=[x])
     loop["start"] = at_rest(plant, plant.equilibrium(x=goal[x] - 0.004))
-    assert (
-        missed(
-            closed_loop(free, plant, parameters={"muscle.gas.leak": 1e-10}, **loop), x, start, goal
-        )
-        < 0.01
-    )
+    leaking = closed_loop(free, plant, parameters={"muscle.gas.leak": 1e-10}, **loop)
+    assert missed(leaking, x, start, goal) < 0.01
 
 
 def test_as_nlsys_gives_a_linear_model_that_can_be_controlled():

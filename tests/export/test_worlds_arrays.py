@@ -218,11 +218,11 @@ def test_a_batch_is_what_vmap_makes_of_one(hanging, jnp):
 
     world = pam.export.to_jax(hanging)
     rng = np.random.default_rng(0)
-    x = world.x0 * (1 + 0.01 * rng.random((7, 3)))
-    masses, u = jnp.linspace(1.0, 9.0, 7), jnp.array([2e5])
+    x = world.x0 * (1 + 0.01 * rng.random((3, 3)))
+    masses, u = jnp.linspace(1.0, 9.0, 3), jnp.array([2e5])
     wide = world.f(0.0, x, u, {"mass": masses})
     one = jax.vmap(lambda x, m: world.f(0.0, x, u, {"mass": m}))(x, masses)
-    single = [world.f(0.0, x[k], u, {"mass": masses[k]}) for k in range(7)]
+    single = [world.f(0.0, x[k], u, {"mass": masses[k]}) for k in range(3)]
     np.testing.assert_array_equal(wide, one)
     np.testing.assert_array_equal(wide, np.array(single))
     stepper = world.stepper(1e-3)
@@ -251,10 +251,9 @@ def test_half_the_step_has_the_error_that_the_order_says(jnp, method, order):
     errors = []
     for steps in (50, 100):
         stepper = world.stepper(1.0 / steps, method)
-        end = stepper.run(world.x0, world.u0, steps=steps)
-        errors.append(float(end[0]) - np.cos(10.0))
         told = stepper.error(world.x0, world.u0, steps=steps)
         path = stepper.run(world.x0, world.u0, steps=steps, keep=True)
+        errors.append(float(path[-1, 0]) - np.cos(10.0))
         t = np.linspace(0, 1, steps + 1)
         true = np.abs(path - np.column_stack([np.cos(10 * t), -10 * np.sin(10 * t)]))
         assert np.isclose(told, np.max(true), rtol=0.1)

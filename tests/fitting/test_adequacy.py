@@ -128,15 +128,8 @@ def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
     columns = {n: run[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
     columns["muscle.command"] = u
     shown = pam.Trajectory(t, columns, [rig.variable(n) for n in columns], "previous")
-    fit = fit_free_run(
-        spring(lag=0.11),
-        shown,
-        ["mass", "muscle.lag"],
-        outputs=list(noise),
-        horizon=0.4,
-        every=0.2,
-        judge=False,
-    )
+    asked = {"outputs": list(noise), "horizon": 0.4, "every": 0.2, "judge": False}
+    fit = fit_free_run(spring(lag=0.11), shown, ["mass", "muscle.lag"], **asked)
     assert fit.at_bound == ("mass",)
     assert fit.adequacy.cause == "friction or hysteresis"
     low, high = fit.interval("muscle.lag")
@@ -146,20 +139,11 @@ def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
 def test_records_without_noise_are_not_judged() -> None:
     clean = record()
     plant = hanging()
-    run = pam.simulate(
-        plant,
-        {"muscle.command": clean["muscle.command"]},
-        t=clean.t,
-        start=plant.equilibrium({"muscle.command": clean["muscle.command"][0]}),
-        interpolation="previous",
-        rtol=1e-9,
-    )
-    exact = pam.Trajectory(
-        clean.t,
-        {"x": run["x"], "muscle.command": clean["muscle.command"]},
-        [plant.variable(n) for n in ("x", "muscle.command")],
-        "previous",
-    )
+    u = clean["muscle.command"]
+    held = {"start": plant.equilibrium({"muscle.command": u[0]}), "interpolation": "previous"}
+    run = pam.simulate(plant, {"muscle.command": u}, t=clean.t, rtol=1e-9, **held)
+    variables = [plant.variable(n) for n in ("x", "muscle.command")]
+    exact = pam.Trajectory(clean.t, {"x": run["x"], "muscle.command": u}, variables, "previous")
     fit = fit_free_run(off(), exact, list(TRUE), horizon=None)
     assert fit.adequacy == Adequacy()
     assert "not tested" in fit.adequacy.report()
@@ -209,9 +193,8 @@ def test_standard_errors_count_several_outputs_with_the_weights_of_the_fit() -> 
 
     noise, cut = {"x": NOISE, "muscle.pressure": 3e3}, record(samples=300)
     plant, t = hanging(), cut.t
-    u = 3.5e5 + 0.15 * (
-        cut["muscle.command"] - 3.5e5
-    )  # pressures that range over less than nominal
+    # pressures that range over less than nominal
+    u = 3.5e5 + 0.15 * (cut["muscle.command"] - 3.5e5)
     start = plant.equilibrium({"muscle.command": u[0]})
     motion = pam.simulate(
         plant, {"muscle.command": u}, t=t, start=start, interpolation="previous", rtol=1e-9
@@ -254,14 +237,8 @@ def test_runs_in_mid_record_have_exact_slopes_through_their_hidden_past() -> Non
     assert [plant.states[i].name for i in places] == ["muscle.pressure"]
     guesses = settled_starts(plant, runs, 1, places).T
     assert guesses[0, 0] == pytest.approx(cut["muscle.command"][0], rel=1e-6)
-    unknowns, rig = unknowns_of(
-        plant,
-        groups(plant, list(TRUE), {}),
-        ["x"],
-        1,
-        0.01,
-        hidden=dict(zip(places, guesses, strict=True)),
-    )
+    free, hidden = groups(plant, list(TRUE), {}), dict(zip(places, guesses, strict=True))
+    unknowns, rig = unknowns_of(plant, free, ["x"], 1, 0.01, hidden=hidden)
     rollout, z = Rollout(plant, runs, unknowns, rig), unknowns.guess * 1.02
     exact = rollout.jacobian(z)
     for i, unit in enumerate(np.eye(len(z))):
@@ -275,9 +252,8 @@ def test_one_parameter_more_never_fits_worse() -> None:
     noisy, poor = record("friction", 4), off()
     few = fit_free_run(poor, noisy, ["damping"], horizon=None, judge=False)
     more = fit_free_run(poor, noisy, ["damping", "muscle.lag"], horizon=None, judge=False)
-    most = fit_free_run(
-        poor, noisy, ["damping", "muscle.lag"], horizon=None, offsets=["x"], judge=False
-    )
+    asked = {"horizon": None, "offsets": ["x"], "judge": False}
+    most = fit_free_run(poor, noisy, ["damping", "muscle.lag"], **asked)
     assert more.cost[1] <= few.cost[1] * (1 + 1e-6)
     assert most.cost[1] <= more.cost[1] * (1 + 1e-6)
 

@@ -15,6 +15,8 @@ from pam_ocp.fitting.dynamic.experiment import prepare
 from pam_ocp.plants.memory import BoucWen
 
 POSITION_NOISE, PRESSURE_NOISE = 2e-5, 500.0
+EVEN = {"muscle1.pressure": 3 * BAR, "muscle2.pressure": 3 * BAR}
+NOISE = {"x": POSITION_NOISE, **dict.fromkeys(EVEN, PRESSURE_NOISE)}
 FREE = ("damping", "muscle*.lag", "muscle*.a2", "muscle*.a4", "muscle*.a5")
 
 
@@ -33,20 +35,10 @@ def record(
     levels = random.uniform(2.2 * BAR, 4.5 * BAR, (2, 1 + int(duration / 0.25)))
     commands = {f"muscle{i + 1}.command": levels[i][(t / 0.25 + 1e-9).astype(int)] for i in (0, 1)}
     late = np.concatenate([t[:1], t[1:] + delay])
-    run = pam.simulate(
-        plant,
-        {n: (late, c) for n, c in commands.items()},
-        t=t,
-        interpolation="previous",
-        start=start or {"muscle1.pressure": 3 * BAR, "muscle2.pressure": 3 * BAR},
-    )
+    inputs, begin = {n: (late, c) for n, c in commands.items()}, start or EVEN
+    run = pam.simulate(plant, inputs, t=t, interpolation="previous", start=begin)
     columns: dict[str, Any] = dict(commands)
-    sizes = {
-        "x": POSITION_NOISE,
-        "muscle1.pressure": PRESSURE_NOISE,
-        "muscle2.pressure": PRESSURE_NOISE,
-    }
-    for name, size in sizes.items():
+    for name, size in NOISE.items():
         columns[name] = run[name] + noise * size * random.standard_normal(t.size)
     return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
 
@@ -168,13 +160,8 @@ def test_gain_and_offset_of_a_sensor_are_estimated(rig: pam.Plant) -> None:
     columns["x"] = 1.05 * columns["x"] + 1e-3
     columns["muscle1.pressure"] = columns["muscle1.pressure"] + 5e3
     wrong = pam.Trajectory(clean.t, columns, clean.variables, "previous")
-    found = fit_plant(
-        elsewhere(rig, ("damping",)),
-        wrong,
-        ["damping"],
-        gains=["x"],
-        offsets=["x", "muscle1.pressure"],
-    )
+    sensors = {"gains": ["x"], "offsets": ["x", "muscle1.pressure"]}
+    found = fit_plant(elsewhere(rig, ("damping",)), wrong, ["damping"], **sensors)
     expected = {"x.gain": 1.05, "x.offset": 1e-3, "muscle1.pressure.offset": 5e3, "damping": 20.0}
     for name, value in expected.items():
         low, high = found.interval(name, 0.99)
@@ -185,15 +172,9 @@ def test_gain_and_offset_of_a_sensor_are_estimated(rig: pam.Plant) -> None:
 @pytest.mark.slow
 def test_hysteresis_comes_back_from_a_record_with_noise_and_delay() -> None:
     """Bouc-Wen in both muscles, delay of 13 ms: all within their intervals."""
-    rig = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        2.0,
-        0.10,
-        stroke=0.016,
-        damping=pam.losses.ConstantDamping(20.0),
-        feed=pam.feeds.Regulator(0.05, max_pressure=6 * BAR),
-        losses=(BoucWen(friction=15.0, yield_contraction=0.004),),
-    )
+    parts = {"damping": 20.0, "feed": pam.feeds.Regulator(0.05, max_pressure=6 * BAR)}
+    loss = BoucWen(friction=15.0, yield_contraction=0.004)
+    rig = pam.AntagonisticSlide("DMSP-20-200N", 2.0, 0.10, stroke=0.016, losses=loss, **parts)
     free = ("damping", "muscle*.lag", "muscle*.a4", "muscle*.hysteresis_force")
     late = record(rig, 8, delay=0.013, duration=1.0)
     found = fit_plant(elsewhere(rig, free), late, free, delay=(0.0, 0.03))
@@ -211,11 +192,7 @@ def test_validation_estimates_only_the_initial_state(fit: PlantFit, rig: pam.Pla
 
 
 def test_known_noise_weighs_the_measured_variables(rig: pam.Plant, records: Any) -> None:
-    noise = {
-        "x": POSITION_NOISE,
-        "muscle1.pressure": PRESSURE_NOISE,
-        "muscle2_pressure": PRESSURE_NOISE,
-    }
+    noise = {n.replace("2.", "2_"): size for n, size in NOISE.items()}
     found = fit_plant(elsewhere(rig, ("damping",)), records, ["damping"], noise=noise)
     assert found.linearisation.scale == pytest.approx(1.0, abs=0.1)
 
@@ -245,9 +222,8 @@ def test_constants_of_both_muscles_are_seen_only_in_their_difference(
 
 def test_constant_inputs_are_refused_with_the_parameters_they_cannot_tell(rig: pam.Plant) -> None:
     t = np.arange(0, 0.5, 0.01)
-    start = {"muscle1.pressure": 3 * BAR, "muscle2.pressure": 3 * BAR}
     inputs = {"muscle1.command": 3 * BAR, "muscle2.command": 3 * BAR}
-    run = pam.simulate(rig, inputs, t=t, start=start)
+    run = pam.simulate(rig, inputs, t=t, start=EVEN)
     with pytest.raises(FitError, match=r"all inputs are constant .* cannot tell .*muscle\*\.lag"):
         fit_plant(rig, run, ["damping", "muscle*.lag"], outputs=["x", "muscle1.pressure"])
 
@@ -313,12 +289,12 @@ def test_what_is_no_plant_and_no_record_is_named(
         pam.fit_free_run(*chosen, ["damping"], horizon=0.2)
 
 
-def test_bounds_may_be_texts_with_units(rig: pam.Plant, records: Any) -> None:
-    free, outputs = ["damping"], ["x"]
-    texts = fit_plant(
-        rig, records[:1], free, outputs=outputs, bounds={"damping": ("0.01 N.s/mm", "1 N.s/mm")}
+def test_bounds_may_be_texts_with_units(rig: pam.Plant) -> None:
+    short = record(rig, 1, duration=0.3)
+    texts, numbers = (
+        fit_plant(rig, short, ["damping"], outputs=["x"], bounds={"damping": given})
+        for given in (("0.01 N.s/mm", "1 N.s/mm"), (10.0, 1000.0))
     )
-    numbers = fit_plant(rig, records[:1], free, outputs=outputs, bounds={"damping": (10.0, 1000.0)})
     assert texts.values == pytest.approx(numbers.values, rel=1e-9)
 
 

@@ -58,14 +58,17 @@ def test_the_truth_lies_within_the_intervals(case):
 @pytest.mark.parametrize(
     ("loss", "free"),
     [
-        (pam.losses.MaxwellSlip((8.0, 12.0), (0.004, 0.02)), ["slip1_force", "slip2_force"]),
-        pytest.param(pam.losses.BoucWen(), ["hysteresis_force"], marks=pytest.mark.slow),
         pytest.param(
-            pam.losses.PrandtlIshlinskii((10.0,), (6.0,), (0.01,)),
-            ["play1_contracting", "play1_relaxing"],
+            pam.losses.MaxwellSlip((8.0, 12.0), (0.004, 0.02)),
+            ["slip1_force", "slip2_force"],
             marks=pytest.mark.slow,
         ),
-        pytest.param(pam.losses.Preconditioning(), ["softening_stiffness"], marks=pytest.mark.slow),
+        (pam.losses.BoucWen(), ["hysteresis_force"]),
+        (
+            pam.losses.PrandtlIshlinskii((10.0,), (6.0,), (0.01,)),
+            ["play1_contracting", "play1_relaxing"],
+        ),
+        (pam.losses.Preconditioning(), ["softening_stiffness"]),
     ],
 )
 def test_memories_are_found_back_by_simulation(loss, free):
@@ -73,8 +76,8 @@ def test_memories_are_found_back_by_simulation(loss, free):
     plant = pam.HangingLoad("DMSP-20-200N", 10.0, damping=60.0, feed=feed, losses=loss)
     names = [f"muscle.{n}" for n in free]
     draw = np.random.default_rng(20261122)
-    t = np.arange(0, 1.2, 0.01)
-    command = np.repeat(draw.uniform(1.2e5, 4.5e5, 12), 10)
+    t = np.arange(0, 0.8, 0.01)
+    command = np.repeat(draw.uniform(1.2e5, 4.5e5, 8), 10)
     start = {"x": 0.03, "muscle.pressure": 3e5}
     run = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start, rtol=1e-11)
     columns = {"muscle.command": command}

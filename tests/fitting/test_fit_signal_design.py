@@ -40,6 +40,12 @@ def oscillator() -> pam.Plant:
     return plant
 
 
+def told(plant: pam.Plant, free: Any, size: float, **asked: Any) -> SignalDesign:
+    """A design of two seconds at 20 Hz for the position, whose noise is known."""
+    given: dict[str, Any] = {"duration": 2.0, "sample": 0.05, "noise": {"x": size}, **asked}
+    return design_signal(plant, free, **given)
+
+
 @pytest.fixture(scope="module")
 def rig() -> pam.Plant:
     return benchmark_slide(pam.feeds.Regulator(0.05, max_pressure=6 * BAR))
@@ -67,25 +73,14 @@ def test_the_rate_of_an_integrator_is_best_seen_at_full_input() -> None:
     """
     plant, t = integrator(), np.arange(0, 2.001, 0.05)
     for family in ("steps", "ramps"):
-        found = design_signal(
-            plant,
-            ["rate"],
-            duration=2.0,
-            sample=0.05,
-            noise={"x": 0.1},
-            segments=5,
-            family=family,
-            known_start=True,
-        )
+        found = told(plant, ["rate"], 0.1, segments=5, family=family, known_start=True)
         assert np.abs(found.trajectory["u"]) == pytest.approx(np.ones(t.size), abs=1e-5)
         assert found.stderr["rate"] == pytest.approx(0.1 / np.linalg.norm(t), rel=1e-6)
 
 
 def test_an_unknown_start_costs_what_least_squares_say() -> None:
     """With x(0) unknown the line through t must be told from a constant: no start at t = 0."""
-    found = design_signal(
-        integrator(), ["rate"], duration=2.0, sample=0.05, noise={"x": 0.1}, segments=5
-    )
+    found = told(integrator(), ["rate"], 0.1, segments=5)
     u = found.trajectory["u"][:-1]
     way = np.concatenate([[0.0], 0.05 * np.cumsum(u)])
     rest = way - way.mean()
@@ -95,18 +90,8 @@ def test_an_unknown_start_costs_what_least_squares_say() -> None:
 
 def test_limits_are_kept(rig: pam.Plant) -> None:
     limits = {"x": (-0.004, 0.006), "muscle1.pressure": (2.5 * BAR, 4 * BAR)}
-    found = design_signal(
-        rig,
-        FREE,
-        duration=1.0,
-        noise=NOISE,
-        inputs=RANGE,
-        segments=5,
-        start=START,
-        limits=limits,
-        tries=1,
-        family="ramps",
-    )
+    asked = {"duration": 1.0, "noise": NOISE, "inputs": RANGE, "segments": 5, "start": START}
+    found = design_signal(rig, FREE, **asked, limits=limits, tries=1, family="ramps")
     assert found.violation < 1e-5
     run = found.trajectory
     for name, (low, high) in limits.items():
@@ -175,15 +160,7 @@ def correlation_free(fit: pam.fitting.PlantFit) -> np.ndarray:
 @pytest.mark.slow
 def test_promised_standard_errors_are_the_scatter_of_fits() -> None:
     plant, noise = oscillator(), {"x": 5e-4}
-    found = design_signal(
-        plant,
-        ["spring", "damper"],
-        duration=2.0,
-        sample=0.05,
-        noise=noise,
-        segments=10,
-        criterion="A",
-    )
+    found = told(plant, ["spring", "damper"], noise["x"], segments=10, criterion="A")
     values = []
     for seed in range(60):
         record = played(plant, found.trajectory, noise, seed)
@@ -194,9 +171,7 @@ def test_promised_standard_errors_are_the_scatter_of_fits() -> None:
 
 def test_a_fit_counts_as_what_is_known() -> None:
     plant, noise = oscillator(), {"x": 5e-4}
-    first = design_signal(
-        plant, ["spring", "damper"], duration=2.0, sample=0.05, noise=noise, segments=4
-    )
+    first = told(plant, ["spring", "damper"], noise["x"], segments=4)
     fit = fit_plant(plant, played(plant, first.trajectory, noise, 0), ["spring", "damper"])
     more = design_experiment(fit, duration=2.0, sample=0.05, segments=4)
     for name in fit.values:
@@ -212,16 +187,8 @@ def test_a_fit_counts_as_what_is_known() -> None:
 
 
 def test_a_multisine_stays_within_its_range() -> None:
-    found = design_signal(
-        oscillator(),
-        ["spring"],
-        duration=4.0,
-        sample=0.05,
-        noise={"x": 1e-3},
-        family="multisine",
-        segments=9,
-        known_start=True,
-    )
+    asked = {"duration": 4.0, "family": "multisine", "segments": 9, "known_start": True}
+    found = told(oscillator(), ["spring"], 1e-3, **asked)
     force = found.trajectory["force"]
     assert 0.99 < np.max(np.abs(force)) <= 1 + 1e-6
     tones = np.abs(np.fft.rfft(force[:-1]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from pam_ocp.fitting.dynamic.rig import unknowns_of
 from pam_ocp.fitting.dynamic.rollout import Rollout
 from pam_ocp.fitting.dynamic.runs import runs_of
 
+WHOLE: dict[str, Any] = {"horizon": None, "history": 2}
+WHOLE["starts"] = {"z": "record", "w": "record"}
 K, C, G, LAG, LATE = 40.0, 3.0, 30.0, 0.08, 0.034
 
 
@@ -66,15 +70,8 @@ def record(
 def test_dead_time_and_hidden_starts_come_back_from_whole_records(held: bool) -> None:
     records = [record(s, 120 + 20 * s, z0=0.3 * s, held=held) for s in range(3)]
     off = lagging().with_values(k=30.0, c=5.0, g=20.0, lag=0.05)
-    fit = fit_free_run(
-        off,
-        records,
-        ["k", "c", "g", "lag"],
-        horizon=None,
-        history=2,
-        delay={"u": (0, 0.2)},
-        starts={"z": "record", "w": "record"},
-    )
+    late = {"u": (0, 0.2)}
+    fit = fit_free_run(off, records, ["k", "c", "g", "lag"], delay=late, **WHOLE)
     assert fit.converged
     assert fit.rig.delays["u"] == pytest.approx(LATE, abs=1e-3)
     for name, truth in {"k": K, "c": C, "g": G, "lag": LAG}.items():
@@ -88,17 +85,10 @@ def test_the_slope_over_everything_is_that_of_finite_differences() -> None:
     plant = lagging().with_values(k=33.0)
     for horizon, every in ((None, None), ((0.05, 0.15), 0.1)):
         runs = runs_of(plant, records, horizon, every, ["q"], 3, 2, 0.05)
+        sensor = {"gains": ["q"], "offsets": ["q"], "starts": {"z": "record"}}
+        free = groups(plant, ["k", "lag"], {})
         unknowns, rig = unknowns_of(
-            plant,
-            groups(plant, ["k", "lag"], {}),
-            ["q"],
-            2,
-            0.01,
-            delay=(0.0, 0.1),
-            gains=["q"],
-            offsets=["q"],
-            starts={"z": "record"},
-            correct={"z": ["q"]},
+            plant, free, ["q"], 2, 0.01, delay=(0.0, 0.1), correct={"z": ["q"]}, **sensor
         )
         rollout = Rollout(plant, runs, unknowns, rig)
         # off the kinks of the recorded input, where a dead time has two slopes
@@ -121,16 +111,8 @@ def test_gain_and_offset_of_a_sensor_come_back() -> None:
         pam.Trajectory(r.t, {"q": 1.2 * r["q"] + 0.05, "u": r["u"]}, interpolation="linear")
         for r in clean
     ]
-    fit = fit_free_run(
-        lagging().with_values(k=35.0),
-        shown,
-        ["k", "c"],
-        horizon=None,
-        history=2,
-        gains=["q"],
-        offsets=["q"],
-        starts={"z": "record", "w": "record"},
-    )
+    off = lagging().with_values(k=35.0)
+    fit = fit_free_run(off, shown, ["k", "c"], gains=["q"], offsets=["q"], **WHOLE)
     assert fit.rig.gains["q"] == pytest.approx(1.2, rel=0.01)
     assert fit.rig.offsets["q"] == pytest.approx(0.05, abs=2e-3)
     assert fit.values["k"] == pytest.approx(K, rel=0.01)
@@ -138,16 +120,9 @@ def test_gain_and_offset_of_a_sensor_come_back() -> None:
 
 def test_an_observer_brings_hidden_states_to_where_they_belong() -> None:
     records = [record(s, late=0.0) for s in range(3)]
-    common = {"horizon": 0.1, "every": 0.05, "history": 2}
-    blind = free_run(lagging(), records, **common)  # type: ignore[arg-type]
-    fit = fit_free_run(
-        lagging(),
-        records,
-        [],
-        warm_up=0.15,
-        correct={"z": ["q"]},
-        **common,  # type: ignore[arg-type]
-    )
+    common: dict[str, Any] = {"horizon": 0.1, "every": 0.05, "history": 2}
+    blind = free_run(lagging(), records, **common)
+    fit = fit_free_run(lagging(), records, [], warm_up=0.15, correct={"z": ["q"]}, **common)
     assert fit.training.rmse["q"] < 0.3 * blind.rmse["q"]
     assert set(fit.rig.corrections) == {("q", "q"), ("w", "q"), ("z", "q")}
 
@@ -156,16 +131,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     inside, total = 0, 0
     for seed in range(8):
         records = [record(10 * seed + s, 120, late=0.0, noise=2e-3) for s in range(3)]
-        fit = fit_free_run(
-            lagging(),
-            records,
-            ["k", "c", "g"],
-            horizon=None,
-            history=2,
-            steps=2,
-            starts={"z": "record", "w": "record"},
-            begin_short=False,
-        )
+        asked = {"steps": 2, "begin_short": False, **WHOLE}
+        fit = fit_free_run(lagging(), records, ["k", "c", "g"], **asked)
         for name, truth in {"k": K, "c": C, "g": G}.items():
             low, high = fit.interval(name)
             inside, total = inside + (low <= truth <= high), total + 1
@@ -190,14 +157,8 @@ def test_a_wild_run_is_damped_and_the_fit_still_comes_home() -> None:
     plant.der(q, w)
     plant.der(w, a * ca.sin(q))
     t = 0.01 * np.arange(200)
-    run = solve_ivp(
-        lambda _, x: [x[1], 64 * np.sin(x[0])],
-        t[[0, -1]],
-        [1e-3, 0.0],
-        t_eval=t,
-        rtol=1e-10,
-        atol=1e-12,
-    )
+    exact = {"t_eval": t, "rtol": 1e-10, "atol": 1e-12}
+    run = solve_ivp(lambda _, x: [x[1], 64 * np.sin(x[0])], t[[0, -1]], [1e-3, 0.0], **exact)
     measured = pam.Trajectory(t, {"q": run.y[0], "w": run.y[1]})
     fit = fit_free_run(
         plant.with_values(a=50.0), measured, ["a"], horizon=1.5, every=0.1, steps=8, outputs=["q"]

@@ -248,6 +248,7 @@ def test_disturbances_that_no_record_holds_are_what_they_are_by_themselves() -> 
     assert value.stderr < 0.01
 
 
+@pytest.mark.slow
 def test_rungs_are_structures_to_choose_among() -> None:
     """Whole records are left out; of the winner the nested error is the noise of the records."""
     feed = regulator(lag=0.06, dead_time=TRUE["dead_time"])
@@ -260,7 +261,8 @@ def test_rungs_are_structures_to_choose_among() -> None:
             "late", slide(feed=regulator(lag=0.06, dead_time=0.02)), (*free, "difference.dead_time")
         ),
     }
-    found = pam.fitting.choose(rungs, records, folds=3, seed=2, rule="best", criteria=OUTPUTS)
+    asked = {"folds": 3, "seed": 2, "rule": "best", "criteria": OUTPUTS, "executor": 0}
+    found = pam.fitting.choose(rungs, records, **asked)
     assert found.name == "late"
     assert [t.complexity for t in found.tried] == [1.0, 2.0, 3.0]
     assert found.rmse["x"] == pytest.approx(2e-5, rel=0.1)

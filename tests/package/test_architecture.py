@@ -29,16 +29,21 @@ def _loaded(path: Path) -> ModuleType:
 
 @cache
 def _trees() -> dict[str, ast.Module]:
-    """{file below pam_ocp: its syntax}."""
+    """{file below pam_ocp that speaks of the door: its syntax}."""
     return {
-        path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8"))
+        path.relative_to(PACKAGE).as_posix(): ast.parse(text)
         for path in PACKAGE.rglob("*.py")
+        if "courtesy" in (text := path.read_text("utf-8")) or path.name == "courtesy.py"
     }
 
 
 drawing = _loaded(ROOT / "docs" / "rooms.py")
-GRAPH = drawing.arrows(PACKAGE)
-BEHIND = drawing.behind_the_door(GRAPH)
+
+
+@cache  # not when tests are collected
+def _behind() -> dict[str, set[str]]:
+    found: dict[str, set[str]] = drawing.behind_the_door(drawing.arrows(PACKAGE))
+    return found
 
 
 def test_the_contracts_of_pyproject_are_kept():
@@ -53,11 +58,11 @@ def test_the_contracts_of_pyproject_are_kept():
 
 
 def test_no_module_leads_back_to_itself_but_through_the_door():
-    assert drawing.circles(BEHIND) == []
+    assert drawing.circles(_behind()) == []
 
 
 def test_no_room_leads_back_to_itself():
-    assert drawing.circles(drawing.rooms(BEHIND)) == []
+    assert drawing.circles(drawing.rooms(_behind())) == []
 
 
 @pytest.mark.parametrize(
@@ -94,7 +99,7 @@ def test_all_that_two_circles_share_is_one_group():
 
 def test_the_picture_of_the_rooms_is_drawn_from_the_imports():
     text = drawing.PAGE.read_text("utf-8")
-    drawn = drawing.drawn(drawing.rooms(BEHIND))
+    drawn = drawing.drawn(drawing.rooms(_behind()))
     assert drawing.page(text, drawn) == text, "run `python docs/rooms.py`"
 
 
@@ -131,14 +136,15 @@ def _uses() -> list[tuple[str, str, bool]]:
     """(module, name, whether a method's last statement returns a call of it) of courtesy.NAME."""
     found = []
     for file, tree in _trees().items():
-        forwarded = set()
-        for owner in (n for n in ast.walk(tree) if isinstance(n, ast.ClassDef)):
-            for method in (n for n in owner.body if isinstance(n, ast.FunctionDef)):
-                if isinstance(last := method.body[-1], ast.Return):
-                    forwarded |= {id(getattr(last.value, "func", None))}
+        forwarded, used = set(), []
         for node in ast.walk(tree):
-            if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "courtesy":
-                found.append((file, node.attr, id(node) in forwarded))
+            if isinstance(node, ast.ClassDef):
+                for method in (n for n in node.body if isinstance(n, ast.FunctionDef)):
+                    if isinstance(last := method.body[-1], ast.Return):
+                        forwarded |= {id(getattr(last.value, "func", None))}
+            elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "courtesy":
+                used.append(node)
+        found += [(file, node.attr, id(node) in forwarded) for node in used]
     return found
 
 

@@ -22,6 +22,11 @@ def squares(plan, nominal):
     return float(np.sum(held**2 * np.diff(signals.breaks)[:, None]))
 
 
+BLIND = {"rest": False, "duration": 1.0, "minimise": "effort", "tolerance": None}
+BLIND["method"] = pam.Collocation(1, 2, "constant")
+"""A mesh that looks at three points."""
+
+
 def densely(plan, points=4001):
     """The plan's motion on many points, inputs held as planned."""
     return pam.simulate(plan.plant, plan.trajectory, t=np.linspace(0, plan.duration, points))
@@ -104,16 +109,8 @@ def mass_on_rails(high):
 
 def test_what_a_path_constraint_is_exceeded_by_between_points_is_said():
     """x (1 - x) peaks at 1/4 half way, where a mesh of one interval of degree 2 does not look."""
-    plan = pam.plan(
-        mass_on_rails(0.2),
-        [{"x": 0.0}, {"x": 1.0}],
-        rest=False,
-        duration=1.0,
-        bounds={"v": (0.5, 1.5)},
-        minimise="effort",
-        tolerance=None,
-        method=pam.Collocation(1, 2, "constant"),
-    )
+    ends, speeds = [{"x": 0.0}, {"x": 1.0}], {"v": (0.5, 1.5)}
+    plan = pam.plan(mass_on_rails(0.2), ends, bounds=speeds, **BLIND)
     fine = densely(plan)
     beyond = np.max(fine["x"] * (1 - fine["x"])) - 0.2
     assert beyond == pytest.approx(0.05, abs=1e-6)
@@ -124,17 +121,9 @@ def test_what_a_path_constraint_is_exceeded_by_between_points_is_said():
 def test_a_constraint_of_ones_own_is_watched_between_points_too():
     plant = mass_on_rails(1.0)
     x = plant.expression("x")
-    plan = pam.plan(
-        plant,
-        [{"x": 0.0}, {"x": 1.0}],
-        rest=False,
-        duration=1.0,
-        bounds={"v": (0.5, 1.5)},
-        constraints=[pam.Constraint(4 * x * (1 - x), high=0.8, name="bulge")],
-        minimise="effort",
-        tolerance=None,
-        method=pam.Collocation(1, 2, "constant"),
-    )
+    bulge = pam.Constraint(4 * x * (1 - x), high=0.8, name="bulge")
+    asked = {"bounds": {"v": (0.5, 1.5)}, "constraints": [bulge]}
+    plan = pam.plan(plant, [{"x": 0.0}, {"x": 1.0}], **asked, **BLIND)
     assert plan.replay.constraint == "bulge"
     assert plan.replay.violation == pytest.approx(0.2, rel=0.02)
 
@@ -151,14 +140,9 @@ def rails(limit=20.0):
 
 def test_every_leg_is_watched():
     """Of two legs, out and back, the second alone is held to x (1 - x) <= 0.2."""
-    ways = {"rest": False, "duration": 1.0, "minimise": "effort", "tolerance": None}
-    plan = pam.plan(
-        mass_on_rails(10.0),
-        [{"x": 0.0}, {"x": 1.0}, {"x": 0.0}],
-        **ways,
-        phases=[None, pam.Phase(bounds={"room": (None, 0.2)})],
-        method=pam.Collocation(1, 2, "linear"),
-    )
+    asked = {"phases": [None, pam.Phase(bounds={"room": (None, 0.2)})]}
+    asked["method"] = pam.Collocation(1, 2, "linear")
+    plan = pam.plan(mass_on_rails(10.0), [{"x": 0.0}, {"x": 1.0}, {"x": 0.0}], **(BLIND | asked))
     peak = float(np.max(densely(plan)["x"][2000:] * (1 - densely(plan)["x"][2000:])))
     assert peak > 0.21
     assert plan.replay.violation == pytest.approx((peak - 0.2) / 0.25, rel=0.05)
@@ -166,16 +150,8 @@ def test_every_leg_is_watched():
 
 def test_a_state_below_its_lower_bound_between_points_is_said():
     """Down to -1/4 and up again: one interval of degree 2 looks at both ends and one point."""
-    plan = pam.plan(
-        rails(),
-        [{"x": 0.0, "v": -1.0}, {"x": 0.0, "v": 1.0}],
-        rest=False,
-        duration=1.0,
-        bounds={"x": (-0.23, 1.0)},
-        minimise="effort",
-        tolerance=None,
-        method=pam.Collocation(1, 2, "constant"),
-    )
+    stops = [{"x": 0.0, "v": -1.0}, {"x": 0.0, "v": 1.0}]
+    plan = pam.plan(rails(), stops, bounds={"x": (-0.23, 1.0)}, **BLIND)
     assert densely(plan)["x"].min() == pytest.approx(-0.25, abs=1e-6)
     assert plan.replay.constraint == "x"
     assert plan.replay.violation == pytest.approx(0.02 / 0.5, rel=0.02)
@@ -192,26 +168,14 @@ def test_a_state_below_its_lower_bound_between_points_is_said():
     ],
 )
 def test_objectives_are_in_units_of_nominal(wish, value):
-    plan = pam.plan(
-        rails(),
-        [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}],
-        rest=False,
-        duration=1.0,
-        method=pam.Collocation(6, 3, "linear"),
-        **wish,
-    )
+    asked = {"rest": False, "duration": 1.0, "method": pam.Collocation(6, 3, "linear"), **wish}
+    plan = pam.plan(rails(), [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}], **asked)
     assert plan.objective == pytest.approx(value, rel=1e-7)
 
 
 def test_the_rate_of_held_inputs_is_that_of_the_line_through_their_middles():
-    plan = pam.plan(
-        rails(),
-        [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}],
-        rest=False,
-        duration=1.0,
-        minimise="rate",
-        method=pam.Collocation(7, 3),
-    )
+    asked = {"rest": False, "duration": 1.0, "minimise": "rate", "method": pam.Collocation(7, 3)}
+    plan = pam.plan(rails(), [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}], **asked)
     signals = plan.trajectory.signals
     middles = (signals.breaks[:-1] + signals.breaks[1:]) / 2
     u = signals.coefficients[:, 0, 0] / 4.0

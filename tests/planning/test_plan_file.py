@@ -6,10 +6,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from cli_tools import run
+from conftest import benchmark_slide
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
-from pam_ocp.cli.main import main
 from pam_ocp.planning.problem.problem_file import expression_of, load_problem
 from pam_ocp.plants.kinds import PLANTS
 from pam_ocp.plants.plant_file import muscle_of, plant_of
@@ -43,14 +44,7 @@ def function(plant, expression):
 
 def test_the_example_says_what_python_says():
     plant, arguments = load_problem(EXAMPLE)
-    own = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        2.0,
-        0.10,
-        stroke=0.016,
-        damping=pam.losses.ConstantDamping(20.0),
-        feed=pam.feeds.Regulator(0.05, max_pressure=6e5, max_rate=40e5),
-    )
+    own = benchmark_slide()
     for one, two in zip(plant.variables, own.variables, strict=True):
         assert (one.name, one.start) == (two.name, pytest.approx(two.start))
         assert one.max == pytest.approx(two.max)
@@ -298,21 +292,11 @@ def test_expressions_that_are_none_are_refused(slide, text, message):
 
 
 # ---- the command ---------------------------------------------------------------------------------
-def run(capsys, *arguments):
-    code = main([str(a) for a in arguments])
-    shown = capsys.readouterr()
-    return code, shown.out, shown.err
-
-
 def test_the_command_plans_and_writes(capsys, tmp_path):
     head = 'cyclic = "mirrored"\nmethod = { intervals = 10 }'
     file = written(tmp_path, head, PLANT, STOPS)
-    targets = {
-        "--out": "plan.npz",
-        "--csv": "motion.csv",
-        "--fmu-inputs": "inputs.csv",
-        "--plot": "plan.png",
-    }
+    targets = {"--out": "plan.npz", "--csv": "motion.csv", "--fmu-inputs": "inputs.csv"}
+    targets["--plot"] = "plan.png"
     options = [part for o, name in targets.items() for part in (o, tmp_path / name)]
     code, out, err = run(capsys, "plan", file, *options, "--log")
     assert (code, err) == (0, "")

@@ -31,33 +31,16 @@ def test_least_time_of_the_double_integrator(points):
         double_integrator(1.0), REST, rest=False, method=Collocation(10, 3, points=points)
     )
     assert plan.duration == pytest.approx(2.0, rel=1e-6)
-
-
-@pytest.mark.parametrize("points", ["radau", "gauss"])
-def test_least_effort_of_the_double_integrator(points):
-    plan = pam.plan(
-        double_integrator(10.0),
-        REST,
-        rest=False,
-        duration=1.0,
-        minimise="effort",
-        method=Collocation(4, 3, "polynomial", points),
-    )
-    assert plan.objective == pytest.approx(12.0, rel=1e-6)
+    assert plan.trajectory["u"][[0, -1]] == pytest.approx([1.0, -1.0], abs=1e-6)
 
 
 @pytest.mark.parametrize("points", ["radau", "gauss"])
 def test_bryson_denham(points):
     """x <= L = 1/9: half the squared input comes to 4/(9 L) = 4 (Bryson, Ho 1975, sect. 3.11)."""
-    plan = pam.plan(
-        double_integrator(20.0),
-        [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}],
-        rest=False,
-        duration=1.0,
-        minimise={"effort": 0.5},
-        bounds={"x": (None, 1 / 9)},
-        method=Collocation(30, 3, "linear", points),  # the contact's ends 1/3, 2/3 are on the mesh
-    )
+    method = Collocation(30, 3, "linear", points)  # the contact's ends 1/3, 2/3 are on the mesh
+    asked = {"duration": 1.0, "minimise": {"effort": 0.5}, "bounds": {"x": (None, 1 / 9)}}
+    ends = [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}]
+    plan = pam.plan(double_integrator(20.0), ends, rest=False, method=method, **asked)
     assert plan.objective == pytest.approx(4.0, rel=1e-6)
 
 

@@ -29,16 +29,8 @@ STOPS = [{"x": 0.0, "v": 0.0}, {"x": DISTANCE, "v": 0.0}]
 def test_time_against_effort_of_the_double_integrator(first, second):
     """E = 12 d^2/T^3 while u = 6 d/T^2 (1 - 2 t/T) keeps its limit; bang-bang at its end, u^2 T."""
     limits = {} if first == "time" else {"duration": (0.05, 0.6)}
-    front = pareto(
-        double_integrator(),
-        STOPS,
-        first=first,
-        second=second,
-        rest=False,
-        method=METHOD,
-        points=9,
-        **limits,
-    )
+    asked = {"first": first, "second": second, "rest": False, "method": METHOD, "points": 9}
+    front = pareto(double_integrator(), STOPS, **asked, **limits)
     assert not front.failures
     time, effort = front.values.T if first == "time" else front.values.T[::-1]
     quickest = 2 * np.sqrt(DISTANCE / LIMIT)
@@ -70,14 +62,8 @@ def test_points_planned_side_by_side_are_the_front_and_the_same_bits_everywhere(
 
 def test_rate_is_swept_as_the_second():
     """The least of the integral of u'^2 from rest to rest with u = 0 at the ends: 720 d^2/T^5."""
-    front = pareto(
-        double_integrator(),
-        [{"x": 0.0}, {"x": DISTANCE}],
-        second="rate",
-        points=4,
-        until=1.0,
-        method=Collocation(6, 6, "polynomial"),
-    )
+    asked = {"second": "rate", "points": 4, "until": 1.0, "method": METHOD}
+    front = pareto(double_integrator(), [{"x": 0.0}, {"x": DISTANCE}], **asked)
     time, rate = front.values.T
     assert time[-1] == pytest.approx(1.0)
     assert rate[-2:] * time[-2:] ** 5 == pytest.approx(720 * DISTANCE**2, rel=1e-5)
@@ -131,14 +117,8 @@ def test_what_cannot_be_swept_is_refused(slide, arguments, message):
 
 def test_a_planner_with_polynomial_inputs_takes_other_budgets_and_bounds():
     """Inputs are guarded between their points: their limits are renewed with the others."""
-    planner = pam.Planner(
-        double_integrator(),
-        STOPS,
-        rest=False,
-        minimise="time",
-        bounds={"u": (-50.0, 50.0)},
-        method=METHOD,
-    )
+    asked = {"rest": False, "bounds": {"u": (-50.0, 50.0)}, "method": METHOD}
+    planner = pam.Planner(double_integrator(), STOPS, minimise="time", **asked)
     first = planner()
     again = planner(bounds={"u": (-12.5, 12.5)}, guess=first)
     assert first.duration == pytest.approx(2 * np.sqrt(DISTANCE / 50.0), rel=1e-6)
@@ -146,27 +126,17 @@ def test_a_planner_with_polynomial_inputs_takes_other_budgets_and_bounds():
 
 
 def test_a_budget_of_time_ends_a_motion_of_least_effort():
-    plan = pam.plan(
-        double_integrator(),
-        [STOPS[0], {"x": 0.4}, STOPS[1]],
-        rest=False,
-        minimise="effort",
-        budgets={"time": 0.8},
-        method=METHOD,
-    )
+    asked = {"rest": False, "minimise": "effort", "budgets": {"time": 0.8}, "method": METHOD}
+    plan = pam.plan(double_integrator(), [STOPS[0], {"x": 0.4}, STOPS[1]], **asked)
     assert sum(plan.durations) == pytest.approx(0.8, rel=1e-7)
     assert plan.objective == pytest.approx(12 / 0.8**3, rel=1e-6)  # passing 0.4 costs nothing
 
 
 def test_phases_with_limits_of_their_own_keep_them_between_polynomial_points():
     """Guarded inputs: the limit of one leg is not taken for that of the other."""
-    plan = pam.plan(
-        double_integrator(),
-        [*STOPS, STOPS[0]],
-        rest=False,
-        method=METHOD,
-        phases=[pam.Phase(bounds={"u": (-10.0, 10.0)}), None],
-    )
+    phases = [pam.Phase(bounds={"u": (-10.0, 10.0)}), None]
+    there = {"rest": False, "method": METHOD, "phases": phases}
+    plan = pam.plan(double_integrator(), [*STOPS, STOPS[0]], **there)
     slow, quick = (2 * np.sqrt(DISTANCE / limit) for limit in (10.0, LIMIT))
     assert plan.durations == pytest.approx((slow, quick), rel=1e-5)
 
@@ -177,9 +147,8 @@ def test_plans_of_a_front_that_are_not_verified_are_marked(slide):
     assert front.unverified == ()
     assert "NOT VERIFIED" not in str(front)
     off = replace(front.plans[1].judgement, error=0.5, state="v")
-    wrong = replace(
-        front, plans=(front.plans[0], replace(front.plans[1], judgement=off), front.plans[2])
-    )
+    first, second, third = front.plans
+    wrong = replace(front, plans=(first, replace(second, judgement=off), third))
     assert wrong.unverified == (1,)
     lines = str(wrong).splitlines()
     assert lines[0].startswith("NOT VERIFIED: 1 of 3 plans")

@@ -35,19 +35,18 @@ MASS = {"draws": forces, "start": "same", "method": Collocation(8, 3, "linear")}
 FROM_TO = [{"x": 0.0}, {"x": 1.0}]
 
 
+def in_a_second(spread, stops=FROM_TO, **asked):
+    """A robust plan of the mass, of least effort unless something else is asked for."""
+    asked = {"minimise": "effort", "duration": 1.0, **MASS, **asked}
+    return robust_plan(pushed_mass(), stops, spread=spread, **asked)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 100])
 def test_the_back_off_in_time_is_that_of_the_normal_distribution(seed):
     """Effort wants time, the spread of 0.1 m allows T with |f| T^2/2 < 0.1 for 95 %: 0.32 s."""
-    robust = robust_plan(
-        pushed_mass(),
-        FROM_TO,
-        spread={"x": 0.1},
-        minimise={"effort": 1.0, "time": 1e-6},
-        duration=(0.05, 2.0),
-        seed=seed,
-        **MASS,
-    )
+    asked = {"minimise": {"effort": 1.0, "time": 1e-6}, "duration": (0.05, 2.0)}
+    robust = in_a_second({"x": 0.1}, seed=seed, **asked)
     assert robust.verified
     true = 2 * norm.cdf(0.2 / robust.plan.duration**2) - 1
     low, high = robust.share.interval
@@ -59,39 +58,21 @@ def test_the_back_off_in_time_is_that_of_the_normal_distribution(seed):
 
 def test_the_back_off_from_a_limit_is_that_of_the_normal_distribution():
     """As far as it goes in 1 s with x < 3 for 95 %: short of it by 1.645/2."""
-    robust = robust_plan(
-        pushed_mass(),
-        [{"x": 0.0}, {"x": (0.0, 5.0)}],
-        spread=[None, {"x": 50.0}],
-        duration=1.0,
-        minimise={"final(x)": -1.0, "effort": 1e-6},
-        bounds={"x": (-10.0, 3.0)},
-        share=0.9,
-        **MASS,
-    )
+    spread, stops = [None, {"x": 50.0}], [{"x": 0.0}, {"x": (0.0, 5.0)}]
+    far = {"minimise": {"final(x)": -1.0, "effort": 1e-6}, "bounds": {"x": (-10.0, 3.0)}}
+    robust = in_a_second(spread, stops, share=0.9, **far)
     back_off = 3.0 - robust.trajectory["x"][-1]
     assert robust.verified
     assert 0.87 < norm.cdf(2 * back_off) < 0.98
     assert robust.share.interval[0] < norm.cdf(2 * back_off) < robust.share.interval[1]
-    free = robust_plan(
-        pushed_mass(),
-        [{"x": 0.0}, {"x": (0.0, 5.0)}],
-        spread=[None, {"x": 50.0}],
-        duration=1.0,
-        minimise={"final(x)": -1.0, "effort": 1e-6},
-        bounds={"x": (-10.0, 3.0)},
-        all_within=False,
-        **MASS,
-    )
+    free = in_a_second(spread, stops, all_within=False, **far)
     assert free.trajectory["x"][-1] == pytest.approx(3.0, abs=1e-3)
 
 
 def test_what_no_input_can_keep_says_where_and_how_far():
     """In one second 95 % come within 1.96/2 m, whatever the input: 0.1 m cannot be."""
     with pytest.raises(PlanError, match=r"deviation\d") as caught:
-        robust_plan(
-            pushed_mass(), FROM_TO, spread={"x": 0.1}, minimise="effort", duration=1.0, **MASS
-        )
+        in_a_second({"x": 0.1})
     words = str(caught.value)
     assert "stop 2: x, where 95 % come within" in words
     far = float(words.split("come within ")[1].split()[0]) / 1e3  # mm
@@ -105,15 +86,7 @@ def test_the_best_that_was_found_is_returned_with_a_warning():
     width = first[seed] / 2 * 1.001
     assert width < 0.7 * norm.ppf(0.975) / 2
     with pytest.warns(PlanWarning, match="not verified: of unseen ones"):
-        robust = robust_plan(
-            pushed_mass(),
-            FROM_TO,
-            spread={"x": width},
-            minimise="effort",
-            duration=1.0,
-            seed=seed,
-            **MASS,
-        )
+        robust = in_a_second({"x": width}, seed=seed)
     assert not robust.verified
     assert not robust.verdict
     assert robust.share.value == pytest.approx(2 * norm.cdf(2 * width) - 1, abs=0.08)
@@ -127,18 +100,9 @@ def test_each_stop_has_its_own_spread_and_limits_count_too():
     """Positions f t^2/2 off at 1 s and 2 s, velocities f t: by hand for six forces."""
     known = [-0.9, -0.45, -0.1, 0.1, 0.45, 0.9]
     stops = [{"x": 0.0}, pam.Stop({"x": 1.0}, rest=False), {"x": 2.0}]
-    robust = robust_plan(
-        pushed_mass(),
-        stops,
-        draws=[{"force": 0.05}],
-        share=None,
-        start="same",
-        duration=[1.0, 1.0],
-        spread=[None, {"x": 0.25}, {"x": 1.0, "v": 1.0}],
-        minimise="effort",
-        bounds={"v": (-3.0, 3.0)},
-        method=Collocation(8, 3, "linear"),
-    )
+    asked = {"draws": [{"force": 0.05}], "share": None, "bounds": {"v": (-3.0, 3.0)}}
+    spread = [None, {"x": 0.25}, {"x": 1.0, "v": 1.0}]
+    robust = in_a_second(spread, stops, duration=[1.0, 1.0], **asked)
     spread = robust.verify([{"force": f} for f in known])
     assert spread.at_stops("x")[:, 1] == pytest.approx([-2 * f for f in known], abs=1e-9)
     kept = [abs(f) / 2 <= 0.25 and abs(2 * f) <= 1.0 for f in known]
@@ -153,8 +117,7 @@ def test_each_stop_has_its_own_spread_and_limits_count_too():
 
 
 def test_a_plant_that_cannot_be_simulated_keeps_nothing():
-    arguments = {"spread": {"x": 1.0}, "minimise": "effort", "duration": 1.0, "share": None}
-    robust = robust_plan(pushed_mass(), FROM_TO, **MASS | {"draws": [{"force": 0.1}]}, **arguments)
+    robust = in_a_second({"x": 1.0}, draws=[{"force": 0.1}], share=None)
     spread = robust.verify([{"force": 0.1}, {"force": float("inf")}])
     assert robust.judge(spread).kept.tolist() == [True, False]
 
@@ -169,17 +132,9 @@ def test_the_share_and_its_interval_are_those_of_the_binomial_distribution():
 
 @pytest.fixture(scope="module")
 def found(plant):  # noqa: F811 - the fixture
-    return robust_plan(
-        plant,
-        STOPS,
-        draws=lambda n, s: draws(plant, n, s),
-        spread={"x": WIDTH},
-        duration=(0.02, 0.5),
-        method=METHOD,
-        fresh=100,
-        begin=4,
-        seed=5,
-    )
+    asked = {"duration": (0.02, 0.5), "method": METHOD, "fresh": 100, "begin": 4, "seed": 5}
+    made = lambda n, s: draws(plant, n, s)  # noqa: E731
+    return robust_plan(plant, STOPS, draws=made, spread={"x": WIDTH}, **asked)
 
 
 @pytest.mark.slow
@@ -245,6 +200,5 @@ def test_a_list_of_unseen_plants_is_judged_too(plant):  # noqa: F811
     ],
 )
 def test_samples_that_cannot_be_are_refused(arguments, message):
-    given = MASS | {"spread": {"x": 5.0}, "minimise": "effort", "duration": 1.0} | arguments
     with pytest.raises(InputError, match=message):
-        robust_plan(pushed_mass(), FROM_TO, **given)
+        in_a_second({"x": 5.0}, **arguments)

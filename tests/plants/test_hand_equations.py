@@ -130,58 +130,34 @@ def slide(f, h, ls, hl, d, hd):
     return plant, hand.Slide(2.5, hd, two(LONG, THIN, h, hl), inner, 0.11)
 
 
-def bent(f, h, ls, hl, d, hd):
-    outer, inner = loads((0.3, 5e3, 40.0, 1))
+def joint(arms, hand_arms, wall, f, h, ls, hl, d, hd):
+    outer, inner = loads(wall)
+    link, feeding = {"link_mass": 1.4, "link_length": 0.25}, {"feed": f, "losses": ls, "damping": d}
+    pair = {"muscle2": bought(SHORT), "moment_arm2": arms[1]}
     plant = pam.AntagonisticJoint(
-        bought(LONG),
-        0.06,
+        bought(LONG), 0.06, arms[0], 0.12, **pair, **link, **feeding, loads=outer
+    )
+    pullers = two(LONG, SHORT, h, hl)
+    return plant, hand.Joint(0.06, hd, pullers, inner, 0.12, hand_arms, (1.4, 0.25))
+
+
+def bent(*parts):
+    arms = (
         lambda a: 0.03 + 0.008 * ca.cos(a) + 0.008 * a,
-        0.12,
-        muscle2=bought(SHORT),
-        moment_arm2=lambda a: 0.022 + 0.006 * ca.sin(a),
-        link_mass=1.4,
-        link_length=0.25,
-        feed=f,
-        losses=ls,
-        damping=d,
-        loads=outer,
+        lambda a: 0.022 + 0.006 * ca.sin(a),
     )
-    pair = two(LONG, SHORT, h, hl)
-    return plant, hand.Joint(0.06, hd, pair, inner, 0.12, ARMS, (1.4, 0.25))
+    return joint(arms, ARMS, (0.3, 5e3, 40.0, 1), *parts)
 
 
-def pulleys(f, h, ls, hl, d, hd):
-    outer, inner = loads((-0.2, 5e3, 40.0, -1))
-    plant = pam.AntagonisticJoint(
-        bought(LONG),
-        0.06,
-        0.035,
-        0.12,
-        muscle2=bought(SHORT),
-        moment_arm2=0.024,
-        link_mass=1.4,
-        link_length=0.25,
-        feed=f,
-        losses=ls,
-        damping=d,
-        loads=outer,
-    )
-    pair = two(LONG, SHORT, h, hl)
-    return plant, hand.Joint(0.06, hd, pair, inner, 0.12, PULLEYS, (1.4, 0.25))
+def pulleys(*parts):
+    return joint((0.035, 0.024), PULLEYS, (-0.2, 5e3, 40.0, -1), *parts)
 
 
 def series(f, h, ls, hl, d, hd):
     outer, inner = loads((0.01, 4e4, 300.0, 1))
+    tendon = {"tendon_damping": 150.0, "fitting_mass": 0.3}
     plant = pam.SeriesLoad(
-        bought(LONG),
-        9.0,
-        6e4,
-        tendon_damping=150.0,
-        fitting_mass=0.3,
-        feed=f,
-        losses=ls,
-        damping=d,
-        loads=outer,
+        bought(LONG), 9.0, 6e4, **tendon, feed=f, losses=ls, damping=d, loads=outer
     )
     return plant, hand.Series(9.0, hd, one(LONG, h, hl), inner, (6e4, 150.0), 0.3)
 

@@ -253,9 +253,12 @@ def test_memory_does_not_grow_with_the_number_of_cases(tmp_path):
     def peak(count, **place):
         tracemalloc.start()
         # here: a slow machine would start workers, whose answers on their way count, too
-        # and how soon garbage is collected depends on what else there is in this process
+        # and how soon garbage is collected depends on what else there is in this process,
+        # which is frozen: to look through all that thousands of tests left behind takes minutes
         more = {"executor": 0, "progress": lambda done, count: gc.collect(), **place}
+        gc.freeze()
         pam.simulate_many(quick(), rates(count), chunk=20, **more, **SHORT)
+        gc.unfreeze()
         size = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return size

@@ -459,6 +459,7 @@ def test_controllers_run_and_leave_as_c_unit_and_system(tmp_path):
     assert fresh == {"law", "ran", "source", "unit", "system"}
 
 
+WRONG_CELLS = ("200", "-1", "true", '"a"', "1.5")
 WRONG_CONTROL = {
     "a kind": ('kind = "lqr"', 'kind = "lqg"', "unknown controller.kind 'lqg'"),
     "an argument": ("effort = 2.0", "efort = 2.0", "did you mean 'effort'"),
@@ -489,28 +490,16 @@ def test_controllers_that_cannot_be_meant_are_told_before_anything_runs(tmp_path
     assert sentence in str(told.value)
 
 
-@pytest.mark.parametrize("cell", ["200", "-1", "true", '"a"', "1.5"])
-def test_cells_that_are_not_there_cannot_be_left_out(fresh, cell):
-    place = fresh
-    path = place / "study.toml"
-    text = path.read_text("utf-8").replace(
-        'rest_length = "300 mm"', f'rest_length = "300 mm"\nwithout = [{cell}]', 1
-    )
-    path.write_text(text, "utf-8")
-    with pytest.raises(pam.InputError, match="is no cell of the table; give whole numbers from 0"):
-        run_study(path, place / "out", cache=place / "cache")
-
-
-def test_of_a_table_some_cell_stays(fresh):
-    place = fresh
-    path = place / "study.toml"
-    cells = len(pam.read_table(place / "mine.csv", rest_length=0.3))
-    text = path.read_text("utf-8").replace(
-        'rest_length = "300 mm"', f'rest_length = "300 mm"\nwithout = {list(range(cells))}', 1
-    )
-    path.write_text(text, "utf-8")
-    with pytest.raises(pam.InputError, match=f"without names all {cells} cells"):
-        run_study(path, place / "out", cache=place / "cache")
+@pytest.mark.parametrize(
+    ("cells", "words"),
+    [(f"[{c}]", "is no cell of the table; give whole numbers from 0") for c in WRONG_CELLS]
+    + [(str(list(range(25))), "without names all 25 cells")],
+)
+def test_cells_that_are_not_there_cannot_be_left_out_and_some_cell_stays(fresh, cells, words):
+    length = 'rest_length = "300 mm"'
+    changed(fresh, length, f"{length}\nwithout = {cells}")
+    with pytest.raises(pam.InputError, match=words):
+        run(fresh)
 
 
 @pytest.mark.usefixtures("plain_pictures")
@@ -525,11 +514,10 @@ def test_what_is_called_as_a_step_beside_the_study_is_no_part_of_it(fresh):
         seen.append(step.name)
         (place / "load" / f"{step.name}.txt").write_text("came meanwhile")
 
-    first = run_study(place / "study.toml", place / "out", cache=place / "cache", progress=another)
+    first = run(place, progress=another)
     assert first.ok
     assert len(seen) == len(first.steps)
-    again = run_study(place / "study.toml", place / "out", cache=place / "cache")
-    assert {s.state for s in again.steps.values()} == {"kept"}
+    assert set(states(run(place)).values()) == {"kept"}
 
 
 @pytest.mark.usefixtures("plain_pictures")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import BAR, flat, scipy_states
 from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 import pam_ocp as pam
@@ -71,18 +72,14 @@ def period_integral(force, offset: float) -> float:
     """Frequency [Hz] from T = 2 int dx/v with v from the conservation of energy; by SciPy."""
 
     def a(x):
-        return float(force(4 * BAR, x / 0.4)) / 20.0 - 9.80665
+        return np.asarray(force(4 * BAR, x / 0.4)) / 20.0 - 9.80665
 
     rest = brentq(a, 0.02, 0.11)
-
-    def well(x):
-        return -quad(a, rest, x, epsabs=1e-13, epsrel=1e-12, limit=400)[0]
-
-    start = rest + offset
+    start, grid = rest + offset, np.linspace(rest - 0.1, rest + 0.1, 20_001)
+    well = CubicSpline(grid, -a(grid)).antiderivative()
     total = well(start)
-    other = brentq(
-        lambda x: well(x) - total, rest - np.sign(offset) * 1e-6, rest - 3 * offset, xtol=1e-14
-    )
+    ends = rest - np.sign(offset) * 1e-6, rest - 3 * offset
+    other = brentq(lambda x: well(x) - total, *ends, xtol=1e-14)
     middle, radius = (start + other) / 2, abs(start - other) / 2
 
     def slowness(angle):  # x = middle - radius cos(angle) takes the singular ends away
