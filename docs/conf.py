@@ -164,8 +164,14 @@ def plain(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[
     lines[:] = made
 
 
+def to_the_gallery(app: Any, name: str, text: list[str]) -> None:
+    """On the site the folder of examples, as a repository browser shows it, is the gallery."""
+    text[0] = text[0].replace("](../examples/README.md)", "](gallery/index.md)")
+
+
 def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", plain)
+    app.connect("source-read", to_the_gallery)
 
 
 write_reference()
