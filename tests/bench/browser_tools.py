@@ -17,6 +17,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PATIENCE = 90.0
 """Seconds after which what is awaited does not come any more; machines of tests are busy."""
+AGAIN = 15.0
+"""Seconds after which a user types or chooses once more what a page drawn anew has not heard."""
 
 
 class Server:
@@ -109,8 +111,11 @@ class Hand:
 
     def __init__(self, driver):
         self.driver = driver
+        self._said = None
+        """What was last typed or chosen: said again, it changes nothing where it was heard."""
 
     def open(self, address):
+        self._said = None
         self.driver.get(address)
         self.until(lambda: self.all("[role=tab]") or self.all("h1"))
         self.until(
@@ -122,9 +127,14 @@ class Hand:
         return self.driver.current_url.rpartition("/s/")[2]
 
     def until(self, condition, what=""):
-        end = time.monotonic() + PATIENCE
+        begun = time.monotonic()
+        end, again = begun + PATIENCE, begun + AGAIN
         while time.monotonic() < end:
             try:
+                if self._said is not None and time.monotonic() > again:
+                    again = end
+                    said, self._said = self._said, None
+                    said()
                 found = condition()
             except Exception as error:  # the page is being drawn anew
                 found, what = None, what or repr(error)[:200]
@@ -151,7 +161,7 @@ class Hand:
 
     def press(self, text):
         """A button or a tab by its words."""
-
+        self._said = None
         same = (
             f"{SHOWN} return shown('button, [role=tab]')"
             ".find(b => b.innerText.trim() === arguments[0])"
@@ -162,6 +172,7 @@ class Hand:
 
     def press_icon(self, label):
         """A button by the beginning of its label."""
+        self._said = None
         self.until(
             lambda: self.shown(f'button[aria-label^="{label}"]')[0].click() or True,
             f"icon {label!r}",
@@ -185,7 +196,7 @@ class Hand:
             field.send_keys(Keys.CONTROL + "a", Keys.NULL, text, Keys.TAB)
             return True
 
-        self.until(typed, f"typing into {label!r}")
+        self._say(typed, f"typing into {label!r}")
 
     def choose(self, label, value):
         from selenium.webdriver.support.ui import Select
@@ -194,7 +205,12 @@ class Hand:
             Select(self.field(label)).select_by_value(value)
             return True
 
-        self.until(chosen, f"choosing {value!r} of {label!r}")
+        self._say(chosen, f"choosing {value!r} of {label!r}")
+
+    def _say(self, said, what):
+        self._said = None
+        self.until(said, what)
+        self._said = said
 
     def drop(self, path, which=0):
         """A file onto an upload (its hidden input)."""
@@ -212,6 +228,7 @@ class Hand:
 
     def click_point(self, label, x, y):
         """The place (x, y) of a picture's axes."""
+        self._said = None
         from selenium.webdriver import ActionChains
 
         plot = self.plot(label)

@@ -81,6 +81,7 @@ def test_data_a_cell_is_switched_off_by_a_click_and_by_its_number(hand, server):
     at = 100 * force.contraction[cell], force.force[cell]
     hand.click_point("Force over contraction", *at)
     hand.until(lambda: server.state(hand.session)["data"][0]["off"] == [cell])
+    hand.until(lambda: hand.field("Cells off").get_property("value") == str(cell))
     hand.type("Cells off", "3, 10-12")
     hand.until(lambda: server.state(hand.session)["data"][0]["off"] == [3, 10, 11, 12])
     hand.type("Cells off", "3, 999")
