@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from ..judge.verdict import GROWTH
 from .candidate import Candidate, Engine
 from .mesh_sequence import MeshSequence
 from .result import Solved
@@ -57,7 +58,7 @@ class Continuation:
             if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
                 c = c if spent else self._corrected(c)
-            if spent:
+            if spent or self._is_unstable(c):
                 return c if c.place == 1.0 else None
             meshes = [] if blocked else self.meshes.after(c)
             if meshes:
@@ -101,7 +102,7 @@ class Continuation:
         flat = self.nonsmooth or c.solved.outcome.status == SETTLED
         start: Start = "feasible" if flat else "warm"
         for _ in range(s.corrections):
-            if not aim < c.check.dynamic <= s.resolved:
+            if c.check.dynamic <= aim or sum(c.errors) > s.resolved:
                 return c
             now = self.engine.corrected(c, start)
             if now is None and start == "feasible":
@@ -110,10 +111,15 @@ class Continuation:
             if now is None:
                 return c
             self.taken(now)
-            if now.check.dynamic > c.check.dynamic / 2:
+            if sum(now.errors) > sum(c.errors) / 2:
                 return now if now.check.dynamic < c.check.dynamic else c
             c = now
         return c
+
+    def _is_unstable(self, c: Candidate) -> bool:
+        """Whether errors grow so much along a motion that no mesh makes it exact."""
+        missed = c.check.dynamic if c.place == 1.0 else 0.0
+        return missed > self.meshes.tolerance and missed > GROWTH * sum(c.errors)
 
     def _further(self, c: Candidate, there: float) -> Candidate | None:
         """At the next place of the path, from the multipliers of this one; at its end with costs at

@@ -25,14 +25,9 @@ from .transcription.solution import Solution, pack
 from .transcription.stage import nominals
 from .transcription.transcription import Program
 
-__all__ = ["CORRECTABLE", "Corrected", "corrected", "left_as"]
+__all__ = ["Corrected", "corrected", "left_as"]
 
 Array: TypeAlias = NDArray[np.float64]
-
-CORRECTABLE = 0.1
-"""Replay error in units of nominal up to which a mesh's defects are corrected: an optimum that owes
-more to them would be another on a finer mesh.
-"""
 
 
 @dataclass(frozen=True)

@@ -338,7 +338,9 @@ class _Check:
             if conditions:
                 function = self.problem.conditions("stop", conditions)
                 values = np.asarray(function(*self._node(i)), float).ravel()
-                found |= _missed(conditions, values)
+                for label, by in _missed(conditions, values).items():
+                    # a dwell has two nodes, whose conditions bear the same names
+                    found[label] = max(by, found.get(label, 0.0))
         return found
 
     def closing(self) -> dict[str, float]:

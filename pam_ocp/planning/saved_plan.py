@@ -19,12 +19,13 @@ from ..core.stop import verb
 from ..judge.motion import judge
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import evaluated
-from .correction import CORRECTABLE, left_as
+from .correction import left_as
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement_data import data_of, statement_of
 from .replay import chosen_plant, explained, interval_errors, replayed
 from .result import Plan, motion_of
+from .settings import SETTINGS
 from .transcription.mesh import Form, Interval, Mesh
 from .transcription.solution import Solution, pack
 from .transcription.transcription import Program, transcribe
@@ -244,7 +245,7 @@ def _corrected(path: str, program: Program, solution: Solution) -> Program:
     """
     plant = chosen_plant(program.problem, solution)
     errors = interval_errors(plant, program.mesh, solution)
-    if not max(errors) <= CORRECTABLE:
+    if not max(errors) <= SETTINGS.resolved:
         words = f"its states do not follow from its inputs (by {max(errors):.2g} of nominal)"
         raise _contradiction(path, words)
     return left_as(program, solution)

@@ -79,28 +79,33 @@ def _kept(plant: Plant, statement: Statement, first: Stop) -> dict[str, float]:
 
 
 def _slid(plant: Plant, statement: Statement, first: Stop) -> dict[str, ca.SX]:
-    """What they come to there: envelopes that are wider under pressure are lines in it."""
+    """What they come to there: envelopes that are wider under pressure are lines in it, be it a
+    state or an input.
+    """
     kept = _kept(plant, statement, first)
     if isinstance(statement.memory, Mapping) or not kept:
         return {n: ca.SX(value) for n, value in kept.items()}
-    x = _named_states(plant, first)
-    memory = at_rest(plant, x, kept)
+    z = np.concatenate([_named_states(plant, first), plant.vector("input")])
+    symbols, variables = ca.vertcat(plant.x, plant.u), (*plant.states, *plant.inputs)
+
+    def there(z: NDArray[np.float64]) -> dict[str, float]:
+        return at_rest(plant, z[: plant.x.numel()], kept, z[plant.x.numel() :])
+
+    memory = there(z)
     found = {n: ca.SX(value) for n, value in memory.items()}
     places = {n for q in plant.resting() for n in (q.name, *q.velocities)}
     passive = {*places, *held_names(plant), *first.values}
     rates = ca.vertcat(*(plant.expression(f"der({n})") for n in memory))
-    widens = ca.which_depends(rates, plant.x, 1, False)
-    for i, v in enumerate(plant.states):
+    widens = ca.which_depends(rates, symbols, 1, False)
+    for i, v in enumerate(variables):
         if not widens[i] or v.name in passive or not np.isfinite(v.max - v.min):
             continue
         quarters = [float(v.min + part * (v.max - v.min)) for part in (0.25, 0.75)]
-        low, high = (
-            at_rest(plant, np.where(np.arange(len(x)) == i, level, x), kept) for level in quarters
-        )
+        low, high = (there(np.where(np.arange(len(z)) == i, level, z)) for level in quarters)
         for n in memory:
             slope = float(high[n] - low[n]) / (quarters[1] - quarters[0])
-            if slope:  # at x, a start value, nothing may lie beyond its envelope
-                found[n] += low[n] - memory[n] + slope * (plant.x[i] - quarters[0])
+            if slope:  # at z, start values, nothing may lie beyond its envelope
+                found[n] += low[n] - memory[n] + slope * (symbols[i] - quarters[0])
     ends = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
     return {n: ca.fmin(ca.fmax(line, ends[n][0]), ends[n][1]) for n, line in found.items()}
 
