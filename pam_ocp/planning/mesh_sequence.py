@@ -45,8 +45,6 @@ quickly) and at most (a geometric row then sums to four times its last change).
 """
 UNSEEN = 2.0
 """Times as much may be gained as first-order gradients show."""
-PARTS = 4
-"""Of an interval, at most, that is split for the objective."""
 FLOOR = 1e-2
 """Objectives below it (in units of their terms) are judged as if they were this large."""
 
@@ -183,8 +181,7 @@ class MeshSequence:
 
     @staticmethod
     def split(mesh: Mesh, gained: Array | None, settings: Settings) -> Mesh:
-        """Those intervals split that keep back ``marked`` of what is to be gained, into as many as
-        share it evenly (held inputs keep back the square of their interval); all in two where
+        """Those intervals split in two that keep back ``marked`` of what is to be gained; all where
         nothing is known of it.
         """
         if gained is None or not np.isfinite(gained).all() or not gained.sum() > 0:
@@ -195,8 +192,7 @@ class MeshSequence:
         intervals: list[Interval] = []
         for k, interval in enumerate(mesh.intervals):
             own = replace(interval, watched=())
-            parts = int(np.clip(np.sqrt(gained[k] / gained.mean()), 2, PARTS)) if k in chosen else 1
-            intervals += own.split(parts, interval.degree)
+            intervals += own.split(2, interval.degree) if k in chosen else [own]
         return Mesh(tuple(intervals), mesh.form)
 
     def _miscounted(self, c: Candidate) -> bool:

@@ -102,7 +102,7 @@ def _slid(plant: Plant, statement: Statement, first: Stop) -> dict[str, ca.SX]:
             continue
         quarters = [float(v.min + part * (v.max - v.min)) for part in (0.25, 0.75)]
         low, high = (there(np.where(np.arange(len(z)) == i, level, z)) for level in quarters)
-        for n in memory:
+        for n in (n for n in memory if n not in store_names(plant)):  # which open valves drain
             slope = float(high[n] - low[n]) / (quarters[1] - quarters[0])
             if slope:  # at z, start values, nothing may lie beyond its envelope
                 found[n] += low[n] - memory[n] + slope * (symbols[i] - quarters[0])
