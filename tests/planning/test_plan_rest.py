@@ -398,6 +398,21 @@ def test_what_has_slid_under_pressure_begins_at_the_envelope_of_that_pressure(mi
         assert -1.03 * share <= begin[name][0] <= -0.95 * share
 
 
+def test_what_has_slid_begins_at_the_envelope_of_a_pressure_that_is_the_input():
+    """The same law where the pressure is no state: rest at the first stop says what it is."""
+    slip = pam.losses.MaxwellSlip((4.0, 3.0), (0.003, 0.01), per_pressure=1.5e-6)
+    plant = pam.HangingLoad("DMSP-20-400N", 12.0, losses=slip)
+    most = plant.variable("muscle.pressure").max
+    stops = [{"x": 0.02}, {"x": 0.035}]
+    plan = pam.plan(plant, stops, duration=0.8, minimise="effort", memory="above")
+    assert plan.verified
+    share = (1 + 1.5e-6 * plan.trajectory["muscle.pressure"][0]) / (1 + 1.5e-6 * most)
+    middle = (1 + 1.5e-6 * plant.variable("muscle.pressure").start) / (1 + 1.5e-6 * most)
+    assert abs(share - middle) > 0.1  # the usual pressure would say something else
+    for name in ("muscle.slip1", "muscle.slip2"):
+        assert -1.03 * share <= plan.trajectory[name][0] <= -0.95 * share
+
+
 def test_a_pair_that_chooses_its_pressures_begins_at_their_envelopes():
     slip = pam.losses.MaxwellSlip((4.0,), (0.003,), per_pressure=1.5e-6)
     plant = pam.AntagonisticSlide("DMSP-20-400N", 3.0, losses=slip, feed=pam.feeds.Regulator())

@@ -16,6 +16,7 @@ from searches import search_of
 
 import pam_ocp as pam
 from pam_ocp.planning.candidate import Engine
+from pam_ocp.planning.continuation import Continuation
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.settings import SETTINGS, Settings
 from pam_ocp.planning.transcription.mesh import Collocation
@@ -103,6 +104,30 @@ def test_work_that_is_spent_ends_a_search_with_what_it_has(monkeypatch: Any) -> 
     plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], method=Collocation(15, 3))
     assert plan.verified
     assert len(plan.statistics.get("starts", ())) < SETTINGS.several
+
+
+def test_a_search_that_is_led_to_no_end_says_so(monkeypatch: Any) -> None:
+    monkeypatch.setattr(Continuation, "led", lambda self, c: None)
+    with pytest.raises(pam.PlanError, match="no way from wider smoothing to the plant's own terms"):
+        planner()()
+
+
+def test_both_ends_of_a_dwell_are_looked_at() -> None:
+    """On a mesh that is far too coarse the load arrives with a larger acceleration than it leaves
+    with, or ends with.
+    """
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=pam.feeds.Regulator(), damping=30.0)
+    stops = [{"x": 0.01}, pam.Stop({"x": 0.03}, dwell=0.2), {"x": 0.02}]
+    with pytest.warns(pam.PlanWarning):
+        plan = pam.plan(plant, stops, method=Collocation(4, 2), tolerance=None)
+    motion, off = plan.replay.trajectory, []
+    for end, x in zip(np.cumsum(plan.durations), (0.03, 0.03, 0.02), strict=True):
+        k = int(np.argmin(abs(motion.t - end)))
+        here = [motion[v.name][k] for v in plant.states], [motion["muscle.command"][k]]
+        acceleration = float(plant.function(*here, plant.vector("parameter"))[0][1])
+        off.append(max(abs(acceleration), abs(motion["x"][k] - x) / 0.01, abs(here[0][1]) / 0.1))
+    assert off[0] > 1.2 * max(off[1:])
+    assert plan.replay.missed == pytest.approx(off[0], rel=1e-6)
 
 
 # ---- what is kept --------------------------------------------------------------------------------
