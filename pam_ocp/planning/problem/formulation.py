@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -47,7 +47,8 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
     closing = closing_states(plant, statement.cyclic)
     holding = Holding(plant, common.variables, kept, symbols, statement.inputs_jump)
     nodes, legs, values = _laid_out(plant, statement, route, motions, common.variables, holding)
-    nodes[0] += tuple(left_by_the_past(plant, statement, stops[0], common.variables))
+    left = left_by_the_past(plant, statement, stops[0], common.variables)
+    nodes[0] += tuple(holding.at(labels[0], left))
     if statement.cyclic is True:  # the last node is the first: its own conditions would stand twice
         nodes[-1] = ()
     elif statement.cyclic == "mirrored":
@@ -363,9 +364,18 @@ class Holding:
     symbols: Symbols
     jumps: bool
     positions: tuple[Position, ...] = ()
+    instead: dict[str, ca.SX] = field(default_factory=dict)
+    """What stands for the inputs where they hold the plant, by the label of the stop."""
 
-    def inputs(self, label: str, rows: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX, list[Condition]]:
-        """(inputs, what stands for them in the rows of rest, conditions on the latter)."""
+    def at(self, label: str, conditions: Sequence[Condition]) -> list[Condition]:
+        """Conditions with the inputs that hold the plant at a stop."""
+        if label not in self.instead:
+            return list(conditions)
+        u, held = self.plant.u, self.instead[label]
+        return [replace(c, expression=ca.substitute(c.expression, u, held)) for c in conditions]
+
+    def inputs(self, label: str, rows: Sequence[ca.SX]) -> list[Condition]:
+        """Conditions on what stands for the inputs in the rows of rest."""
         plant = self.plant
         values, conditions, jumping = [], [], []
         asked = ca.vertcat(*rows) if rows else ca.SX(0, 1)
@@ -388,8 +398,8 @@ class Holding:
                     variable,
                 )
             )
-        instead = ca.vertcat(*values)
         if jumping:
+            instead = self.instead[label] = ca.vertcat(*values)
             conditions += [
                 replace(
                     c,
@@ -399,7 +409,7 @@ class Holding:
                 for c in self.path
                 if ca.depends_on(c.expression, ca.vertcat(*jumping))
             ]
-        return plant.u, instead, conditions
+        return conditions
 
 
 def at_rest(
@@ -428,12 +438,8 @@ def at_rest(
             Condition(f"{label}: {name} at rest", expression, 0.0, 0.0, variable.nominal, variable)
         )
     conditions += settled
-    u, held, beside = holding.inputs(label, [c.expression for c in conditions])
-    if not beside:
-        return conditions
-    return [
-        replace(c, expression=ca.substitute(c.expression, u, held)) for c in conditions
-    ] + beside
+    beside = holding.inputs(label, [c.expression for c in conditions])
+    return holding.at(label, conditions) + beside
 
 
 def _rate_of(plant: Plant, name: str, order: int) -> Variable:
