@@ -312,6 +312,27 @@ def test_a_receiver_whose_air_warms_slowly_begins_where_its_compressor_stops():
     assert at["receiver.air_temperature"] == pytest.approx(293.15, abs=1e-3)
 
 
+def test_a_compressor_that_feeds_a_leak_has_settled_where_both_flows_agree():
+    """The tank was held where it stands with valves closed, 0.7 kPa above."""
+    source = pam.feeds.Compressor(flow=1e-3, pressure=8e5, band=2e4)
+    tank = pam.feeds.Receiver(1e-3, pressure=7.5e5, source=source, wall_conductance=1.0)
+    feed = pam.feeds.SpoolValve(supply=tank, leak=3e-11, max_pressure=6e5)
+    load = pam.HangingLoad("DMSP-20-400N", 10.0, damping=50.0, feed=feed)
+    plan = pam.plan(load, [{"x": 0.02}, {"x": 0.05}], duration=0.6, minimise="effort")
+    assert plan.verified
+    x = np.array([plan.trajectory[v.name][0] for v in load.states])
+    names, p = [v.name for v in load.states], load.vector("parameter")
+
+    def rates(command: float) -> np.ndarray:
+        return np.asarray(load.function(x, [command], p)[0], float).ravel()
+
+    pressure, tank_pressure = (names.index(f"{n}pressure") for n in ("muscle.", "receiver.air_"))
+    command = brentq(lambda u: rates(u)[pressure], -1.0, 1.0, xtol=1e-13)
+    at_rest = rates(command) / load.vector("state", attribute="nominal")
+    assert np.abs(at_rest).max() < 1e-6
+    assert x[tank_pressure] < surroundings(load)["receiver.air_pressure"] - 100.0
+
+
 @pytest.mark.slow
 def test_where_pressures_are_given_the_plant_rests():
     """Leaks have to be fed, creep has to have come to its end: no rest was found, and start values

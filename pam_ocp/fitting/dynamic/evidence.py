@@ -1,6 +1,7 @@
 """What the residuals of a fit are made of: one motion through each record, its start free, with the
-slopes of the residuals in the fitted values, in the start and in what the plant may lack. No start
-leaves the range of its state: a transient from beyond it would take up what the model lacks.
+slopes of the residuals in the fitted values, in the start and in what the plant may lack. No value
+leaves its bounds and no start the range of its state: a transient from beyond it would take up what
+the model lacks.
 
 A record too long for one motion (an unstable plant) is cut into as many as it needs. Starts are
 nuisance: they are projected out of each motion by itself, so there may be many of them.
@@ -107,13 +108,6 @@ class _Case:
     def rollout(self, runs: Runs) -> Rollout:
         return Rollout(self.plant, runs, self.unknowns, self.rig)
 
-    @property
-    def range(self) -> tuple[Array, Array]:
-        """Of a start, scaled."""
-        vector = self.plant.vector
-        low, high, nominal = (vector("state", attribute=a) for a in ("min", "max", "nominal"))
-        return low / nominal, high / nominal
-
 
 def evidence_of(
     plant: Plant,
@@ -147,16 +141,19 @@ def evidence_of(
         while True:
             finer = replace(fine, steps=2 * fine.steps)
             better = ready.rollout(finer).predicted(every)
-            gap, rms = (
-                np.sqrt(np.nanmean((better - a) ** 2, axis=(0, 1)))
-                for a in (modelled, runs.measured)
-            )
+            with np.errstate(over="ignore", invalid="ignore"):
+                gap, rms = (
+                    np.sqrt(np.nanmean((better - a) ** 2, axis=(0, 1)))
+                    for a in (modelled, runs.measured)
+                )
             if np.all(gap <= ACCURATE * rms) or finer.steps > MOST_STEPS:
                 break
             # values that were found with long steps leave more than they should
             z, x0 = _least_squares(case, fine, finer, z, x0)
             every = np.concatenate([z, x0.ravel()])
             fine, modelled = finer, ready.rollout(finer).predicted(every)
+        if not np.all(np.isfinite(gap)):
+            return None  # shorter steps diverge, and shall say what longer ones cannot
         return _evidence(replace(case, steps=fine.steps), fine, z, x0, better, gap)
     except (PamError, np.linalg.LinAlgError):
         return None
@@ -255,7 +252,7 @@ def _least_squares(case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array) -> 
     off cost a step more, not accuracy.
     """
     ready, k = _with_starts(case, runs), len(z)
-    rollout = ready.rollout(runs)
+    rollout, u = ready.rollout(runs), ready.unknowns
     motion = rollout if fine is runs else ready.rollout(fine)
     weights = 1 / rollout.spread
     best = np.concatenate([z, x0.ravel()])
@@ -264,8 +261,10 @@ def _least_squares(case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array) -> 
         blocks = _blocks(rollout, best, k, 0, list(modelled))
         weights = 1 / np.maximum(_roots(blocks), 1e-12 * rollout.spread)
         last = _squares(modelled, runs, weights)
-        begun, gained = best[k:].reshape(x0.shape), 0.0
-        step = _bounded(blocks, weights, k if number else 0, begun, case.range)
+        step, gained = (
+            _bounded(blocks, weights, k if number else 0, u.low - best, u.high - best),
+            0.0,
+        )
         for size in (1.0, 0.3, 0.1, 0.02):
             trial = motion.predicted(best + size * step)
             squares = _squares(trial, runs, weights)
@@ -284,25 +283,25 @@ def _squares(modelled: Array, runs: Runs, weights: Array) -> float:
     return np.inf if lost.any() or not np.isfinite(found) else found
 
 
-def _bounded(
-    blocks: Sequence[Motion], weights: Array, k: int, begun: Array, within: tuple[Array, Array]
-) -> Array:
-    """The step with starts (n, nx) kept within their range: those that would leave it go to its
-    edge, one set after the other.
+def _bounded(blocks: Sequence[Motion], weights: Array, k: int, low: Array, high: Array) -> Array:
+    """The step within its range, of values and of starts: those that would leave it go to its edge,
+    one set after the other.
     """
-    values, (low, high) = blocks[0].values.shape[2], within
-    fixed, held = np.zeros(begun.shape), np.zeros(begun.shape, dtype=bool)
+    values, nx = blocks[0].values.shape[2], blocks[0].start.shape[2]
+    fixed, held = np.zeros(len(low)), np.zeros(len(low), dtype=bool)
     while True:
-        free = [
-            replace(m, error=m.error + m.start @ f, start=np.where(h, 0.0, m.start))
-            for m, f, h in zip(blocks, fixed, held, strict=True)
-        ]
-        step = _step(free, weights, k)
-        moved = step[values:].reshape(begun.shape)
-        out = ~held & ((begun + moved < low) | (begun + moved > high))
+        free = []
+        for i, m in enumerate(blocks):
+            own = slice(values + i * nx, values + (i + 1) * nx)
+            known = m.values @ fixed[:values] + m.start @ fixed[own]
+            start = np.where(held[own], 0.0, m.start)
+            slopes = np.where(held[:values], 0.0, m.values)
+            free.append(replace(m, error=m.error + known, start=start, values=slopes))
+        moved = _step(free, weights, k)
+        out = ~held & ((moved < low) | (moved > high))
         if not out.any():
-            return np.concatenate([step[:values], (fixed + moved).ravel()])
-        fixed[out] = (np.clip(begun + moved, low, high) - begun)[out]
+            return np.asarray(fixed + moved)
+        fixed[out] = np.clip(moved, low, high)[out]
         held |= out
 
 
@@ -347,13 +346,11 @@ def _evidence(
     rollout = later.rollout(later.runs(length))
     at = np.concatenate([z[:count], np.zeros(m), z[count:], x0.ravel()])
     order = [*range(count), *range(count + m, k + m)]
-    low, high = case.range
+    edge = np.minimum(x0.ravel() - u.low[k:], u.high[k:] - x0.ravel()).reshape(x0.shape) < EDGE
     blocks = []
-    for b, begun in zip(_blocks(rollout, at, k + m, 0, list(modelled)), x0, strict=True):
+    for b, held in zip(_blocks(rollout, at, k + m, 0, list(modelled)), edge, strict=True):
         own = b.values[..., count : count + m]
-        # a start at the edge of its range is not free
-        held = (begun - low < EDGE) | (high - begun < EDGE)
-        start = np.where(held, 0.0, b.start)
+        start = np.where(held, 0.0, b.start)  # at the edge of its range it is not free
         blocks.append(replace(b, start=start, values=b.values[..., order], suspects=own))
     return Evidence(
         tuple(runs.names),

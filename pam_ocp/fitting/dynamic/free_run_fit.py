@@ -28,7 +28,7 @@ from .disturbances import Disturbances, disturbed
 from .experiment import decided, groups, measured_names, recorded
 from .free_run_result import FreeRunFit, ran
 from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
-from .rollout import Rollout, require_followed
+from .rollout import Rollout, followed, require_followed
 from .run_statistics import LEAST_STEPS, MOST_STEPS, fine_runs, fineness, spread_of
 from .runs import FreeRun, Runs, hidden_states, runs_of, settled_starts
 
@@ -257,17 +257,26 @@ class _Search:
     def __call__(self, records: Sequence[Trajectory]) -> FreeRunFit:
         """With steps so short that shorter ones say the same, where none were given."""
         given = self.options["steps"]
+        guess = self.unknowns.guess
         steps = LEAST_STEPS if given is None else given
-        fit, found = self._fitted(records, steps, self.unknowns.guess)
+        while given is None and steps < MOST_STEPS and not self._followed(records, steps, guess):
+            steps *= 2
+        fit, found = self._fitted(records, steps, guess)
         while given is None and not fit.fine and 2 * steps <= MOST_STEPS and not found.timed:
             steps *= 2
-            near = replace(self, begin_short=False)
+            search, z = replace(self, begin_short=False), found.z
+            if not self._followed(records, steps, z):
+                search, z = self, guess  # an optimum that only long steps have
             try:
-                finer, found = near._fitted(records, steps, found.z, found.evaluations)
+                finer, found = search._fitted(records, steps, z, found.evaluations)
             except TimeIsUp:
                 break  # the fit says that its steps are long
             fit = replace(finer, cost=(fit.cost[0], finer.cost[1]))
         return fit
+
+    def _followed(self, records: Sequence[Trajectory], steps: int, z: Array) -> bool:
+        runs = runs_of(self.plant, records, **{**self.options, "steps": steps})
+        return followed(Rollout(self.plant, runs, self.unknowns, self.rig), z)
 
     def _fitted(
         self, records: Sequence[Trajectory], steps: int, z: Array, spent: int = 0

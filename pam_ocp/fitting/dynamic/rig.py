@@ -124,7 +124,8 @@ class RunUnknowns:
 
     def of_motions(self, plant: Plant, motions: int) -> RunUnknowns:
         """What belongs to the model, and where every state begins in each of so many motions."""
-        kept, nominal = self.of_model, plant.vector("state", attribute="nominal")
+        kept = self.of_model
+        low, high, nominal = (plant.vector("state", attribute=a) for a in ("min", "max", "nominal"))
         starts = [f"start {i}" for i in range(motions * len(nominal))]
         return RunUnknowns(
             groups=self.groups,
@@ -135,6 +136,8 @@ class RunUnknowns:
             records=motions,
             names=(*(self.names[i] for i in kept), *starts),
             scale=np.concatenate([self.scale[kept], np.tile(nominal, motions)]),
+            low=np.concatenate([self.low[kept], np.tile(low / nominal, motions)]),
+            high=np.concatenate([self.high[kept], np.tile(high / nominal, motions)]),
         )
 
     def parameters(self, plant: Plant, z: Array) -> dict[str, float]:

@@ -307,9 +307,15 @@ class Rollout:
                 slopes[row, hidden] = last[nx:].reshape(-1, nx).T[hidden]
 
 
+def followed(rollout: Rollout, z: Array) -> bool:
+    """Whether no run goes beyond what can be searched from."""
+    limit = 1e-3 * ASTRAY * np.max(rollout.weights)
+    return not np.any(np.abs(rollout.residuals(z)) >= limit)
+
+
 def require_followed(rollout: Rollout, z: Array) -> None:
     """FitError where runs go beyond what can be searched from."""
-    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
+    if not followed(rollout, z):
         raise FitError(
             "the free runs diverge at the plant's values; start elsewhere with "
             "plant.with_values(...), or raise steps"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -17,11 +17,11 @@ from ...judge.statement import Statement, Stop, subject
 from ...operating.held import at_rest, driven_names, held, held_names, surroundings
 from ...plants.plant import Plant
 from ...plants.stillness import Position, settled_names, store_names, totals
-from ..transcription.guess import rest_point
+from ..transcription.guess import Point, rest_point
 from .limits import range_of
 from .problem import Condition, Problem, Range
 
-__all__ = ["left_by_the_past", "settled_before", "with_given_pressures"]
+__all__ = ["left_by_the_past", "settled_before", "with_draught", "with_given_pressures"]
 
 
 ROUNDS, SAME = 10, 1e-6
@@ -143,22 +143,56 @@ def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -
     ]
 
 
-def _rest_at(problem: Problem, statement: Statement, first: Stop) -> NDArray[np.float64] | None:
-    """Rest at the first stop, with memories at the envelopes of its pressures; None where none is
-    found.
+def _rest_at(problem: Problem, statement: Statement, first: Stop) -> Point | None:
+    """(states, inputs) of rest at the first stop, with memories at the envelopes of its pressures;
+    None where none is found.
     """
-    plant, x = problem.plant, None
+    plant, point = problem.plant, None
     kept = _kept(plant, statement, first)
     told = isinstance(statement.memory, Mapping)
     memory = kept if told else at_rest(plant, _named_states(plant, first), kept)
     for _ in range(ROUNDS):
-        x = rest_point(problem, problem.stops[0] | memory)
-        if x is None or told:
+        point = rest_point(problem, problem.stops[0] | memory)
+        if point is None or told:
             break
-        before, memory = memory, at_rest(plant, x, kept)
+        before, memory = memory, at_rest(plant, point[0], kept)
         if all(abs(memory[n] - before[n]) <= SAME * plant.variable(n).nominal for n in memory):
             break
-    return x
+    return point
+
+
+def with_draught(
+    problem: Problem,
+    statement: Statement,
+    first: Stop,
+    at: Callable[[Sequence[Condition]], list[Condition]],
+) -> Problem:
+    """Surroundings from which the inputs that hold the plant draw (a leak, fed through an open
+    valve) have settled under them, not with valves closed.
+
+    at : puts those inputs into conditions.
+    """
+    plant = problem.plant
+    left = {n: v for n, v in surroundings(plant).items() if n not in {*plant.copies, *first.values}}
+    driven = {*driven_names(plant), *first.values}
+    if statement.cyclic or not first.rest or not driven & {*left}:
+        return problem
+    point = _rest_at(problem, statement, first)
+    if point is None:
+        return problem
+    x, u = point
+    names = [v.name for v in plant.states]
+    x = np.array([left.get(n, value) for n, value in zip(names, x, strict=True)])
+    rates = np.asarray(plant.function(x, u, plant.vector("parameter"))[0], float).ravel()
+    drawn = [n for n in left if abs(rates[names.index(n)]) > KEEPS * plant.variable(n).nominal]
+    rates_of = [(n, *subject(plant, f"der({n})")) for n in drawn]
+    conditions = [
+        Condition(f"stop 1: der({n}) settled", expression, 0.0, 0.0, variable.nominal, variable)
+        for n, variable, expression in rates_of
+    ]
+    settled = {f"stop 1: {n} held": c for n, c in zip(drawn, at(conditions), strict=True)}
+    node = tuple(settled.get(c.label, c) for c in problem.nodes[0])
+    return replace(problem, nodes=(node, *problem.nodes[1:]))
 
 
 def with_given_pressures(
@@ -181,10 +215,10 @@ def with_given_pressures(
     symbols = ca.vertcat(*(plant.expression(n) for n in free))
     if not free or ca.depends_on(spoken, symbols):
         return problem
-    x = _rest_at(problem, statement, first)
-    if x is None:
+    point = _rest_at(problem, statement, first)
+    if point is None:
         return problem
-    values = {v.name: float(x[i]) for i, v in enumerate(plant.states) if v.name in free}
+    values = {v.name: float(point[0][i]) for i, v in enumerate(plant.states) if v.name in free}
     shown = ", ".join(f"{n} = {plant.variable(n).shown(value)}" for n, value in values.items())
     warnings.warn(
         f"minimise = {asked[0]!r} leaves no pressure to choose at the first stop, or the motion "

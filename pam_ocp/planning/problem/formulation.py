@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +17,7 @@ from ...judge.costs import COSTS
 from ...judge.statement import Cyclic, Statement, Stop, subject, times_seconds
 from ...plants.plant import Plant, require_plant
 from ...plants.stillness import Position, rate_of, rest_rows, totals
-from .first_stop import left_by_the_past, settled_before, with_given_pressures
+from .first_stop import left_by_the_past, settled_before, with_draught, with_given_pressures
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
 from .problem import Condition, Leg, Problem, Range
@@ -80,6 +81,7 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
         m,
         tuple(used),
     )
+    problem = with_draught(problem, statement, stops[0], partial(holding.at, labels[0]))
     return with_given_pressures(problem, statement, stops[0], holding.positions)
 
 

@@ -25,6 +25,7 @@ from .stage import nominals
 
 __all__ = [
     "Path",
+    "Point",
     "by_rests",
     "by_stops",
     "from_solution",
@@ -35,6 +36,7 @@ __all__ = [
 ]
 
 Array: TypeAlias = NDArray[np.float64]
+Point: TypeAlias = tuple[Array, Array]
 Signal: TypeAlias = Callable[[Array], Array]
 
 IDLE = 1e-6
@@ -106,7 +108,7 @@ def sampled_along(
     return _sampled(problem, mesh, durations, states, inputs, _design(problem), peaks)
 
 
-def _rests(problem: Problem) -> list[tuple[Array, Array]]:
+def _rests(problem: Problem) -> list[Point]:
     """(states, inputs) at each stop and at the places between; where none rests, on a line."""
     nodes = [_node(problem, stop, balanced=True) for stop in problem.stops]
     found = nodes[:1]
@@ -123,9 +125,7 @@ def _rests(problem: Problem) -> list[tuple[Array, Array]]:
     return found
 
 
-def _rest(
-    plant: Plant, known: dict[str, float], completed: bool = False
-) -> tuple[Array, Array] | None:
+def _rest(plant: Plant, known: dict[str, float], completed: bool = False) -> Point | None:
     """(states, inputs) of an equilibrium with these values; None when there is none.
 
     completed : with as many pressures at their start values as inputs are open then.
@@ -183,11 +183,11 @@ class Path:
     """Minimum-jerk motion between nodes (states, inputs), ``parts`` of them from stop to stop."""
 
     problem: Problem
-    nodes: list[tuple[Array, Array]]
+    nodes: list[Point]
     durations: Array
     parts: int = 1
 
-    def _between(self, t: Array, column: int) -> tuple[Array, Array]:
+    def _between(self, t: Array, column: int) -> Point:
         """(values, slopes) of states (0) or inputs (1)."""
         ends = np.concatenate([[0.0], np.cumsum(self.durations)])
         value = np.empty((len(t), len(self.nodes[0][column])))
@@ -315,9 +315,9 @@ def _sampled(
     return np.concatenate([*parts, *scaled])
 
 
-def rest_point(problem: Problem, stop: dict[str, object]) -> Array | None:
-    """The states in which the plant rests at a stop, nearest to their start values; None where
-    none are found.
+def rest_point(problem: Problem, stop: dict[str, object]) -> Point | None:
+    """(states, inputs) with which the plant rests at a stop, nearest to their start values; None
+    where none are found.
     """
     plant = problem.plant
     x, u = _node(problem, stop, balanced=True)
@@ -327,10 +327,10 @@ def rest_point(problem: Problem, stop: dict[str, object]) -> Array | None:
         abs(rate) <= AT_REST * v.nominal or v.name in kept
         for rate, v in zip(rates, plant.states, strict=True)
     )
-    return x if still else None
+    return (x, u) if still else None
 
 
-def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> tuple[Array, Array]:
+def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> Point:
     """(states, inputs) at a stop."""
     plant = problem.plant
     values = {name: _middle(value) for name, value in stop.items()}
@@ -340,7 +340,7 @@ def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> tuple[Ar
     return _balance(problem, known, x, u) if balanced else (x, u)
 
 
-def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> tuple[Array, Array]:
+def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> Point:
     """The point nearest to (x, u) at which the plant rests with the stop's values,
     in its limits.
     """
