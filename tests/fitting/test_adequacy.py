@@ -5,10 +5,12 @@ makes a fit worse.
 from __future__ import annotations
 
 from itertools import groupby, takewhile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 import pam_ocp as pam
 from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
@@ -118,7 +120,7 @@ def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
         )
 
     rig = spring(pam.losses.CoulombFriction(20.0, speed=5e-3))
-    random, t = np.random.default_rng(3), 0.01 * np.arange(450)
+    random, t = np.random.default_rng(3), 0.01 * np.arange(900)
     u = np.repeat(random.uniform(1.5e5, 5e5, 10), 45)
     start = rig.equilibrium({"muscle.command": u[0]})
     run = pam.simulate(
@@ -391,3 +393,48 @@ def test_short_horizons_leave_the_full_one_its_evaluations() -> None:
     full = [stage for stage, _ in groupby(stages)].index("full horizon")
     assert full >= 2  # horizons of 4, 16, ... samples
     assert len(list(takewhile("full horizon".__eq__, stages[short:]))) > max(6 - short, 1)
+
+
+def test_a_bounded_step_of_values_and_starts_is_that_of_least_squares_in_a_box() -> None:
+    """Two motions, each with a start; SciPy's bounded least squares solves the whole at once."""
+    from pam_ocp.fitting.dynamic.evidence import Motion, _bounded
+
+    random = np.random.default_rng(4)
+    count, weights = 30, np.array([2.0])
+    motions = [
+        Motion(
+            random.standard_normal((count, 1)),
+            random.standard_normal((count, 1, 1)),
+            random.standard_normal((count, 1, 2)),
+            np.empty((count, 1, 0)),
+        )
+        for _ in range(2)
+    ]
+    full = np.zeros((2 * count, 4))
+    for i, m in enumerate(motions):
+        rows = slice(i * count, (i + 1) * count)
+        full[rows, :2], full[rows, 2 + i] = m.values[:, 0], m.start[:, 0, 0]
+    error = np.concatenate([m.error[:, 0] for m in motions])
+    free = scipy.optimize.lsq_linear(full, -error).x
+    for column in range(4):  # one bound in the way of each
+        low, high = np.full(4, -10.0), np.full(4, 10.0)
+        edge = free[column] / 2
+        low[column], high[column] = sorted((edge, -10.0 * np.sign(edge)))
+        expected = scipy.optimize.lsq_linear(full, -error, (low, high), tol=1e-14).x
+        assert _bounded(motions, weights, 2, low, high) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "fault"), [(60, "hysteresis"), (22, "coloured noise")])
+def test_values_stay_within_bounds_and_steps_that_diverge_are_halved(
+    number: int, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps to the least squares of whole motions went to a mass below zero, whose motions grow
+    without end (LinAlgError); and a search with long steps to where short ones diverge (FitError).
+    """
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+    import adequacy_study  # type: ignore[import-not-found]
+
+    told = adequacy_study.one(1795730912, number, fault)
+    assert told["cause"]
+    assert all(told["inside"].values())
