@@ -20,12 +20,16 @@ from ..simulation.integrate import Integration
 from ..simulation.simulator import evaluated, simulate
 from .statement import TIME
 
-__all__ = ["Driven", "driven"]
+__all__ = ["Driven", "driven", "roughly"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-11
 """Of the integrator, relative to states and their nominals."""
+ROUGH = 1e-7
+"""Of another integration: where it parts from the first, errors grow so much along the motion that
+no integrator or plant without feedback runs along it.
+"""
 PARTS = 100
 """Parts of a motion, at least, each with the points of Lobatto's rule."""
 LEAST = 2
@@ -179,6 +183,15 @@ def driven(
         edges = np.array(list(pairwise(np.sort(np.append(edges[:, 0], [*middles, end])))))
     trajectory = evaluated(plant, every, states, inputs)
     return Driven(plant, trajectory, t, x, u, slope, inputs), beside
+
+
+def roughly(plant: Plant, start: Array, inputs: PiecewisePolynomial, times: Array) -> Array | None:
+    """States at ``times`` [s], the first that of ``start``, as an ordinary integration has them;
+    None where it gives up.
+    """
+    run = Integration.over(plant, inputs, times, np.asarray(start, float), rtol=ROUGH)
+    states = run()
+    return None if states is None else run.at(times, states)
 
 
 def _integrated(

@@ -19,7 +19,7 @@ from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
 from ..plants.stillness import totals
 from .asked import Asked, Goal, Limit, Span, asked
-from .driven import Driven, driven
+from .driven import Driven, driven, roughly
 from .rest import begun, rest_at, rows_of
 from .statement import Profile, Statement
 
@@ -83,6 +83,9 @@ class Judgement:
     """Largest deviation of a state from the motion that was claimed, scaled by nominals."""
     state: str = ""
     """The state that deviates most."""
+    apart: float = 0.0
+    """By how much an ordinary integration parts from the tight one, scaled by nominals: large for
+    a motion along which errors grow."""
 
     @property
     def violation(self) -> float:
@@ -146,19 +149,25 @@ def judge(
     found = [Finding(f.label, float(f.by), bool(f.said)) for f in found]
     ordered = sorted((f for f in found if not f.by <= 0.0), key=lambda f: -f.by)
     objective = _objective(run, wanted.goal)
-    deviation = _deviation(run, states, claimed)
+    deviation = _deviation(run, motion, states, claimed)
     return Judgement(tuple(ordered), objective, run.trajectory, "", *deviation)
 
 
-def _deviation(run: Driven, states: Array, claimed: Trajectory | None) -> tuple[float, str]:
-    """(largest deviation of the motion from the claimed one in nominals, of which state)."""
+def _deviation(
+    run: Driven, motion: Motion, states: Array, claimed: Trajectory | None
+) -> tuple[float, str, float]:
+    """(largest deviation of the motion from the claimed one in nominals, of which state, by how
+    much an ordinary integration parts from it).
+    """
     if claimed is None:
-        return float("nan"), ""
+        return float("nan"), "", 0.0
     names = [v.name for v in run.plant.states]
     nominal = run.plant.vector("state", attribute="nominal")
     worst = np.max(np.abs(states - claimed.array(names)) / nominal, axis=0)
     i = int(np.argmax(worst))
-    return float(worst[i]), names[i]
+    rough = roughly(run.plant, motion.start, motion.inputs, claimed.t)
+    apart = 0.0 if rough is None else float(np.max(np.abs(rough - states) / nominal))
+    return float(worst[i]), names[i], apart
 
 
 def _kept(run: Driven, wanted: Asked) -> Iterator[tuple[str, float]]:

@@ -60,15 +60,23 @@ class Verdict:
     """
     begins: tuple[str, ...] = ()
     """What differs from rest at the start because the statement says so."""
+    apart: float = 0.0
+    """By how much an ordinary integration of the inputs parts from the tight one, scaled by
+    nominals."""
 
     @property
     def verified(self) -> bool:
         """Whether the solver converged, and the replay agrees and keeps all limits, to the
-        tolerance.
+        tolerance; and whether an ordinary integration confirms it.
         """
         # written so that a NaN fails
-        kept = self.solved and not self.ended
+        kept = self.solved and not self.ended and not self._parts
         return kept and self.error <= self.tolerance and self.violation <= self.tolerance
+
+    @property
+    def _parts(self) -> bool:
+        """Whether errors of an integrator grow beyond what plans are judged by."""
+        return self.apart > max(self.tolerance, TOLERANCE)
 
     @property
     def growth(self) -> float:
@@ -100,6 +108,12 @@ class Verdict:
                 f"its replay violates {self.constraint} by {self.violation:.2g} "
                 "(scaled by nominal values)"
             )
+        if self._parts and not self.unstable:
+            failed.append(
+                f"an ordinary integration parts from its replay by {self.apart:.2g}: the motion is "
+                "unstable, so run it with feedback (control.tvlqr)"
+            )
+            return f"not verified: {' and '.join(failed)}"
         if self.ended:
             failed.insert(0, f"{self.ended} before the search was done")
             return f"not verified: {' and '.join(failed)}"

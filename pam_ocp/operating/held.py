@@ -31,6 +31,8 @@ APART = 0.05
 """Distance from where it came to, scaled by nominals, that counts as elsewhere."""
 IDLE = 1e-6
 """Rates [nominal/s] at which a plant stays."""
+CREEPS = 1e-8
+"""The same for what has settled: what still creeps moves others, which would not count as idle."""
 QUICK, SLOW = 1.0, 0.1
 """Rates [nominal/s] of what relaxes at once, and of what has."""
 FAR = 100.0
@@ -176,7 +178,7 @@ def _surroundings(plant: Plant) -> dict[str, float]:
             return {}
         x = np.array([run[n][-1] for n in names])
         still = np.asarray(plant.function(x, u, p)[0], float) / sizes[:, None]
-        if np.abs(still[own]).max() <= IDLE:
+        if np.abs(still[own]).max() <= CREEPS:
             break
     found = {}
     for name in marked:

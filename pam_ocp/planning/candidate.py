@@ -22,7 +22,7 @@ from .settings import SETTINGS, Settings
 from .smoothing import smoothed_at
 from .solvers.backend import Backend, Solver
 from .solvers.ipopt_options import Start
-from .solvers.solver import SETTLED, Outcome
+from .solvers.solver import SETTLED, STUCK, Outcome
 from .stages import Stage, stage
 from .transcription.guess import from_solution
 from .transcription.mesh import Mesh
@@ -92,6 +92,10 @@ class Candidate:
     coarser: Candidate | None = field(default=None, repr=False)
     rounds: int = 0
     gap: float | None = None
+
+    @property
+    def is_solved(self) -> bool:
+        return self.solved.outcome.success
 
     @property
     def mesh(self) -> Mesh:
@@ -214,14 +218,23 @@ class Engine:
             self._sought, start = size, "finer"
         return self.solve(program, place, guess, start, why)
 
-    def refined(
-        self, c: Candidate, mesh: Mesh, why: str, start: Start = "near"
-    ) -> Candidate | None:
-        """A candidate on a finer mesh; None where that is not solved."""
+    def beside(self, found: Solved, why: tuple[str, str]) -> Solved | None:
+        """The motion next to where a solver stopped beside the constraints; None where it did not,
+        or there is none.
+        """
+        program, outcome = found.program, found.outcome
+        if not outcome.beside:
+            return None
+        with stage(*why):
+            near = self.solver_of(program)(program, outcome.w, "feasible", outcome)
+        if not near.success:
+            return None
+        return self.solved(program, replace(near, warning=STUCK.format(outcome.status)))
+
+    def refined(self, c: Candidate, mesh: Mesh, why: str, start: Start = "near") -> Candidate:
+        """A candidate on a finer mesh, solved or not."""
         found = self.onto(self.program(mesh), c.solved, c.place, ("mesh", why), start)
         rounds = c.rounds + (c.place == 1.0)
-        if not found.outcome.success:
-            return None
         return replace(c, solved=found, coarser=c, rounds=rounds, gap=None)
 
     def corrected(self, c: Candidate, start: Start) -> Candidate | None:

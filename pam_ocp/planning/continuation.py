@@ -57,7 +57,7 @@ class Continuation:
             spent = self.engine.work > most or self.is_enough()
             if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
-                c = c if spent else self._corrected(c)
+                c = c if self.is_enough() else self._corrected(c)  # costs little
             if spent or self._is_unstable(c):
                 return c if c.place == 1.0 else None
             meshes = [] if blocked else self.meshes.after(c)
@@ -71,26 +71,35 @@ class Continuation:
             if c.place >= 1.0:
                 return c
             there = min(1.0, c.place + step)
-            further = self._further(c, there)
+            further = self._further(c, there, last=step * s.shrink < s.least_step)
+            if further is None and step * s.shrink < s.least_step:
+                return None
             if further is not None:
                 c, step, blocked = further, min(s.step, s.grow * step), False
                 continue
             step *= s.shrink
-            if step < s.least_step:
-                return None
 
     def _finer(self, c: Candidate, meshes: list[tuple[Mesh, str]]) -> Candidate | None:
         """On the first of some meshes that leads to a solution. Along the path costs need not be at
-        their least, unless that is the only way to a finer mesh.
+        their least, unless that is the only way to a finer mesh. Where a solver is blocked, the
+        motion next to where it stopped; at last the one next to the coarser mesh's.
         """
         on_path = c.place < 1.0 and not self.meshes.is_coarse(c.mesh)
         starts: tuple[Start, ...] = ("restored", "near") if on_path else ("near",)
+        failed = []
         for mesh, why in meshes:
             for start in starts:
                 finer = self.engine.refined(c, mesh, why, start)
-                if finer is not None:
+                if finer.is_solved:
                     return finer
-        return None
+                failed.append(finer)
+        for each in failed:
+            near = self.engine.beside(each.solved, ("mesh", "where the solver stopped"))
+            if near is not None:
+                return replace(each, solved=near)
+        mesh, why = meshes[0]
+        finer = self.engine.refined(c, mesh, why, "feasible")
+        return finer if finer.is_solved else None
 
     def _corrected(self, c: Candidate) -> Candidate:
         """With the mesh's defects corrected, where plain refinement is slow (nonsmooth terms) or
@@ -121,14 +130,14 @@ class Continuation:
         missed = c.check.dynamic if c.place == 1.0 else 0.0
         return missed > self.meshes.tolerance and missed > GROWTH * sum(c.errors)
 
-    def _further(self, c: Candidate, there: float) -> Candidate | None:
-        """At the next place of the path, from the multipliers of this one; at its end with costs at
-        their least, where a solver gets there.
+    def _further(self, c: Candidate, there: float, last: bool) -> Candidate | None:
+        """At the next place of the path, from the multipliers of this one; at its end, and in the
+        ``last`` try, with costs at their least, where a solver gets there.
         """
         why = ("smoothing", f"place {there:.2f} of the path")
         found = self._at(c.solved, c.mesh, there, "corrector", why)
-        if there == 1.0:
-            near = found if found.outcome.success else c.solved
+        if there == 1.0 or (last and not found.outcome.success):
+            near = found if found.outcome.success or there < 1.0 else c.solved
             least = self._at(near, c.mesh, there, "last", why)
             found = least if least.outcome.ended else found
         if not found.outcome.success:

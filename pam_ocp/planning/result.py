@@ -143,7 +143,15 @@ class Plan:
         corrected = bool(self.statistics.get("corrected", False))
         begins = tuple(f.label for f in j.said if f.by > self.tolerance) if j else ()
         return Verdict(
-            self.status, self.solved, *figures, self.tolerance, ended, local, corrected, begins
+            self.status,
+            self.solved,
+            *figures,
+            self.tolerance,
+            ended,
+            local,
+            corrected,
+            begins,
+            j.apart if j else 0.0,
         )
 
     @property

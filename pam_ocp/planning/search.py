@@ -103,6 +103,8 @@ class Search:
         self.found = Found()
         self._began: list[float] = []
         """Objectives of the candidates that were led, on the first mesh."""
+        self._stopped: list[Solved] = []
+        """Where solvers stopped from a start."""
         self._first_seconds = 0.0
 
     def best(
@@ -172,7 +174,7 @@ class Search:
             if self._by_arcs(c):
                 return
             finer = self.engine.refined(c, guarded(c.mesh), "by arcs it is not met")
-            c = replace(finer or c, rounds=0)
+            c = replace(finer if finer.is_solved else c, rounds=0)
         self.continuation.led(c)
         if self.found.best is None and self.found.failure is None:
             blocked = replace(c.solved.outcome, success=False, status=BLOCKED)
@@ -280,10 +282,12 @@ class Search:
         self.found.outcomes += outcomes
         if self.found.failure is None and not outcomes[0].success:
             self.found.failure = engine.solved(program, outcomes[0])
+        ends = [engine.solved(program, outcome) for outcome in outcomes]
+        self._stopped += [end for end in ends if not end.outcome.success]
         return [
-            Candidate(engine.solved(program, outcome), self.place, i)
-            for i, outcome in enumerate(outcomes, number)
-            if outcome.success
+            Candidate(end, self.place, i)
+            for i, end in enumerate(ends, number)
+            if end.outcome.success
         ]
 
     def _from_near(self, near: Solved) -> Candidate | None:
@@ -369,8 +373,8 @@ class Search:
 
     # ---- where no start leads anywhere ----------------------------------------------------------
     def _fallbacks(self) -> Iterator[Candidate]:
-        """From other guesses and by way of coarser meshes; where all that leads to nothing, from a
-        point that meets all constraints.
+        """From other guesses and by way of coarser meshes; where all that leads to nothing, from
+        where solvers stopped beside the constraints, and from a point that meets them all.
         """
         asked, usual = self.engine.first.mesh, tuple(self.meshes.ladder)
         ways = [usual, (asked,)]
@@ -379,6 +383,11 @@ class Search:
         for way in dict.fromkeys(tuple(dict.fromkeys(meshes)) for meshes in ways):
             self.meshes.ladder = list(way)
             yield from self._guessed(way[0])
+        self.meshes.ladder = list(usual)
+        for end in sorted(self._stopped, key=lambda end: end.outcome.objective):
+            near = self.engine.beside(end, ("other guesses", "where a solver stopped"))
+            if near is not None:
+                yield Candidate(near, self.place)
         if self.found.best is not None:
             return
         feasible = self._diagnosed()
@@ -409,7 +418,9 @@ class Search:
             found = engine.solve(program, self.place, guess, start, why)
             if found.outcome.success:
                 yield Candidate(found, self.place)
-            elif self.found.failure is None:
+                continue
+            self._stopped.append(found)
+            if self.found.failure is None:
                 self.found.failure = found
 
     def _regularised(self, mesh: Mesh) -> Array | None:

@@ -70,7 +70,12 @@ ACCEPTABLE, SETTLED = "Solved_To_Acceptable_Level", "Settled"
 LIMITS = "max_iter", "max_cpu_time", "max_wall_time"
 """Options whose values, where a user gives them, end all work on a solve."""
 ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded")
-ENDED_BLOCKED = ("Infeasible_Problem_Detected", "Restoration_Failed")
+ENDED_BLOCKED = (
+    "Infeasible_Problem_Detected",
+    "Restoration_Failed",
+    "Error_In_Step_Computation",
+    "Search_Direction_Becomes_Too_Small",
+)
 """Return status where long steps found no way back to the constraints; short ones may, from a
 violation of ``LITTLE`` at most.
 """
@@ -78,6 +83,7 @@ LITTLE = 1e-3
 LEAST_COST = 1e-5
 """Residual of stationarity up to which costs count as the least."""
 SLOWLY = "the search ended where costs fell slowly and may not be at their least (slope {:.0e})"
+STUCK = "the solver stopped beside the constraints ({}); costs may not be at their least"
 SETTLING = ("damped", "feasible")
 """Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
@@ -156,6 +162,11 @@ class Outcome:
             return False
         last = self.log[-1]
         return last["inf_du"] <= stationarity and last["inf_pr"] <= violation
+
+    @property
+    def beside(self) -> bool:
+        """Whether it failed beside the constraints, with nothing but costs left to gain."""
+        return not self.success and self.within(np.inf, LITTLE, (*ENDED_LATE, *ENDED_BLOCKED))
 
     @property
     def stopped(self) -> bool:
