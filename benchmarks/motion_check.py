@@ -523,7 +523,10 @@ class Check:
         """Commands equal to the pressures that they ask for."""
         values = dict(zip([v.name for v in self.plant.states], x, strict=True))
         own = [
-            values.get(v.name.replace(".command", ".pressure"), v.start) for v in self.plant.inputs
+            values.get(f"{v.name.rpartition('.')[0]}.pressure", v.start)
+            if v.unit == "Pa"
+            else v.start
+            for v in self.plant.inputs
         ]
         return np.array([0.0 if value is None else value for value in own], float)
 

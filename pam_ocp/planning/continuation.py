@@ -127,7 +127,7 @@ class Continuation:
 
     def _is_unstable(self, c: Candidate) -> bool:
         """Whether errors grow so much along a motion that no mesh makes it exact."""
-        missed = c.check.dynamic if c.place == 1.0 else 0.0
+        missed = c.check.replay.error if c.place == 1.0 else 0.0
         return missed > self.meshes.tolerance and missed > GROWTH * sum(c.errors)
 
     def _further(self, c: Candidate, there: float, last: bool) -> Candidate | None:

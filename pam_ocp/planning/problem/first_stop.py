@@ -30,6 +30,8 @@ change by less [nominal].
 """
 KEEPS = 1e-7
 """Rate below which a tank without a source keeps its air before a motion [nominal/s]."""
+DRAWN = 1e-5
+"""Rate from which surroundings are drawn from [nominal/s]."""
 
 
 def left_by_the_past(
@@ -143,16 +145,18 @@ def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -
     ]
 
 
-def _rest_at(problem: Problem, statement: Statement, first: Stop) -> Point | None:
+def _rest_at(
+    problem: Problem, statement: Statement, first: Stop, beside: Mapping[str, float] | None = None
+) -> Point | None:
     """(states, inputs) of rest at the first stop, with memories at the envelopes of its pressures;
-    None where none is found.
+    None where none is found. beside : states that are known there, too.
     """
     plant, point = problem.plant, None
     kept = _kept(plant, statement, first)
     told = isinstance(statement.memory, Mapping)
     memory = kept if told else at_rest(plant, _named_states(plant, first), kept)
     for _ in range(ROUNDS):
-        point = rest_point(problem, problem.stops[0] | memory)
+        point = rest_point(problem, problem.stops[0] | dict(beside or {}) | memory)
         if point is None or told:
             break
         before, memory = memory, at_rest(plant, point[0], kept)
@@ -177,6 +181,8 @@ def with_draught(
     driven = {*driven_names(plant), *first.values}
     if statement.cyclic or not first.rest or not driven & {*left}:
         return problem
+    if _rest_at(problem, statement, first, left) is not None:  # with valves closed, say
+        return problem
     point = _rest_at(problem, statement, first)
     if point is None:
         return problem
@@ -184,7 +190,7 @@ def with_draught(
     names = [v.name for v in plant.states]
     x = np.array([left.get(n, value) for n, value in zip(names, x, strict=True)])
     rates = np.asarray(plant.function(x, u, plant.vector("parameter"))[0], float).ravel()
-    drawn = [n for n in left if abs(rates[names.index(n)]) > KEEPS * plant.variable(n).nominal]
+    drawn = [n for n in left if abs(rates[names.index(n)]) > DRAWN * plant.variable(n).nominal]
     rates_of = [(n, *subject(plant, f"der({n})")) for n in drawn]
     conditions = [
         Condition(f"stop 1: der({n}) settled", expression, 0.0, 0.0, variable.nominal, variable)
