@@ -16,7 +16,10 @@ __all__ = ["on_mesh", "renewed", "same_form"]
 
 def _shape(problem: Problem) -> tuple[object, ...]:
     """What the expressions of a program depend on."""
+    plant, goal = problem.plant, problem.objective
     return (
+        [v.name for v in (*plant.states, *plant.inputs)],  # openings in place of commands, say
+        (goal.time, goal.rate, goal.peaks, goal.words, goal.only_time),
         [[c.label for c in node] for node in problem.nodes],
         [[c.label for c in leg.path] for leg in problem.legs],
         [b.label for b in problem.budgets],

@@ -10,6 +10,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import Collocation
+from pam_ocp.planning.problem.objective import regularised
 from pam_ocp.planning.reuse import on_mesh
 from pam_ocp.planning.transcription.solution import unpack
 from pam_ocp.planning.transcription.transcription import transcribe
@@ -94,6 +95,26 @@ def test_meshes_that_differ_by_margins_share_expressions_and_keep_their_own_limi
         assert np.array_equal(ours, theirs)
     assert not np.array_equal(known.limits()[1], own.limits()[1])
     assert on_mesh(problem, mesh, [known]).nlp is not known.nlp
+
+
+def test_a_program_serves_no_other_plant_and_no_other_objective(cart):
+    """Openings in place of commands have the same stops: of a cycle a program was taken for that of
+    another plant, with other inputs."""
+    twin = pam.Plant("cart")
+    x, v = twin.state("x", unit="m"), twin.state("v", unit="m/s")
+    push, pull = (twin.input(n, unit="N", min=0.0, max=2.0) for n in ("push", "pull"))
+    twin.der(x, v)
+    twin.der(v, push - pull)
+    mine, other = (
+        pam.Planner(p, FAR, method=Collocation(5, 4, "polynomial", guarded=False))._program
+        for p in (cart, twin)
+    )
+    assert other.problem.plant is twin
+    for problem in (other.problem, regularised(mine.problem, 1e-3)):
+        found = on_mesh(problem, mine.mesh, [mine])
+        assert found.nlp is not mine.nlp
+        assert found.problem is problem
+    assert on_mesh(mine.problem, mine.mesh, [other, mine]).nlp is mine.nlp
 
 
 def test_unknowns_are_unpacked_interval_by_interval(cart):
