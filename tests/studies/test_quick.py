@@ -66,7 +66,7 @@ def test_the_linearised_plant_swings_as_its_stiffness_says(made: Any) -> None:
 
 
 def test_a_load_in_place_of_a_second_muscle_and_what_the_user_says(tmp_path: Path) -> None:
-    options = {"law": "six-parameter", "counterforce": "load", "mass": "20 kg"}
+    options: Any = {"law": "six-parameter", "counterforce": "load", "mass": "20 kg"}
     made = quick(TABLE, tmp_path, rest_length=LENGTH, stops=["10 mm", "30 mm"], **options)
     assert made.fit.law.name == "six-parameter"
     assert made.comparison is None

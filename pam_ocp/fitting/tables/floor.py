@@ -178,8 +178,8 @@ def find_floor(
             start = y <= hinge.floors[cells.part] + DETECTED * scatter + 1e-9 * top
             start |= _beyond(cells, few[deep]) & (y <= hinge.floors[cells.part] + 7 * scatter)
             return _named(cells, start, names)
-    start = _pushing(y, top)
-    return None if start is None else _named(cells, start, names)
+    pushing = _pushing(y, top)
+    return None if pushing is None else _named(cells, pushing, names)
 
 
 def _pushing(y: Array, top: float) -> Mask | None:
