@@ -30,6 +30,7 @@ from .muscles import add_loads, add_muscles
 from .options import require_outputs
 from .output import escaping, finish, logged
 from .plan import add_plan
+from .quick import add_quick
 from .reading import add_look
 from .report import add_report
 from .rig import add_rig, add_twin
@@ -142,6 +143,7 @@ def _parser() -> argparse.ArgumentParser:
 
     for add in (
         add_tour,
+        add_quick,
         add_study,
         add_look,
         add_fit,

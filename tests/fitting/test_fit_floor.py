@@ -54,6 +54,22 @@ def test_a_floor_is_found_and_its_cells_are_no_forces(floor: float, scatter: flo
         assert f"{found.cells} cells read" in fit.report()
 
 
+def test_few_readings_far_below_zero_are_a_floor_for_no_muscle_pushes() -> None:
+    """Seven of 46 cells: too few for the surface of the others to say that they are slack."""
+    pressure, kappa = (
+        a.ravel() for a in np.meshgrid(np.linspace(1e5, 6e5, 6), [0, 0.1, 0.2, 0.23])
+    )
+    pull = np.asarray(TRUTH.tension(pressure, kappa))
+    reads = np.maximum(pull, 0.0) - 35.0
+    found = ForceTable(pressure, kappa, reads).floor_found
+    assert found is not None
+    assert found.value == pytest.approx(-35.0, abs=5.0)
+    assert abs(found.cells - np.sum(pull <= 0)) <= 2  # of those that hardly pull
+    noise = 2.0 * np.random.default_rng(1).standard_normal(pull.size)
+    usual = ForceTable(pressure, kappa, np.maximum(pull, 0.0) + noise).floor_found
+    assert usual is None or abs(usual.value) < 3.0  # noise about zero is no floor below it
+
+
 def test_a_floor_that_is_not_looked_for_spoils_the_fit() -> None:
     """What the floor is for: the same readings, taken for forces."""
     table = measured(5.0)

@@ -41,6 +41,9 @@ DRIFT = 0.8
 """Correlation from which readings follow the rows, or pressure."""
 LOWEST = 0.1
 """Of the largest reading: a table whose least lies above it shows no slack cell."""
+CROWD, APART = 3, 5.0
+"""Readings below zero that are evidence by themselves, at least, and scatters that they lie there.
+"""
 STARTS, ROUNDS, FEWEST, ENOUGH = 14, 25, 8, 1500
 
 
@@ -175,7 +178,21 @@ def find_floor(
             start = y <= hinge.floors[cells.part] + DETECTED * scatter + 1e-9 * top
             start |= _beyond(cells, few[deep]) & (y <= hinge.floors[cells.part] + 7 * scatter)
             return _named(cells, start, names)
-    return None
+    pushing = _pushing(y, top)
+    return None if pushing is None else _named(cells, pushing, names)
+
+
+def _pushing(y: Array, top: float) -> Mask | None:
+    """Readings that crowd together far below zero, of however few cells: no muscle pushes."""
+    below = y[y < 0]
+    if len(below) < CROWD:
+        return None
+    level = float(np.median(below))
+    scatter = 1.4826 * float(np.median(np.abs(below - level)))
+    if -level < max(APART * scatter, ABSOLUTE * top):
+        return None
+    near = np.asarray(np.abs(y - level) <= DETECTED * scatter + 1e-3 * top)
+    return near if near.sum() >= CROWD else None
 
 
 def part_names(branch: Sequence[str], file: Sequence[str], n: int) -> list[str]:
