@@ -57,7 +57,7 @@ class Continuation:
             spent = self.engine.work > most or self.is_enough()
             if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
-                c = c if self.is_enough() else self._corrected(c)  # costs little
+                c = c if self.is_enough() else self._corrected(c, spent)
             if spent or self._is_unstable(c):
                 return c if c.place == 1.0 else None
             meshes = [] if blocked else self.meshes.after(c)
@@ -101,14 +101,15 @@ class Continuation:
         finer = self.engine.refined(c, mesh, why, "feasible")
         return finer if finer.is_solved else None
 
-    def _corrected(self, c: Candidate) -> Candidate:
+    def _corrected(self, c: Candidate, last: bool) -> Candidate:
         """With the mesh's defects corrected, where plain refinement is slow (nonsmooth terms) or
-        changes the optimum (flat costs); itself where that does not pay.
+        changes the optimum (flat costs); itself where that does not pay. last : nothing follows;
+        else costs come first.
         """
         s, aim = self.settings, self.meshes.tolerance
-        if not (self.nonsmooth or self.meshes.economical) or self.meshes.is_dear(c):
+        if not (self.nonsmooth or self.meshes.economical) or (self.meshes.is_dear(c) and not last):
             return c
-        flat = self.nonsmooth or c.solved.outcome.status == SETTLED
+        flat = self.nonsmooth or last or c.solved.outcome.status == SETTLED
         start: Start = "feasible" if flat else "warm"
         for _ in range(s.corrections):
             if c.check.dynamic <= aim or sum(c.errors) > s.resolved:
