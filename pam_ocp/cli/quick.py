@@ -50,7 +50,7 @@ def add_quick(commands: Any) -> None:
 
 
 def _quick(options: argparse.Namespace) -> int:
-    from ..studies.quick import quick
+    from ..studies.from_table import quick
 
     made = quick(
         options.table,

@@ -143,8 +143,10 @@ def quick(
 
     Examples
     --------
-    >>> print(pam.studies.quick("DMSP-20-300_static.csv", "out", rest_length=0.3).fit.law.name)
-    five-parameter
+    >>> made = pam.studies.quick("DMSP-20-300_static.csv", "load", rest_length=0.3,
+    ...     counterforce="load", law="six-parameter")
+    >>> made.fit.law.name, made.plan.verified
+    ('six-parameter', True)
     """
     if counterforce not in ("pair", "load"):
         raise InputError(f"counterforce = {counterforce!r}: choose 'pair' or 'load'")
