@@ -65,8 +65,8 @@ class MeshSequence:
     ) -> None:
         self.asked, self.problem, self.settings = asked, problem, settings
         self.nonsmooth = is_nonsmooth(problem)
-        self.tolerance = np.inf if tolerance is None else settings.aim * tolerance
-        self.wanted = np.inf if tolerance is None else tolerance
+        aim = np.inf if tolerance is None else settings.aim * tolerance
+        self.tolerance, self.wanted = max(aim, settings.exact), aim / settings.aim
         self.legs = len(problem.legs)
         self.economical = problem.objective.economical
         self._bounded = self.economical and is_nonnegative(problem)
@@ -74,7 +74,8 @@ class MeshSequence:
 
     def aims_at(self, tolerance: float) -> None:
         """Another tolerance of the plan."""
-        self.tolerance, self.wanted = tolerance, max(tolerance, self.wanted)
+        self.tolerance = max(tolerance, self.settings.exact)
+        self.wanted = max(tolerance, self.wanted)
 
     def _ladder(self, merges: bool) -> list[Mesh]:
         """Meshes up to the one that was asked for."""

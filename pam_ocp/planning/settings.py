@@ -18,6 +18,9 @@ class Settings:
     aim: float = 0.8
     """Part of the plan's tolerance that refinement aims at, so that whoever looks at other times
     finds it kept, too."""
+    exact: float = 1e-9
+    """Tolerance [nominal] below which no mesh is refined: the replay's own integration is not more
+    exact (measured: there errors no longer fall from mesh to mesh)."""
     resolved: float = 0.1
     """Sum of the intervals' errors [nominal] up to which a mesh resolves a motion at large; beyond,
     the solver exploits the errors. Up to it defects are corrected without a finer mesh (R. Frank,

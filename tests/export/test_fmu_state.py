@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,8 +66,7 @@ def test_reset_brings_back_the_start(fmu: UnpackedFmu) -> None:
         assert now(runner) == 0.0
 
 
-# ---- many instances
-# -------------------------------------------------------------------------------
+# ---- many instances ------------------------------------------------------------------------------
 
 
 def test_instances_do_not_disturb_each_other(fmu: UnpackedFmu) -> None:
@@ -91,23 +88,3 @@ def test_instances_do_not_disturb_each_other(fmu: UnpackedFmu) -> None:
     for runner in runners:
         runner.__exit__(None, None, None)
     assert np.array_equal(together, [alone(m) for m in (1.0, 2.0, 4.0)])
-
-
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
-def test_hundreds_of_instances_leave_no_memory_behind(fmu: UnpackedFmu) -> None:
-    def resident() -> int:
-        gc.collect()  # the callbacks of FMPy's instances form cycles
-        return int(Path("/proc/self/statm").read_text().split()[1])
-
-    def use() -> None:
-        with started(fmu, "CoSimulation") as runner:
-            runner.step(0.0, 1e-3)
-            runner.restore(runner.save())
-
-    with started(fmu, "CoSimulation"):  # keeps the library loaded
-        for _ in range(400):  # until the heap has found its size
-            use()
-        before = resident()
-        for _ in range(300):
-            use()
-        assert resident() - before < 256  # pages; an instance and its state are about one page

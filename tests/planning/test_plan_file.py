@@ -346,7 +346,6 @@ def test_the_example_runs(capsys, tmp_path):
     assert (tmp_path / "slide.gif").stat().st_size > 100_000
 
 
-@pytest.mark.slow
 def test_a_plan_that_is_not_verified_has_exit_code_3_and_is_written_all_the_same(capsys, tmp_path):
     problem = """
     tolerance = 1e-13
