@@ -82,12 +82,15 @@ from .plants.elastic import SpringOverMuscle as SpringOverMuscle
 from .plants.hanging import HangingLoad as HangingLoad
 from .plants.joint import AntagonisticJoint as AntagonisticJoint
 from .plants.plant import Plant as Plant
+from .plants.plant_data import save_plant as save_plant
+from .plants.plant_file import load_plant as load_plant
 from .plants.regulated import PositionFeedback as PositionFeedback
 from .plants.regulated import RegulatedLoad as RegulatedLoad
 from .plants.slide import AntagonisticSlide as AntagonisticSlide
 from .rig.rig import Rig as Rig
 from .simulation.many import simulate_many as simulate_many
 from .simulation.simulator import simulate as simulate
+from .studies.file_kinds import load as load
 from .studies.loads import load_study as load_study
 
 __version__: str

@@ -198,12 +198,16 @@ def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
 
 
 def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
-    from ..plants.plant_file import muscle_of, named_plant, plant_of
+    from ..plants.plant_file import muscle_of, plant_of
+    from ..studies.file_kinds import plant_called, require_role
 
     study: dict[str, Any] = {}
     folder = None
     if options.plant.endswith(".toml"):
+        require_role(options.plant, "plant")
         study, folder = read_toml(options.plant), Path(options.plant).parent
+        if "stops" in study:  # a problem of 'pam-ocp plan': its plant alone
+            study = {"plant": study.get("plant")}
         known_keys(options.plant, study, (*_OWN, *READING, *FITTING))
     study["folder"] = folder
     for name in ("free", "outputs", "interpolation", "delay"):
@@ -212,6 +216,8 @@ def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     for name in ("records", "validate"):
         given = getattr(options, name)
         study[name] = given or [(folder or Path()) / n for n in listed(name, study.get(name, []))]
+        for file in study[name]:
+            require_role(file, "motion")
     if options.noise is not None:
         study["noise"] = pairs("--noise", options.noise)
     described = study.get("plant", options.plant)
@@ -225,7 +231,7 @@ def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     else:
         name = _from_here(options.muscle) or study.get("muscle", "DMSP-20-300")
         typed = described == options.plant  # on the command line: that is the consent
-        plant = named_plant(
+        plant = plant_called(
             described,
             muscle_of(name, "muscle", folder),
             folder,

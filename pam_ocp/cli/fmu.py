@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from ..core.errors import InputError
 from ..core.files import read_toml, reading
@@ -13,6 +13,9 @@ from ..core.quantities import known_keys, quantity, table
 from .options import require_places
 from .output import add_json, tell, wrote
 from .plants import add_plant, plant_said
+
+if TYPE_CHECKING:
+    from ..core.trajectory import Trajectory
 
 __all__ = ["EPILOG", "add_check", "add_export", "is_system", "write_system"]
 
@@ -133,7 +136,7 @@ def add_check(commands: Any) -> None:
         "--against",
         type=Path,
         metavar="FILE",
-        help="trajectory or plan (.npz, .parquet, .csv) whose inputs are replayed and whose "
+        help="plan, closed loop, motion or measured record whose inputs are replayed and whose "
         "outputs are compared",
     )
     check.add_argument(
@@ -164,11 +167,25 @@ def _export(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check(options: argparse.Namespace) -> int:
-    from ..core.trajectory import Trajectory
-    from ..export import check_fmu
+def _reference(path: Path) -> Trajectory:
+    """The motion in a file; a plan's inputs played tightly, as its samples are a solver's."""
+    from ..planning.result import Plan
+    from ..simulation.simulator import simulate
+    from ..studies.file_kinds import kind_of, motion_in
 
-    reference = Trajectory.load(options.against) if options.against else None
+    kind = kind_of(path)
+    found = kind.read(path) if kind.read is not None and "plan" in kind.words else None
+    if isinstance(found, Plan):
+        return simulate(found.plant, found.trajectory, t=found.trajectory.t)
+    return motion_in(path)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from ..export import check_fmu
+    from ..studies.file_kinds import require_role
+
+    require_role(options.fmu, "FMU")
+    reference = _reference(options.against) if options.against else None
     result = check_fmu(options.fmu, against=reference, time_limit=options.time_limit)
     tell(options, result, result.to_dict)
     return 0 if result.ok else 1

@@ -47,6 +47,7 @@ def _linearize(options: argparse.Namespace) -> int:
     from ..figures.saved import save_figure
     from ..figures.trajectory import plot_bode
     from ..operating.linear import linear_model, modes
+    from ..plants.plant_data import carried
 
     require_places(options.out, options.plot)
     if options.out and options.out.suffix.lower() != ".json":
@@ -75,7 +76,8 @@ def _linearize(options: argparse.Namespace) -> int:
     }
     tell(options, _text(point, said), said)
     if options.out:
-        wrote(options, write_json(options.out, said))
+        words = {"format": "pam_ocp linear model 1", **said, **carried(plant)}
+        wrote(options, write_json(options.out, words))
     if options.plot:
         output, source = system.output_labels[0], system.input_labels[0]
         units = system.units[output], system.units[source]

@@ -93,7 +93,7 @@ def add_mpc(commands: Any) -> None:
     mpc.add_argument("--estimator", metavar="KIND", help="kind of estimator (default: kalman)")
     mpc.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
     mpc.add_argument("--seed", type=whole, help="of the noise (default: 0)")
-    add_out(mpc, "FILE", "write the motion (.csv, .npz, .parquet, .xlsx)")
+    add_out(mpc, "FILE", "write the loop (.npz), or its motion (.csv, .parquet, .xlsx)")
     add_plot(mpc, "draw the run")
     add_allow_code(mpc)
     add_json(mpc)
@@ -110,7 +110,9 @@ def _mpc(options: argparse.Namespace) -> int:
         loop = run_loop(study)
     tell(options, loop_text(study, loop), lambda: _data(study, loop))
     if options.out:
-        wrote(options, written(loop.trajectory, options.out))
+        whole = options.out.suffix.lower() == ".npz"
+        target = loop.save(options.out) if whole else written(loop.trajectory, options.out)
+        wrote(options, target)
     if options.plot:
         from ..figures.saved import save_figure
 
@@ -133,12 +135,18 @@ def _data(study: Any, loop: Any) -> dict[str, Any]:
 
 def _study(options: argparse.Namespace) -> dict[str, Any]:
     """DEFAULTS, what the problem file says over them, and what the command line says over that."""
+    from ..studies.file_kinds import require_role
     from ..studies.loop_problem import guarded, loop_settings, require_spans
 
     study = loop_settings("", {})
+    if options.problem:
+        require_role(options.problem, "plant")
     if options.problem and options.problem.endswith(".toml"):
         with reading(options.problem, "a problem file", "'pam-ocp mpc --help' shows one"):
-            study = loop_settings(options.problem, read_toml(options.problem))
+            said = read_toml(options.problem)
+            if "stops" in said:  # a problem of 'pam-ocp plan': its plant alone
+                said = {"plant": said.get("plant")}
+            study = loop_settings(options.problem, said)
         study["folder"] = Path(options.problem).parent
     elif options.problem:
         study["plant"] = options.problem

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-from ..core.files import require_place
+from ..core.files import require_place, write_npz
 from ..core.quantities import quantity
+from ..plants.plant_data import carried
 
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
+    from ..plants.plant import Plant
 
 __all__ = [
     "MOTIONS",
@@ -103,9 +105,13 @@ MOTIONS = (".csv", ".npz", ".parquet", ".xlsx")
 """What a motion is written as."""
 
 
-def written(motion: Trajectory, path: Path) -> Path:
-    """A motion in a file, as its name ends. Raises InputError."""
-    return motion.to_excel(path) if path.suffix.lower() == ".xlsx" else motion.save(path)
+def written(motion: Trajectory, path: Path, plant: Plant | None = None) -> Path:
+    """A motion in a file, as its name ends; .npz carries its plant. Raises InputError."""
+    ending = path.suffix.lower()
+    if ending == ".npz" and plant is not None:
+        content, arrays = motion._packed()
+        return write_npz(path, content | carried(plant), arrays)
+    return motion.to_excel(path) if ending == ".xlsx" else motion.save(path)
 
 
 # ---- the same option in several commands -------------------------------------------------------

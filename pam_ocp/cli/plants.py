@@ -16,7 +16,8 @@ __all__ = ["PLANT", "add_plant", "add_plant_options", "muscle_named", "plant_nam
 
 PLANT = (
     "a plant of the library by name, such as HangingLoad or AntagonisticSlide; FILE.py:NAME (a "
-    "Plant, or a function that returns one); or FILE.toml with a table [plant]"
+    "Plant, or a function that returns one); FILE.toml with a table [plant]; or a file that "
+    "carries its plant: a plan, motion or closed loop (.npz), a fit of a plant (.json)"
 )
 
 
@@ -56,21 +57,17 @@ def plant_named(name: str, muscle: str, allow_code: bool) -> Plant:
 
     A file named on the command line is run; one named in another file only with ``allow_code``.
     """
-    from ..core.files import read_toml, reading
-    from ..plants.plant_file import named_plant, plant_of
+    from ..studies.file_kinds import plant_called
 
-    if name.endswith(".toml"):
-        content: Any = read_toml(name)
-        with reading(name, "a plant", "give it a table [plant], as for 'pam-ocp plan'"):
-            where = f"{name}: plant"
-            folder = Path(name).parent
-            return plant_of(content.get("plant"), where, folder, allow_code=allow_code)
-    return named_plant(name, muscle_named(muscle), allow_code=True)
+    run = allow_code or not name.endswith(".toml")
+    return plant_called(name, muscle_named(muscle), allow_code=run)
 
 
 def muscle_named(name: str, rest_length: Any = None) -> Muscle:
     """A muscle by its name in the catalogue, or from a muscle file."""
     from ..muscles.catalogue import muscle
-    from ..muscles.muscle_file import ENDINGS, load_muscle
+    from ..muscles.muscle_file import ENDINGS
+    from ..studies.file_kinds import muscle_in
 
-    return load_muscle(name) if name.endswith(ENDINGS) else muscle(name, rest_length=rest_length)
+    file = name.endswith(ENDINGS) or Path(name).is_file()
+    return muscle_in(name) if file else muscle(name, rest_length=rest_length)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import ast
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from .options import add_rest_length, pairs, whole
 from .output import add_json, tell
+
+if TYPE_CHECKING:
+    from ..studies.file_kinds import FileKind
 
 __all__ = ["add_floor", "add_look", "add_reading", "reading_options"]
 
@@ -159,7 +163,12 @@ def add_look(commands: Any) -> None:
 
 def _look(options: argparse.Namespace) -> int:
     from ..fitting.tables.preview import Previews, look
+    from ..studies.file_kinds import kind_of
 
+    if len(options.files) == 1 and Path(options.files[0]).is_file():
+        kind = kind_of(options.files[0])
+        if "table" not in kind.roles:
+            return _look_at_ours(options, kind)
     said = reading_options(options)
     for name in ("rest_length", "kind", "time", "clock", "max_gap", "sample_time"):
         value = getattr(options, name)
@@ -170,6 +179,15 @@ def _look(options: argparse.Namespace) -> int:
     views = seen if isinstance(seen, Previews) else [seen]
     tell(options, seen, lambda: [view.to_dict() for view in views])
     return 0 if seen.ok else 1
+
+
+def _look_at_ours(options: argparse.Namespace, kind: FileKind) -> int:
+    """A file that a command wrote: what it is and holds, and who takes it."""
+    path = Path(options.files[0])
+    held = "" if kind.read is None else str(kind.read(path))
+    words = f"{path} is {kind.words}, taken {kind.use}"
+    tell(options, f"{words}\n{held}".rstrip(), {"kind": kind.words, "use": kind.use, "is": held})
+    return 0
 
 
 def _number(value: Any) -> Any:

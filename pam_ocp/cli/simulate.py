@@ -40,8 +40,8 @@ def add_simulate(commands: Any) -> None:
         "--inputs",
         type=Path,
         metavar="FILE",
-        help="recorded inputs: a trajectory or plan (.csv, .npz, .parquet), such as 'pam-ocp plan "
-        "--out' writes",
+        help="recorded inputs: a plan, closed loop, motion or measured record, as a command wrote "
+        "it or as a table",
     )
     add_rest(simulate, "begin at rest under this condition")
     simulate.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
@@ -83,19 +83,19 @@ def _simulate(options: argparse.Namespace) -> int:
     motion = simulate(plant, inputs, t=times, start=start, rtol=options.rtol)
     tell(options, _last(motion), lambda: {"time": float(motion.t[-1]), **motion.row(-1)})
     if options.out:
-        wrote(options, written(motion, options.out))
+        wrote(options, written(motion, options.out, plant))
     if options.plot:
         wrote(options, save_figure(motion.plot(), options.plot))
     return 0
 
 
 def _inputs(plant: Plant, options: argparse.Namespace) -> Any:
-    from ..core.trajectory import Trajectory
+    from ..studies.file_kinds import motion_in
 
     if options.inputs is not None:
         if options.input:
             raise InputError("give --inputs FILE, or --input NAME=VALUE, not both")
-        return Trajectory.load(options.inputs)
+        return motion_in(options.inputs)
     given = pairs("--input", options.input)
     return {
         variable.name: variable.check(variable.number(value, "--input"), "--input")
@@ -120,8 +120,9 @@ def add_compare(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
         help="compare two trajectories",
-        description="How far a second trajectory is from a first, variable by variable, at the "
-        "first one's times. Exit code 1 when the largest difference exceeds --tolerance.",
+        description="How far a second motion is from a first, variable by variable, at the first "
+        "one's times: plans, closed loops, motions, measured records. Exit code 1 when the largest "
+        "difference exceeds --tolerance.",
     )
     compare.add_argument("reference", type=Path, metavar="REFERENCE")
     compare.add_argument("other", type=Path, metavar="OTHER")
@@ -140,12 +141,12 @@ def add_compare(commands: Any) -> None:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from ..core.trajectory import Trajectory
     from ..figures.saved import save_figure
     from ..figures.trajectory import plot_comparison
+    from ..studies.file_kinds import motion_in
 
     require_places(options.plot)
-    one, other = Trajectory.load(options.reference), Trajectory.load(options.other)
+    one, other = motion_in(options.reference), motion_in(options.other)
     found = one.compare(other, options.names)
     rows = {
         d.variable.name: {"largest": d.largest, "rms": d.rms, "time": d.time}

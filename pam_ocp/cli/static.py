@@ -226,10 +226,12 @@ def _fit(options: argparse.Namespace) -> int:
     from ..fitting.static.static import fit_force
     from ..fitting.tables.force_table import read_table
     from ..muscles.muscle_file import save_muscle
+    from ..studies.file_kinds import require_role
 
     require_places(options.out, options.plot, options.ssv, options.excel)
     length = length_of("--rest-length", options.rest_length)
     diameter = length_of("--diameter", options.diameter)
+    require_role(options.table, "table")
     table = read_table(options.table, rest_length=length, **reading_options(options))
     laws = options.law or ["six-parameter"]
     if len(laws) > 1 or laws == ["all"]:

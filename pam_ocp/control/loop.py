@@ -21,6 +21,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..judge.loop import LoopVerdict, judge_loop
 from ..plants.plant import Given, Plant, Values
+from ..plants.plant_data import SYSTEM, carried, plant_of_data
 from ..simulation.instruments import Instrument
 from .controller import Controller, Estimate, Measured, Observer, Tracking
 from .mpc_statistics import MpcStatistics
@@ -75,6 +76,8 @@ class ClosedLoop:
     """Largest :meth:`Mpc.prediction_error` of the samples looked at, ``LOOKS`` of them at most."""
     verdict: LoopVerdict = field(default_factory=LoopVerdict)
     """Whether it did what it was asked: ``bool(loop.verdict)``, and in words."""
+    plant: Plant | None = None
+    """The real side with its values, where that is a plant."""
 
     def __getitem__(self, name: str) -> Array:
         return self.trajectory[name]
@@ -107,7 +110,8 @@ class ClosedLoop:
         if Path(path).suffix.lower() != ".npz":
             return self.trajectory.save(path)
         parts = {"seen": self.seen, "reference": self.reference, "estimate": self.estimate}
-        facts = {"prediction_error": self.prediction_error, "verdict": self.verdict}
+        facts: dict[str, Any] = {"prediction_error": self.prediction_error}
+        facts |= {"verdict": self.verdict, "plant": self.plant}
         return write_loop(path, self.trajectory, parts, self.statistics, facts)
 
     @classmethod
@@ -347,6 +351,7 @@ class _Run:
             getattr(self.controller, "statistics", None),
             max(self.predicted) if self.predicted else None,
             self._verdict(motion, reference, sample_time),
+            getattr(self.side, "plant", None),
         )
 
     def _told(self, motion: Trajectory, wanted: Any) -> Trajectory | None:
@@ -433,6 +438,7 @@ def write_loop(
     """Write a loop: :meth:`Trajectory.load` reads its motion, :func:`read_loop` all of it."""
     content, arrays = motion._packed()
     content |= {"format": FORMAT, "prediction_error": facts["prediction_error"], "parts": {}}
+    content |= carried(facts["plant"])
     content["verdict"] = asdict(facts["verdict"])
     content["steps"] = None if statistics is None else [asdict(s) for s in statistics.steps]
     for name, part in parts.items():
@@ -460,4 +466,5 @@ def read_loop(path: str | os.PathLike[str]) -> dict[str, Any]:
             told = content["verdict"]
             lists = {n: tuple(v) for n, v in told.items() if isinstance(v, list)}
             found["verdict"] = LoopVerdict(**{**told, **lists})
+        found["plant"] = plant_of_data(content[SYSTEM]) if SYSTEM in content else None
     return found

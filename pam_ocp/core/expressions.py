@@ -1,16 +1,25 @@
-"""Expressions that a user gives: scalar, finite, and not the work of Python's own functions."""
+"""Expressions that a user gives: scalar, finite, and not the work of Python's own functions; and
+what they are as data, without code.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
 
 from .errors import InputError
 
-__all__ = ["expression_of", "scalar_expression"]
+__all__ = ["expression_of", "operations_of", "results_of", "scalar_expression"]
+
+_CODES: dict[int, str] = {
+    value: name[3:]
+    for name, value in vars(ca).items()
+    if name.startswith("OP_") and isinstance(value, int)
+}
+_NUMBERS = {name: code for code, name in _CODES.items()}
 
 
 def scalar_expression(name: str, value: Any) -> ca.SX:
@@ -57,3 +66,47 @@ def expression_of(
             "instead of a if x > 0 else b, and casadi.fmax instead of max"
         ) from None
     return scalar_expression(name, value)
+
+
+# ---- as data ------------------------------------------------------------------------------------
+def operations_of(function: ca.Function) -> list[Any]:
+    """A function's elementary operations in order, as JSON takes them: [name, result, arguments or
+    number]. Raises InputError where it calls another function.
+    """
+    found: list[Any] = []
+    for k in range(function.n_instructions()):
+        code = _CODES.get(function.instruction_id(k), "?")
+        if code in ("CALL", "?"):
+            raise InputError(f"{function.name()} calls another function, which no file can hold")
+        value: Any = list(function.instruction_input(k))
+        if code == "CONST":
+            value = function.instruction_constant(k)
+            value = value if math.isfinite(value) else str(value)
+        found.append([code, list(function.instruction_output(k)), value])
+    return found
+
+
+def results_of(
+    operations: Sequence[Any], arguments: Sequence[ca.SX], sizes: Sequence[int]
+) -> list[list[ca.SX]]:
+    """The results, each a list of so many expressions, that :func:`operations_of` make of the
+    arguments.
+
+    Raises InputError, KeyError, TypeError, ValueError or IndexError for what are no operations.
+    """
+    work: dict[int, ca.SX] = {}
+    found = [[ca.SX(0)] * size for size in sizes]
+    for code, out, value in operations:
+        if code not in _NUMBERS:
+            raise InputError(f"unknown operation {code!r}")
+        if code == "CONST":
+            work[out[0]] = ca.SX(float(value))
+        elif code == "INPUT":
+            work[out[0]] = arguments[value[0]][value[1]]
+        elif code == "OUTPUT":
+            found[out[0]][out[1]] = work[value[0]]
+        else:
+            given = [work[i] for i in value]
+            made = ca.SX.binary if len(given) == 2 else ca.SX.unary
+            work[out[0]] = made(_NUMBERS[code], *given)
+    return found

@@ -49,6 +49,7 @@ __all__ = [
     "require_place",
     "require_size",
     "require_unpacked",
+    "said_in",
     "spelled",
     "write_json",
     "write_npz",
@@ -294,6 +295,21 @@ def read_json(path: str | os.PathLike[str], kind: str, form: str, remedy: str) -
     with reading(path, kind, remedy):
         content = json_of(text)
     return require_format(path, content, kind, form, remedy)
+
+
+def said_in(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The mapping in a file of JSON, or beside the arrays of a .npz, of whatever kind.
+
+    Raises InputError for any other file.
+    """
+    if Path(path).suffix.lower() == ".npz":
+        return read_npz(path, "a file of pam_ocp")[0]
+    text = content_of(path, MOST_JSON)
+    with reading(path, "a file of pam_ocp", "give one that it wrote"):
+        content = json_of(text)
+    if not isinstance(content, dict):
+        raise InputError(f"{os.fspath(path)} is no file of pam_ocp; give one that it wrote")
+    return content
 
 
 def json_of(text: bytes, infinite: bool = False) -> Any:

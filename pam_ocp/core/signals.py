@@ -118,6 +118,8 @@ class Sampled(Protocol):
 
     def __getitem__(self, name: str, /) -> Array: ...
 
+    def __contains__(self, name: object, /) -> bool: ...
+
 
 def signals(
     plant: HasInputs,
@@ -173,7 +175,7 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
             f"inputs is a {type(inputs).__name__}: give {{name: value}}, such as "
             f"{{{plant.inputs[0].name if plant.inputs else 'name'!r}: 3e5}}, or a Trajectory"
         )
-    missing = [v.name for v in plant.inputs if v.name not in inputs.names]
+    missing = [v.name for v in plant.inputs if v.name not in inputs]
     if missing:
         raise InputError(f"inputs: the trajectory holds no column {missing[0]!r}")
     return {v.name: (inputs.t, inputs[v.name]) for v in plant.inputs}

@@ -10,7 +10,7 @@ import io
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -144,9 +144,14 @@ class Trajectory:
         return tuple(self._columns)
 
     def variable(self, name: str) -> Variable:
-        """The variable of this name. Raises UnknownNameError with the nearest names."""
+        """The variable of this name, in which "_" may stand for "." (as in tables of others).
+
+        Raises UnknownNameError with the nearest names.
+        """
+        if name in self._columns:
+            return next(v for v in self.variables if v.name == name)
         for variable in self.variables:
-            if name in (variable.name, variable.name.replace(".", "_")):
+            if _plain(name) == _plain(variable.name):
                 return variable
         raise UnknownNameError("column of the trajectory", name, self.names)
 
@@ -154,7 +159,7 @@ class Trajectory:
         return self._columns[self.variable(name).name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._columns
+        return isinstance(name, str) and any(_plain(name) == _plain(n) for n in self._columns)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -357,8 +362,24 @@ class Trajectory:
         for head in header[1:]:
             name, _, unit = head.partition(" [")
             variables.append(Variable(name, "output", unit=unit.rstrip("]") or "1"))
+        if np.any(np.diff(data[:, 0]) == 0.0):
+            return cls._with_jumps(data, variables)
         columns = {v.name: data[:, i + 1] for i, v in enumerate(variables)}
         return cls(data[:, 0], columns, variables, between)
+
+    @classmethod
+    def _with_jumps(cls, data: Array, variables: Sequence[Variable]) -> Trajectory:
+        """Inputs as FMI tools take them: lines between rows, jumps where a time stands twice."""
+        t, first = np.unique(data[:, 0], return_index=True)
+        if np.any(np.diff(first, append=len(data)) > 2) or np.any(np.diff(data[:, 0]) < 0):
+            raise InputError("times must rise, or stand twice where values jump")
+        last = np.append(first[1:], len(data)) - 1
+        rows = data[last, 1:]
+        slopes = (data[first[1:], 1:] - rows[:-1]) / np.diff(t)[:, None]
+        played = PiecewisePolynomial(t, np.stack([rows[:-1], slopes], axis=1))
+        inputs = [replace(v, causality="input") for v in variables]
+        columns = {v.name: rows[:, i] for i, v in enumerate(inputs)}
+        return cls(t, columns, inputs, None, (), played)
 
     @classmethod
     def _read_npz(cls, path: Path) -> Trajectory:
@@ -408,6 +429,10 @@ class Trajectory:
         interactive : a plotly figure instead (needs the extra ``interactive``).
         """
         return courtesy.plot_trajectory(self, names, ax=ax, interactive=interactive)
+
+
+def _plain(name: str) -> str:
+    return name.replace(".", "_")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -16,7 +16,7 @@ from .plausible import doubt, meant_within
 from .quantities import is_quantity, quantity
 from .shown import shown
 
-__all__ = ["Causality", "Memory", "Variable", "variable_of"]
+__all__ = ["Causality", "Memory", "Variable", "data_of_variable", "variable_of"]
 
 Causality = Literal["state", "input", "parameter", "output", "constraint"]
 Memory = Literal["", "held", "settling"]
@@ -190,11 +190,21 @@ _TEXTS = ("name", "causality", "unit", "description", "display_unit", "memory")
 _FLAGS = ("tunable", "disturbance")
 
 
+def data_of_variable(variable: Variable) -> dict[str, Any]:
+    """A variable as JSON takes it, which has no infinity: null in its place."""
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in asdict(variable).items()
+    }
+
+
 def variable_of(said: Mapping[str, Any]) -> Variable:
-    """The Variable that ``dataclasses.asdict`` took apart, as a file tells it.
+    """The Variable that :func:`data_of_variable` or ``dataclasses.asdict`` took apart, as a file
+    tells it.
 
     Raises InputError for a value of a wrong kind, TypeError for a key that no variable has.
     """
+    said = {k: v for k, v in said.items() if v is not None or k not in ("min", "max")}
     for key, value in said.items():
         wanted: Any = str if key in _TEXTS else bool if key in _FLAGS else (int, float)
         if value is None and key == "start":

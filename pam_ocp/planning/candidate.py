@@ -74,7 +74,10 @@ def checked(found: Solved) -> Checked:
 Array: TypeAlias = NDArray[np.float64]
 
 HARDLY = 1.25
-"""Times as many unknowns: a mesh so little finer has next to nothing to gain."""
+FAR = 4.0
+"""Times as many unknowns: a mesh so little finer has next to nothing to gain; and one up to so much
+finer, where the last had not.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +159,8 @@ class Engine:
     ) -> None:
         self.first, self.solver, self.backend, self.settings = first, solver, backend, settings
         self.stages, self._near = stages, backend.near()
-        self._sought = 0
-        """Unknowns of the mesh on which flat costs were last brought to their least."""
+        self._until = 0.0
+        """Unknowns of a mesh up to which flat costs need not be brought to their least again."""
 
     @property
     def work(self) -> float:
@@ -211,11 +214,15 @@ class Engine:
         guess = from_solution(program.problem, program.mesh, near.solution)
         if place == 1.0 and near.outcome.status == SETTLED:
             size = program.nlp["x"].numel()
-            if size <= HARDLY * self._sought:  # costs are flat: the motion next to it
+            if size <= self._until:  # costs are flat: the motion next to it
                 found = self.solve(program, place, guess, "feasible", why)
                 if found.outcome.success:
                     return found
-            self._sought, start = size, "finer"
+            found = self.solve(program, place, guess, "finer", why)
+            objective = near.outcome.objective
+            gained = abs(found.outcome.objective - objective) > self.settings.tie * abs(objective)
+            self._until = size * (HARDLY if gained else FAR)
+            return found
         return self.solve(program, place, guess, start, why)
 
     def beside(self, found: Solved, why: tuple[str, str]) -> Solved | None:

@@ -76,6 +76,8 @@ class Continuation:
                 return None
             if further is not None:
                 c, step, blocked = further, min(s.step, s.grow * step), False
+                if c.place == 1.0:  # the path is done: what it took is not the end's
+                    most = self.engine.work + s.work
                 continue
             step *= s.shrink
 

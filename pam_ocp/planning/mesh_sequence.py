@@ -122,7 +122,7 @@ class MeshSequence:
         total, allowed = sum(c.errors), self.settings.resolved
         if total <= allowed or not self.resolving or not (c.place < 1.0 or self.economical):
             return []
-        finer = self._refined(c, c.errors, allowed / len(c.errors))
+        finer = self._refined(c, c.errors, allowed / 2 / len(c.errors))
         return [(finer, f"dynamics unresolved by {total:.1g}")]
 
     # ---- the objective --------------------------------------------------------------------------

@@ -18,6 +18,8 @@ from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
 from ..judge.motion import judge
 from ..plants.plant import Plant, require_plant
+from ..plants.plant_data import carried
+from ..plants.plant_file import load_plant
 from ..simulation.simulator import evaluated
 from .correction import left_as
 from .problem.formulation import formulate
@@ -84,12 +86,12 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "coefficients": motion.signals.coefficients,
     }
     own, samples = motion._packed()  # Trajectory.load, and so every command, reads the motion
-    return write_npz(target, own | meta, samples | arrays)
+    return write_npz(target, own | meta | carried(plan.plant), samples | arrays)
 
 
 @verb
-def load_plan(path: str | Path, plant: Plant) -> Plan:
-    """Read a plan of ``plant`` and judge it anew.
+def load_plan(path: str | Path, plant: Plant | None = None) -> Plan:
+    """Read a plan of ``plant`` (None: the plant that the file carries) and judge it anew.
 
     Objective, durations, violations and the replay are computed here, from the motion in the file,
     the problem in the file and today's plant, which takes over the parameter values that the plan
@@ -105,8 +107,8 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
     >>> pam.load_plan(path, slide).verified
     True
     """
-    require_plant(plant)
     meta, arrays = _read(Path(path))
+    plant = load_plant(path) if plant is None else require_plant(plant)
     with reading(path, "a plan file", "give one that plan.save() wrote, or plan anew"):
         found = _plan(str(path), meta, arrays, plant)
     if not found.verified:

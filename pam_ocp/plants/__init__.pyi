@@ -9,6 +9,8 @@ from .hanging import HangingLoad as HangingLoad
 from .inversion import Inversion as Inversion
 from .joint import AntagonisticJoint as AntagonisticJoint
 from .plant import Plant as Plant
+from .plant_data import save_plant as save_plant
+from .plant_file import load_plant as load_plant
 from .regulated import PositionFeedback as PositionFeedback
 from .regulated import RegulatedLoad as RegulatedLoad
 from .sensors import Sensor as Sensor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from functools import partial
 from inspect import signature
@@ -10,18 +11,22 @@ from types import FunctionType
 from typing import Any
 
 from ..core.errors import InputError, UnknownNameError
+from ..core.files import read_toml, reading, said_in
 from ..core.own_code import module_of
 from ..core.quantities import known_keys, quantity, table
 from ..core.registry import Registry, registry_of
+from ..core.stop import verb
 from ..muscles.catalogue import muscle as catalogue_muscle
 from ..muscles.muscle_file import ENDINGS, load_muscle
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import PLANTS
 from .plant import Plant
+from .plant_data import SYSTEM, plant_of_data
 
 __all__ = [
     "builder_of",
     "component_of",
+    "load_plant",
     "member_of",
     "muscle_of",
     "named_plant",
@@ -29,6 +34,8 @@ __all__ = [
     "require_allowed",
 ]
 
+CARRYING = (".json", ".npz")
+"""Endings of files that may carry a plant."""
 OWN = "FILE.py:NAME"
 """How a plant of one's own is named."""
 
@@ -62,11 +69,14 @@ def named_plant(
     allow_code: bool = False,
     **parts: Any,
 ) -> Plant:
-    """A plant of the library with its defaults ("AntagonisticSlide" or "antagonistic_slide"), or a
-    user's: FILE.py:NAME, NAME being a Plant or a function that takes a muscle and returns one.
+    """A plant of the library with its defaults ("AntagonisticSlide" or "antagonistic_slide"), the
+    one that a file carries (see :func:`load_plant`), or a user's: FILE.py:NAME, NAME being a Plant
+    or a function that takes a muscle and returns one.
 
     allow_code : FILE.py may be run; without it InputError says why not. parts : further arguments.
     """
+    if name.lower().endswith(CARRYING):
+        return load_plant((folder or Path()) / name)
     file, colon, member = name.rpartition(":")
     if not colon:
         made: Plant = PLANTS.find("plant", name, OWN)(muscle, **parts)
@@ -234,3 +244,35 @@ def member_of(file: Path, member: str) -> Any:
     if not hasattr(module, member):
         raise UnknownNameError(f"name in {file}", member, [n for n in vars(module) if n[0] != "_"])
     return getattr(module, member)
+
+
+@verb
+def load_plant(path: str | os.PathLike[str], *, allow_code: bool = False) -> Plant:
+    """The plant that a file describes or carries.
+
+    path : .json of :func:`save_plant` or of a fit of a plant (with its fitted values), .npz of a
+        plan, a motion or a closed loop, or .toml with a table [plant]. allow_code : a table may
+        name FILE.py:NAME, which runs that file.
+
+    Raises InputError for a file without a plant.
+
+    Examples
+    --------
+    >>> pam.load_plant(plan.save("plan.npz")).name
+    'antagonistic_slide'
+    """
+    name, ending = os.fspath(path), Path(path).suffix.lower()
+    remedy = "give a file that save_plant(), plan.save() or 'pam-ocp simulate --out' wrote"
+    if ending == ".toml":
+        content: Any = read_toml(path)
+        with reading(path, "a plant", "give it a table [plant], as for 'pam-ocp plan'"):
+            where, folder = f"{name}: plant", Path(path).parent
+            return plant_of(content.get("plant"), where, folder, allow_code=allow_code)
+    if ending not in CARRYING:
+        raise InputError(f"{name}: a plant is read from .json, .npz or .toml; {remedy}")
+    content = said_in(path)
+    if SYSTEM not in content:
+        kind = content.get("format", "pam_ocp motion")
+        raise InputError(f"{name} ({kind}) carries no plant; {remedy}")
+    with reading(path, "a plant", remedy):
+        return plant_of_data(content[SYSTEM])

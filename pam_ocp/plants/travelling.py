@@ -67,7 +67,7 @@ class Travelling(Declaration):
         """Openings and paths from what has travelled; gives the columns of the equations."""
         function, openings = state["function"], state["openings"]
         symbols = [ca.SX.sym(v.name) for v, _ in openings]
-        paths = [ca.SX.sym(f"way{i}") for i in range(function.numel_in(4))]
+        paths = [ca.SX.sym(f"way{i}") for i in range(len(state["paths"]))]
         *columns, in_commands, in_openings, forward, inverse, carried = function(
             *known, ca.vertcat(*symbols), ca.vertcat(*paths)
         )

@@ -1,4 +1,5 @@
 # Names of pam_ocp.studies, loaded at their first use.
+from .file_kinds import load as load
 from .from_table import Quick as Quick
 from .from_table import quick as quick
 from .loads import LoadStudy as LoadStudy

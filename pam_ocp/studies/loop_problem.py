@@ -164,7 +164,8 @@ def _sensors(given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _plant(study: Mapping[str, Any]) -> Plant:
     """The model: by name, or from the file's table."""
-    from ..plants.plant_file import muscle_of, named_plant, plant_of
+    from ..plants.plant_file import muscle_of, plant_of
+    from .file_kinds import plant_called
 
     folder, given = study.get("folder"), study["plant"]
     if isinstance(given, Plant):
@@ -175,7 +176,7 @@ def _plant(study: Mapping[str, Any]) -> Plant:
     else:
         typed = given == study["file"]  # on the command line: that is the consent
         muscle = muscle_of(study["muscle"], folder=folder)
-        plant = named_plant(given, muscle, folder, allow_code=typed or study["allow_code"])
+        plant = plant_called(given, muscle, folder, allow_code=typed or study["allow_code"])
     return plant.with_values(_values("set", plant, study["set"]))
 
 

@@ -1,12 +1,9 @@
-"""Dynamic fits in files of JSON. The plant's equations are code:
-they are given again when reading.
-"""
+"""Dynamic fits in files of JSON, which carry their plant."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +13,10 @@ from ...core.errors import InputError
 from ...core.files import read_json, reading, write_json
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
-from ...core.variables import Variable, variable_of
+from ...core.variables import data_of_variable, variable_of
 from ...plants.plant import Plant, require_plant
+from ...plants.plant_data import carried
+from ...plants.plant_file import load_plant
 from ..statistics import Array, Linearisation
 from .plant_fit import PlantFit
 
@@ -60,7 +59,7 @@ def write_plant_fit(fit: PlantFit, path: str | os.PathLike[str]) -> Path:
         "fitted": {n: c.value for n, c in fit.coefficients.items()},
         "stderr": {n: c.stderr for n, c in fit.coefficients.items() if np.isfinite(c.stderr)},
         "rmse": fit.rmse,
-        "fit_percent": fit.fit_percent,
+        "fit_percent": {n: v if np.isfinite(v) else None for n, v in fit.fit_percent.items()},
         "warnings": list(fit.warnings),
         **{n: _plain(getattr(fit, n)) for n in _PLAIN},
         **{n: _plain(getattr(fit, n)) for n in _TUPLES},
@@ -78,14 +77,15 @@ def write_plant_fit(fit: PlantFit, path: str | os.PathLike[str]) -> Path:
         "records": [_record(r, r.names) for r in fit.records],
         "simulated": [_record(r, fit.measured) for r in fit.simulated],
     }
-    return write_json(path, content)
+    return write_json(path, content | carried(fit.plant))
 
 
 @verb
-def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
+def load_plant_fit(path: str | os.PathLike[str], plant: Plant | None = None) -> PlantFit:
     """Read what :meth:`PlantFit.save` wrote.
 
-    plant : the same plant (any parameter values); the fitted values are set on it.
+    plant : the same plant (any parameter values), on which the fitted values are set; None: the one
+        that the file carries.
 
     Raises InputError for a file that holds no fit, or one of another plant.
 
@@ -96,8 +96,8 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
     10.00 kg
     """
     name = os.fspath(path)
-    require_plant(plant)
     content = read_json(path, "a fit of a plant", FORMAT, "PlantFit.save() writes one")
+    plant = load_plant(path) if plant is None else require_plant(plant)
     with reading(path, "a fit of a plant", "give one that PlantFit.save() wrote"):
         _require_same(name, content, plant)
         linear = dict(content["linearisation"])
@@ -150,24 +150,11 @@ def _record(record: Trajectory, names: Sequence[str]) -> dict[str, Any]:
     return {
         "t": record.t.tolist(),
         "columns": {n: record[n].tolist() for n in names},
-        "variables": [_variable(record.variable(n)) for n in names],
+        "variables": [data_of_variable(record.variable(n)) for n in names],
         "interpolation": record.interpolation if record.interpolation_known else None,
     }
 
 
-def _variable(variable: Variable) -> dict[str, Any]:
-    """As JSON, which has no infinity: null in its place."""
-    content = asdict(variable)
-    return {
-        k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in content.items()
-    }
-
-
 def _trajectory(content: Mapping[str, Any]) -> Trajectory:
-    variables = []
-    for saved in content["variables"]:
-        given = dict(saved)
-        for key, end in (("min", -np.inf), ("max", np.inf)):
-            given[key] = end if given.get(key) is None else given[key]
-        variables.append(variable_of(given))
+    variables = [variable_of(said) for said in content["variables"]]
     return Trajectory(content["t"], content["columns"], variables, content["interpolation"])

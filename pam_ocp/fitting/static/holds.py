@@ -22,6 +22,7 @@ from ...core.files import write_json
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, require_plant
+from ...plants.plant_data import carried
 from ..estimates import Estimates, at_edge, correlation_lines
 from ..statistics import Array, Coefficient, Linearisation
 from ..tables.headers import named_branch
@@ -205,7 +206,7 @@ class HoldsFit(Estimates):
             "side": self.side.tolist(),
             "warnings": list(self.warnings),
         }
-        return write_json(path, content)
+        return write_json(path, content | carried(self.plant))
 
 
 def _variances(jacobian: Array) -> Array:

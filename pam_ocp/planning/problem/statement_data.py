@@ -5,25 +5,19 @@ A formula stands as the operations of CasADi, one by one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ...core.errors import InputError, require_finite
+from ...core.errors import require_finite
+from ...core.expressions import operations_of, results_of
 from ...judge.asked import unit_of_sum
 from ...judge.statement import TIME, Avoid, Constraint, Phase, Profile, Statement, Stop, subject
 from ...plants.plant import Plant
 
 __all__ = ["data_of", "statement_of"]
-
-_CODES: dict[int, str] = {
-    value: name[3:]
-    for name, value in vars(ca).items()
-    if name.startswith("OP_") and isinstance(value, int)
-}
-_NUMBERS = {name: code for code, name in _CODES.items()}
 
 
 # ---- writing ------------------------------------------------------------------------------------
@@ -96,15 +90,7 @@ class _Writer:
         plant = self.plant
         column = ca.vertcat(ca.SX(0, 1), *self.formulas)
         function = ca.Function("formulas", [plant.x, plant.u, plant.p, TIME], [column])
-        found: list[Any] = []
-        for k in range(function.n_instructions()):
-            code = _CODES.get(function.instruction_id(k), "?")
-            if code in ("CALL", "?"):
-                raise InputError("a formula of this plan calls a function, which no file can hold")
-            out, into = function.instruction_output(k), function.instruction_input(k)
-            value = function.instruction_constant(k) if code == "CONST" else list(into)
-            found.append([code, list(out), value])
-        return found
+        return operations_of(function)
 
 
 def data_of(plant: Plant, statement: Statement) -> dict[str, Any]:
@@ -144,7 +130,7 @@ def statement_of(plant: Plant, said: Mapping[str, Any]) -> Statement:
     Raises KeyError, TypeError, ValueError or IndexError for what is no statement.
     """
     arguments = [plant.x, plant.u, plant.p, TIME]
-    formulas = _formulas(said["operations"], arguments, int(said["formulas"]))
+    (formulas,) = results_of(said["operations"], arguments, [int(said["formulas"])])
 
     def formula(number: int | None) -> ca.SX | None:
         return None if number is None else formulas[number]
@@ -198,23 +184,3 @@ def _value(said: Any) -> Any:
         return Profile(content["t"], content["values"], bool(content["smooth"]))
     values = [_value(each) for each in content]
     return tuple(values) if kind == "range" else values
-
-
-def _formulas(operations: Sequence[Any], arguments: Sequence[ca.SX], count: int) -> list[ca.SX]:
-    """The expressions that a list of operations makes of the arguments."""
-    work: dict[int, ca.SX] = {}
-    found = [ca.SX(0)] * count
-    for code, out, value in operations:
-        if code not in _NUMBERS:
-            raise InputError(f"unknown operation {code!r}")
-        if code == "CONST":
-            work[out[0]] = ca.SX(float(value))
-        elif code == "INPUT":
-            work[out[0]] = arguments[value[0]][value[1]]
-        elif code == "OUTPUT":
-            found[out[1]] = work[value[0]]
-        else:
-            given = [work[i] for i in value]
-            made = ca.SX.binary if len(given) == 2 else ca.SX.unary
-            work[out[0]] = made(_NUMBERS[code], *given)
-    return found
