@@ -82,8 +82,6 @@ from .plants.elastic import SpringOverMuscle as SpringOverMuscle
 from .plants.hanging import HangingLoad as HangingLoad
 from .plants.joint import AntagonisticJoint as AntagonisticJoint
 from .plants.plant import Plant as Plant
-from .plants.plant_data import save_plant as save_plant
-from .plants.plant_file import load_plant as load_plant
 from .plants.regulated import PositionFeedback as PositionFeedback
 from .plants.regulated import RegulatedLoad as RegulatedLoad
 from .plants.slide import AntagonisticSlide as AntagonisticSlide

@@ -60,8 +60,58 @@ class WriteError(InputError, OSError):
         self.errno = errno
 
 
-_MEANT = {"energy": "work", "exertion": "effort", "duration": "time", "fastest": "time"}
-"""Words of the field for a name that is spelled quite otherwise."""
+_WORDS = {
+    "work": "energy mechanical_energy",
+    "effort": "exertion control_effort",
+    "time": "duration fastest quickest minimum_time min_time",
+    "air": "consumption air_consumption gas air_mass",
+    "rate": "jerk smoothness smooth slew slew_rate",
+    "minimise": "objective cost goal criterion",
+    "stops": "waypoints targets points path positions",
+    "bounds": "limits box constraints_on",
+    "cyclic": "periodic repeat closed",
+    "x": "position displacement pos stroke travel",
+    "q": "angle theta phi position",
+    "v": "velocity speed",
+    "mass": "weight load payload m",
+    "feed": "valve regulator supply pressure_source",
+    "losses": "friction hysteresis creep",
+    "sample_time": "dt ts step sampling period",
+    "duration": "t_end tend tf",
+    "muscle.pressure muscle1.pressure": "p p1 pressure pressure1",
+    "muscle2.pressure": "p2 pressure2",
+    "muscle.command muscle1.command": "u u1 p p1 pressure command",
+    "muscle2.command": "u2 p2 command2",
+    "muscle.force muscle1.force": "f f1 force tension",
+    "lb": "pound pounds lbs",
+    "in": "inch inches",
+    "N": "newton newtons",
+    "Pa": "pascal pascals",
+    "deg": "degree degrees",
+    "mm": "millimeter millimetre millimeters millimetres",
+    "m": "meter metre meters metres",
+    "s": "second seconds sec",
+    "%": "percent",
+}
+"""Words of the field for names that are spelled quite otherwise."""
+
+
+_LONG = 4
+"""Letters of a word that is looked for as the beginning or the end of a name."""
+
+
+def nearest(name: object, known: Iterable[str], cutoff: float = 0.4) -> list[str]:
+    """The known names that were probably meant, three at most: in other letters, by the field's
+    words, as a part of the name, else by their spelling.
+    """
+    known, word = list(known), str(name).lower()
+    same = [n for n in known if n.lower() == word]
+    meant = [n for names, words in _WORDS.items() if word in words.split() for n in names.split()]
+    found = same or [n for n in dict.fromkeys(meant) if n in known]
+    if not found and len(word) >= _LONG:
+        found = [n for n in known if n.lower().startswith(word)]
+        found = found or [n for n in known if n.lower().endswith(word)]
+    return found[:3] or difflib.get_close_matches(str(name), known, n=3, cutoff=cutoff)
 
 
 class UnknownNameError(InputError):
@@ -76,9 +126,7 @@ class UnknownNameError(InputError):
 
     def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
         known = list(known)
-        meant = _MEANT.get(str(name).lower())
-        near = difflib.get_close_matches(str(name), known, n=3, cutoff=0.4)
-        near = [meant] if meant in known else near
+        near = nearest(name, known)
         if near:
             hint = f"did you mean {' or '.join(repr(n) for n in near)}?"
         elif len(known) <= 30:

@@ -6,7 +6,7 @@ import ast
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,6 +14,15 @@ from typing import Any
 from .interrupts import interruptible
 
 __all__ = ["from_stub", "lazily", "load"]
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    if name.startswith("_"):
+        return ""
+    from .exceptions import nearest
+
+    near = nearest(name, known, 0.7)
+    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def load(name: str) -> ModuleType:
@@ -35,7 +44,7 @@ def lazily(
 
     def __getattr__(name: str) -> Any:
         if name not in homes:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+            raise AttributeError(f"module {module!r} has no attribute {name!r}{_hint(name, homes)}")
         value = getattr(load(f"{package}.{homes[name]}"), name)
         vars(sys.modules[module])[name] = value
         return value
@@ -65,7 +74,7 @@ def from_stub(
 
     def __getattr__(name: str) -> Any:
         if name not in homes:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+            raise AttributeError(f"module {module!r} has no attribute {name!r}{_hint(name, homes)}")
         place, submodule = homes[name]
         if submodule:
             return load(f"{place}.{name}")

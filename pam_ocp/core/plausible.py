@@ -154,13 +154,34 @@ def meant_within(value: float, unit: str, low: float, high: float) -> str:
     """A remedy for a value outside ``low`` .. ``high``: the unit in which it lies inside, or ""."""
     usual = _BY_KIND.get(unit_of(unit).exponents)
     names = usual.units if usual else ("%",) if unit == "1" else ()
-    for name in names:
-        inside = _in_si(value, name)
-        if low <= inside <= high and _typed(value):
-            return (
-                f"; did you mean {value:g} {name} = {inside:g}{'' if unit == '1' else f' {unit}'}?"
-            )
-    return ""
+    size = max(abs(v) for v in (low, high) if math.isfinite(v)) if _ends(low, high) else 0.0
+    found = []
+    for said in ("", *names):  # the unit that was said, "" for SI, and the one that was meant
+        number = value if not said else _as_said(value, said)
+        for name in names:
+            inside = _in_si(number, name)
+            if low <= inside <= high and inside != 0.0 and name != said and _typed(number):
+                away = abs(math.log(abs(inside) / size)) if size > 0 else 0.0
+                unlikely = (away > math.log(NEAR)) + 2 * (abs(number) < 1.0) + bool(said)
+                found.append((unlikely, number, name, inside))
+    if not found:
+        return ""
+    _, number, name, inside = min(found, key=lambda each: each[0])
+    return f"; did you mean {number:g} {name} = {inside:g}{'' if unit == '1' else f' {unit}'}?"
+
+
+NEAR = 30.0
+"""Times that a value is less than the largest possible: still likely."""
+
+
+def _ends(low: float, high: float) -> bool:
+    return math.isfinite(low) or math.isfinite(high)
+
+
+def _as_said(value: float, unit: str) -> float:
+    """The number that a person said in a unit, of its value in SI."""
+    number = value - ZERO_CELSIUS if unit == "degC" else value / unit_of(unit).factor
+    return float(f"{number:.12g}")
 
 
 def inside_by(numbers: Mapping[str, float], now: str = "") -> list[str]:
@@ -183,12 +204,18 @@ def inside_by(numbers: Mapping[str, float], now: str = "") -> list[str]:
 
 
 def doubt(
-    argument: str, value: Any, unit: str, *, nominal: float = 0.0, time_constant: bool = False
+    argument: str,
+    value: Any,
+    unit: str,
+    *,
+    nominal: float = 0.0,
+    time_constant: bool = False,
+    within: tuple[float, float] = (-math.inf, math.inf),
 ) -> bool:
     """Warn (UnitWarning) when the numbers ``value`` [unit] are far from any usual ones; True then.
 
     Of arrays the largest number counts. nominal : a size at which large numbers are no wonder.
-    time_constant : seconds of a lag, not of a duration.
+    time_constant : seconds of a lag, not of a duration. within : where the quantity can be.
     """
     if isinstance(value, float):
         largest = value
@@ -201,6 +228,8 @@ def doubt(
     if usual is None or probable is None or (large and abs(largest) < FAR * nominal):
         return False
     hint = f"did you mean {probable}?" if probable else usual.remedy
+    if not within[0] <= largest <= within[1]:
+        hint = meant_within(largest, unit, *within).removeprefix("; ") or hint
     warnings.warn(
         f"{argument} = {largest:g} {unit} is far from any usual value; {hint}",
         UnitWarning,

@@ -11,7 +11,6 @@ by one lock.
 
 from __future__ import annotations
 
-import difflib
 import functools
 import inspect
 import math
@@ -23,6 +22,7 @@ from types import FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from .errors import OutOfTime, require_positive
+from .exceptions import nearest
 from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
 
 __all__ = [
@@ -249,7 +249,7 @@ def require_known_keywords(
     wrong = next((n for n in given if n not in known), None)
     if wrong is None or any(p.kind is p.VAR_KEYWORD for p in known.values()):
         return
-    near = difflib.get_close_matches(wrong, known, 3, 0.6)
+    near = nearest(wrong, known, 0.6)
     has = " or ".join(near) if near else ", ".join(n for n in known if n != "self")
     raise TypeError(
         f"{name.removesuffix('.__init__')}() has no argument {wrong!r}; "

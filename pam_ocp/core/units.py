@@ -45,6 +45,7 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "1": (_exponents(), 1.0),
     "%": (_exponents(), 0.01),
     "kg": (_exponents(kg=1), 1.0),
+    "lb": (_exponents(kg=1), 0.45359237),
     "g": (_exponents(kg=1), 1e-3),
     "m": (_exponents(m=1), 1.0),
     "mm": (_exponents(m=1), 1e-3),

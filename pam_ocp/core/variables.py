@@ -160,6 +160,7 @@ class Variable:
             self.unit,
             nominal=self.nominal,
             time_constant=constant,
+            within=(self.min, self.max),
         )
 
     def with_start(self, value: Any) -> Variable:

@@ -168,6 +168,7 @@ def _surroundings(plant: Plant) -> dict[str, float]:
     u, p = plant.vector("input"), plant.vector("parameter")
     sizes = plant.vector("state", attribute="nominal")
     x = plant.vector("state")
+    ends = [plant.vector("state", attribute=which) for which in ("min", "max")]
     own = [names.index(n) for n in marked]
     for span in SPANS:
         try:
@@ -176,7 +177,8 @@ def _surroundings(plant: Plant) -> dict[str, float]:
             )
         except SimulationError:
             return {}
-        x = np.array([run[n][-1] for n in names])
+        # positions may have left their range meanwhile, and surroundings do not ask for them
+        x = np.clip([run[n][-1] for n in names], *ends)
         still = np.asarray(plant.function(x, u, p)[0], float) / sizes[:, None]
         if np.abs(still[own]).max() <= CREEPS:
             break

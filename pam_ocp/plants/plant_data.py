@@ -94,15 +94,15 @@ def plant_of_data(said: Mapping[str, Any]) -> Plant:
 
 
 def save_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
-    """Write a plant with its values as .json, which :func:`pam_ocp.load_plant` and all commands
-    read.
+    """Write a plant with its values as .json, which :func:`pam_ocp.plants.load_plant` and all
+    commands read.
 
     Raises InputError for another ending, and for equations that call a function of the user's.
 
     Examples
     --------
-    >>> path = pam.save_plant(slide, "slide.json")
-    >>> pam.load_plant(path).names("state") == slide.names("state")
+    >>> path = pam.plants.save_plant(slide, "slide.json")
+    >>> pam.plants.load_plant(path).name == slide.name
     True
     """
     require_plant(plant)

@@ -258,7 +258,7 @@ def load_plant(path: str | os.PathLike[str], *, allow_code: bool = False) -> Pla
 
     Examples
     --------
-    >>> pam.load_plant(plan.save("plan.npz")).name
+    >>> pam.plants.load_plant(plan.save("plan.npz")).name
     'antagonistic_slide'
     """
     name, ending = os.fspath(path), Path(path).suffix.lower()

@@ -245,7 +245,7 @@ def require_role(path: str | os.PathLike[str], role: Role) -> None:
 
 
 def plant_in(path: str | os.PathLike[str], *, allow_code: bool = False) -> Plant:
-    """The plant that a file describes or carries; see :func:`pam_ocp.load_plant`."""
+    """The plant that a file describes or carries; see :func:`pam_ocp.plants.load_plant`."""
     _required(Path(path), "plant")
     return load_plant(path, allow_code=allow_code)
 
