@@ -385,11 +385,18 @@ class Trajectory:
     def _read_npz(cls, path: Path) -> Trajectory:
         content, arrays = read_npz(path, "a trajectory")
         if "data" not in arrays and "states" in arrays:
-            raise InputError(
-                f"{path} is a plan of a former version, without its motion: "
-                "load_plan(path, plant).save(path) writes both into one file"
-            )
+            return cls._of_former_plan(content, arrays)
         return cls._from_meta(content, arrays["t"], arrays["data"])
+
+    @classmethod
+    def _of_former_plan(cls, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> Trajectory:
+        """States and inputs of a plan of versions 0.1 and 0.2, which kept SI without its units."""
+        played = PiecewisePolynomial(arrays["breaks"], arrays["coefficients"])
+        states = [Variable(name, "state") for name in content["states"]]
+        inputs = [Variable(name, "input") for name in content["inputs"]]
+        values = np.column_stack([arrays["states"], played(arrays["t"])])
+        columns = {v.name: c for v, c in zip(states + inputs, values.T, strict=True)}
+        return cls(arrays["t"], columns, states + inputs, None, (), played)
 
     @classmethod
     def _read_parquet(cls, path: Path) -> Trajectory:

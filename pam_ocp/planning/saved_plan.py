@@ -283,7 +283,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     if meta.get("format") in FORMER:
         raise InputError(
             f"{path} was written by a former version, which did not keep what was asked for in "
-            "words that can be judged; plan anew"
+            "words that can be judged: Trajectory.load(path) reads its motion, to simulate or to "
+            "compare; for a verdict plan anew"
         )
     remedy = f"save one of this version ({FORMAT}) by plan.save(...)"
     return require_format(path, meta, "a plan file", FORMAT, remedy), arrays

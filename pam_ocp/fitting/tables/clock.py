@@ -424,6 +424,21 @@ def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTabl
     return raw.taken(kept, *notes), t[kept]
 
 
+def rows_before_jumps(raw: RawTable, header: str, t: Array) -> NDArray[np.intp]:
+    """Rows that a table of held inputs (FMI) repeats at the time of a jump, with the values before.
+
+    None where any repeated time is something else, as the ticks of a coarse clock.
+    """
+    still = np.nonzero(np.diff(t) == 0)[0]
+    none = still[:0]
+    if not still.size or still[0] == 0 or np.any(np.diff(still) == 1):
+        return none
+    columns = [raw.numbers(h) for h in raw.columns if h != header]
+    held = all(np.array_equal(c[still], c[still - 1]) for c in columns)
+    jumps = any(np.any(c[still] != c[still + 1]) for c in columns)
+    return still if held and jumps else none
+
+
 def _spread(t: Array) -> tuple[Array, str]:
     """Times of a clock that is coarser than the record: evenly between its ticks."""
     starts = np.concatenate([[0], 1 + np.nonzero(np.diff(t) > 0)[0]])

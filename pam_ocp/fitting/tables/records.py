@@ -16,7 +16,7 @@ from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
-from .clock import Clock, doubts_of_clock, find_clock, mended, parts_of, read_clock
+from .clock import Clock, doubts_of_clock, find_clock, mended, parts_of, read_clock, rows_before_jumps
 from .columns import check_size, display_of, record_scale, record_variables
 from .doubts import (
     Column,
@@ -270,6 +270,11 @@ def record_parts(
     timed = replace(raw, columns={**used, header: t.tolist()})
     timed = complete(timed, [header, *used], words.empty)
     t = timed.numbers(header)
+    before = rows_before_jumps(timed, header, t)
+    if before.size:
+        between = between or "previous"
+        said = f"{before.size} times stand twice, as in FMI's tables of held inputs: taken as jumps"
+        timed, t = timed.taken(np.delete(np.arange(t.size), before), said), np.delete(t, before)
     if words.clock != "refuse":
         timed, t = mended(timed, header, t, factor)
     spans = parts_of(timed, header, t, words.max_gap, words.clock == "cut")
