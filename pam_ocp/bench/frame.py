@@ -97,11 +97,10 @@ class Bench:
         """Start a coroutine of a tab from where nothing can be awaited; its errors are shown."""
 
         async def run() -> None:
-            with self.shown_errors():
+            with self.client, self.shown_errors():  # a task has a stack of slots of its own
                 await handler()
 
-        with self.client:
-            background_tasks.create(run())
+        background_tasks.create(run())
 
     def script(self) -> str:
         """What was done in this session, as a script."""

@@ -127,7 +127,8 @@ def quick(
 
     Parameters
     ----------
-    source : as for :func:`pam_ocp.read_table`, which takes ``reading``, too (columns, units, ...).
+    source : a ForceTable, or as for :func:`pam_ocp.read_table`, which takes ``reading``, too
+        (columns, units, ...).
     into : folder for muscle.toml, plan.npz, plant.fmu, report.html, fit.xlsx.
     rest_length : of the muscle [m]; where the table holds contractions 0.3 m is assumed.
     diameter : inner diameter at rest [m]; only flows through valves need it.
@@ -206,8 +207,13 @@ class _Work:
         self, source: Any, rest_length: Any, law: Any, reading: Mapping[str, Any]
     ) -> tuple[ForceTable, ForceFit, LawComparison | None]:
         length = None if rest_length is None else quantity("rest_length", rest_length, "m")
-        with self._heard("reading", needed=True):
-            table = read_table(source, rest_length=length, **reading)
+        if isinstance(source, ForceTable):
+            table = source
+            if reading:
+                raise InputError(f"{', '.join(reading)}: a ForceTable has been read already")
+        else:
+            with self._heard("reading", needed=True):
+                table = read_table(source, rest_length=length, **reading)
         named = [law] if isinstance(law, str) else law
         with self._heard("law", needed=True):
             comparison = compare_laws(table, named)
@@ -317,7 +323,8 @@ class _Work:
             with self._heard(what):
                 write(folder / NAMES[what])
                 files[what] = folder / NAMES[what]
-        name = Path(source).name if isinstance(source, str | os.PathLike) else "a table"
+        named = source if isinstance(source, str | os.PathLike) else fit.table.source or "a table"
+        name = Path(named).name
         said = [f"{step.capitalize()}: {words}." for step, words in self.assumptions.items()]
         doubts = [f"In doubt, {words}." for words in dict.fromkeys(self.doubts)]
         made_from = isinstance(source, str | os.PathLike) and Path(source).is_file()

@@ -56,6 +56,9 @@ def test_from_a_dropped_file_to_a_checked_fmu_and_a_script_with_the_same_figures
     tab(hand, "Export")
     hand.press("Export FMU and check it")
     hand.sees("checked: all well")
+    hand.press("Write report")
+    report = server.folder / hand.session / "exports" / "report.html"
+    hand.until(report.exists, "a report")
     hand.press("Run it and compare")
     hand.sees("The script gives all")
     shown = {

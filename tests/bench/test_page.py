@@ -3,6 +3,7 @@
 import json
 import re
 import time
+import zipfile
 
 import numpy as np
 import pytest
@@ -95,6 +96,19 @@ def test_data_what_is_damaged_or_a_bomb_is_refused_in_words(hand, server, tmp_pa
     hand.drop(broken)
     hand.sees("cannot be read")
     assert server.state(hand.session)["data"] == [] if _saved(server, hand) else True
+
+
+def test_data_one_button_makes_one_page_with_all_its_files(hand, server):
+    bundled(hand)
+    hand.press("Make one page")
+    hand.sees("Assumed:")
+    assert "verified" in hand.text
+    (packed,) = (server.folder / hand.session / "exports").glob("*.zip")
+    with zipfile.ZipFile(packed) as archive:
+        names = {name.rpartition("/")[2] for name in archive.namelist()}
+        page = archive.read("DMSP-20-300_static/report.html").decode()
+    assert names == {"muscle.toml", "plan.npz", "plant.fmu", "report.html", "fit.xlsx"}
+    assert "From DMSP-20-300_static.csv to a motion" in page
 
 
 def _saved(server, hand):

@@ -53,7 +53,7 @@ def test_a_plan_keeps_its_motion_and_says_that_it_cannot_be_judged(version: str)
     again = pam.simulate(slide("0.2"), motion, start=start, rtol=1e-9)
     if version == "0.2":  # today's slide has the damping that was said
         assert np.interp(motion.t, again.t, again["x"]) == pytest.approx(motion["x"], abs=2e-6)
-    with pytest.raises(pam.InputError, match="former version.*Trajectory.load"):
+    with pytest.raises(pam.InputError, match=r"former version.*Trajectory\.load"):
         pam.load_plan(path, slide(version))
 
 

@@ -28,8 +28,10 @@ from ...export.ssp import export_ssp
 from ...figures.report import write_report
 from ...operating.linear import equilibrium
 from ...simulation.simulator import simulate
+from ...studies.from_table import quick
 from ..made import muscle_of, plant_of, source_of, table_of
 from ..script import figures_said
+from ..session import safe_name
 from ..work import Say
 from .control import controller_of, loop_figures, loop_of
 from .motion import motion_figures, plan_of
@@ -39,6 +41,7 @@ __all__ = [
     "c_code",
     "fmu",
     "fresh_figures",
+    "one_page",
     "report",
     "same",
     "script_checked",
@@ -180,6 +183,20 @@ def report(say: Say, folder: Path, state: State, title: str, allow_code: bool) -
         sources=sources,
     )
     return {"file": path.name, "size": path.stat().st_size, "ok": True, "words": path.name}
+
+
+def one_page(say: Say, folder: Path, item: Mapping[str, Any]) -> dict[str, Any]:
+    """The whole chain from a table at its defaults (:func:`pam_ocp.studies.quick`), as one .zip."""
+    say(None, "laws, motion, linearisation, FMU, report")
+    with tempfile.TemporaryDirectory() as place:
+        made = quick(table_of(folder, item), place)
+        stem = safe_name(Path(item["name"]).stem)
+        path = _place(folder, f"{stem}.zip")
+        with atomic_path(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in made.files.values():
+                archive.write(file, f"{stem}/{file.name}")
+        words = made.report().partition("\n\nWritten:")[0]
+    return {"file": path.name, "words": words}
 
 
 # ---- the script ----------------------------------------------------------------------------------

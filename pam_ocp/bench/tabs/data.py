@@ -17,6 +17,7 @@ from .. import elements as el
 from .. import look
 from ..guard import MOST_UPLOAD
 from ..jobs.data import look_at
+from ..jobs.export import one_page
 from ..script import data_lines
 from ..tab import Tab
 
@@ -45,6 +46,7 @@ class Data(Tab):
     def build(self) -> None:
         self._seen: dict[str, Any] | None = None
         self._seen_of: tuple[Any, ...] = ()
+        self._quick_words: dict[str, str] = {}
         with el.split():
             with el.side():
                 with el.section("Add data", "CSV, TXT, XLSX, NPZ, MAT, HDF5, JSON, Parquet"):
@@ -53,6 +55,8 @@ class Data(Tab):
                     self._list = ui.element("div")
                 with el.section("How it is read"):
                     self._reading = ui.element("div")
+                with el.section("One page from this table"):
+                    self._quick_box = ui.element("div")
             with el.plots():
                 with el.section("Preview", wide=True) as self._words:
                     self._plot = el.Plot(look.figure([]), "Force over contraction", self._clicked)
@@ -178,7 +182,7 @@ class Data(Tab):
     # ---- how it is read -------------------------------------------------------------------------
     def _show(self) -> None:
         item, seen = self._item, self._seen
-        for place in (self._reading, self._columns, self._said):
+        for place in (self._reading, self._columns, self._said, self._quick_box):
             place.clear()
         self._words.set_text("")
         if item is None:
@@ -193,6 +197,8 @@ class Data(Tab):
             self._column_table(item, seen)
         with self._said:
             self._understood(seen)
+        with self._quick_box:
+            self._quick_fields("cells" in seen)
         self._words.set_text(seen.get("reads_as") or seen["problem"])
         if "records" in seen:
             self._plot.draw(_record_figure(seen))
@@ -345,6 +351,30 @@ class Data(Tab):
             for one in words:
                 el.note(f"{title}: {one}", kind)
         el.tag("pre", seen["call"], "bench-pre")
+
+    # ---- one page -------------------------------------------------------------------------------
+    def _quick_fields(self, table: bool) -> None:
+        if not table:
+            el.note("It needs a force table that can be read.")
+            return
+        el.note(
+            "Ranks the laws, builds a pair of such muscles, plans its quickest motion, linearises "
+            "it and exports it; report, workbook, FMU, plan and muscle file in one .zip."
+        )
+        el.button("Make one page", lambda: self.bench.soon(self._quick))
+        words = self._quick_words.get(str(self.state["chosen"]))
+        if words:
+            el.tag("pre", words, "bench-pre")
+
+    async def _quick(self) -> None:
+        item = self._item
+        if item is None:
+            return
+        made = await self.bench.work("One page", one_page, self.bench.folder, item)
+        path = self.bench.folder / "exports" / made["file"]
+        el.download(path.read_bytes(), path.name)
+        self._quick_words[item["id"]] = made["words"]
+        self._show()
 
     # ---- cells ----------------------------------------------------------------------------------
     def _table_figure(self, item: Mapping[str, Any], cells: Any) -> dict[str, Any]:

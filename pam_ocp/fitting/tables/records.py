@@ -16,7 +16,15 @@ from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
-from .clock import Clock, doubts_of_clock, find_clock, mended, parts_of, read_clock, rows_before_jumps
+from .clock import (
+    Clock,
+    doubts_of_clock,
+    find_clock,
+    mended,
+    parts_of,
+    read_clock,
+    rows_before_jumps,
+)
 from .columns import check_size, display_of, record_scale, record_variables
 from .doubts import (
     Column,
