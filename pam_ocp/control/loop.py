@@ -43,6 +43,8 @@ Law: TypeAlias = "Controller | Tracking | Callable[[float, Measured], Mapping[st
 
 SAMPLE_TIME = 1e-3
 """[s], for a controller that has none of its own."""
+MOST_SAMPLES = 100_000_000
+"""Of a run; a duration of more is a slip."""
 LOOKS = 10
 """Samples, evenly spread, whose prediction is compared with a finer integration."""
 
@@ -208,6 +210,11 @@ def closed_loop(
     samples = round(require_positive("duration", duration, "s") / sample_time)
     require_count("parts", parts)
     waits = require_count("delay", getattr(controller, "delay", 0) if delay is None else delay, 0)
+    if samples > MOST_SAMPLES:
+        raise InputError(
+            f"duration = {duration:g} s is {samples:.3g} samples of {sample_time:g} s: give at "
+            f"most {MOST_SAMPLES:g}"
+        )
     if samples < 1:
         raise InputError(
             f"duration = {duration:g} s is shorter than a sample of {sample_time:g} s: give at "

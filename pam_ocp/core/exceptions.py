@@ -6,6 +6,7 @@ They stand apart from it because units and quantities, which it reads texts with
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -24,6 +25,14 @@ __all__ = [
 ]
 
 
+_LONG_TEXT = re.compile(r"('[^'\n]{60})[^'\n]{140,}'")
+"""A value between quotes that is too long for a sentence."""
+
+
+def _shortened(message: str) -> str:
+    return _LONG_TEXT.sub(r"\1...'", message)
+
+
 class PamError(Exception):
     """Base of every error that pam_ocp raises on purpose.
 
@@ -36,6 +45,9 @@ class PamError(Exception):
     ...
     InputError
     """
+
+    def __init__(self, *said: object) -> None:
+        super().__init__(*(_shortened(s) if isinstance(s, str) else s for s in said))
 
 
 class InputError(PamError, ValueError):
@@ -96,6 +108,8 @@ _WORDS = {
 """Words of the field for names that are spelled quite otherwise."""
 
 
+MOST_LETTERS = 100
+"""Of a name that are compared with known ones."""
 _LONG = 4
 """Letters of a word that is looked for as the beginning or the end of a name."""
 
@@ -104,14 +118,15 @@ def nearest(name: object, known: Iterable[str], cutoff: float = 0.4) -> list[str
     """The known names that were probably meant, three at most: in other letters, by the field's
     words, as a part of the name, else by their spelling.
     """
-    known, word = list(known), str(name).lower()
+    known, word = [str(n) for n in known], str(name)[:MOST_LETTERS].lower()
     same = [n for n in known if n.lower() == word]
     meant = [n for names, words in _WORDS.items() if word in words.split() for n in names.split()]
     found = same or [n for n in dict.fromkeys(meant) if n in known]
     if not found and len(word) >= _LONG:
         found = [n for n in known if n.lower().startswith(word)]
         found = found or [n for n in known if n.lower().endswith(word)]
-    return found[:3] or difflib.get_close_matches(str(name), known, n=3, cutoff=cutoff)
+    spelled = str(name)[:MOST_LETTERS]
+    return found[:3] or difflib.get_close_matches(spelled, known, n=3, cutoff=cutoff)
 
 
 class UnknownNameError(InputError):

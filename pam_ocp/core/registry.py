@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, TypeVar
 
+from .arguments import with_kinds
 from .errors import InputError, UnknownNameError
 from .lazy import load
 from .quantities import is_quantity, quantity
@@ -106,6 +107,7 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
             }
             if dataclasses.is_dataclass(made) and isinstance(made, type):
                 _with_units(made, self._units[key])
+                with_kinds(made)
             return made
 
         return entered

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .. import courtesy
+from .arguments import with_kinds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,7 +21,8 @@ LONGEST = 100
 
 
 def shown(cls: C) -> C:
-    """Class decorator (above ``@dataclass``): a short repr, and a form for notebooks.
+    """Class decorator (above ``@dataclass``): a short repr, a form for notebooks, and arguments of
+    the wrong kind named (:func:`with_kinds`).
 
     The repr is what ``_brief()`` says, or else the first line of ``str``; the form in notebooks is
     that of :mod:`pam_ocp.figures.sheets`. What the class does not have of ``plot``, ``report``,
@@ -35,7 +37,7 @@ def shown(cls: C) -> C:
     for name in ("plot", "report", "save", "to_excel", "to_pandas"):
         if not hasattr(cls, name):
             setattr(cls, name, vars(_Shows)[name])
-    return cls
+    return with_kinds(cls)
 
 
 def brief(self: Any) -> str:

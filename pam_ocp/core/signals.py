@@ -140,7 +140,7 @@ def signals(
                 f"{len(plant.inputs)} inputs"
             )
         return inputs
-    if interpolation not in ("previous", "linear"):
+    if not isinstance(interpolation, str) or interpolation not in ("previous", "linear"):
         raise InputError(f"interpolation = {interpolation!r}: choose 'previous' (held) or 'linear'")
     given = _by_name(plant, inputs)
     if inputs is not None and not isinstance(inputs, Mapping):

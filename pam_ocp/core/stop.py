@@ -21,6 +21,7 @@ from contextlib import AbstractContextManager
 from types import FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
+from .arguments import RAW, blamed
 from .errors import OutOfTime, require_positive
 from .exceptions import nearest
 from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
@@ -232,11 +233,17 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         require_known_keywords(function.__qualname__, signature, kwargs)
         seconds: Any = kwargs.get("time_limit", default)
-        if seconds is None:
-            with _signals, LOCK:
+        try:
+            if seconds is None:
+                with _signals, LOCK:
+                    return function(*args, **kwargs)
+            with _signals, limited(seconds), LOCK:
                 return function(*args, **kwargs)
-        with _signals, limited(seconds), LOCK:
-            return function(*args, **kwargs)
+        except RAW as error:
+            said = blamed(function, args, kwargs, error)
+            if said is error:
+                raise
+            raise said from error
 
     return called
 

@@ -438,8 +438,8 @@ class Trajectory:
         return courtesy.plot_trajectory(self, names, ax=ax, interactive=interactive)
 
 
-def _plain(name: str) -> str:
-    return name.replace(".", "_")
+def _plain(name: object) -> str:
+    return str(name).replace(".", "_")
 
 
 @dataclass(frozen=True)

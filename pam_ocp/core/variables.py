@@ -75,7 +75,7 @@ class Variable:
         if self.causality not in get_args(Causality):
             known = ", ".join(get_args(Causality))
             raise InputError(f"{self.name}: causality = {self.causality!r}: choose one of {known}")
-        if not _NAME.match(self.name):
+        if not (isinstance(self.name, str) and _NAME.match(self.name)):
             raise InputError(
                 f"name {self.name!r} of a variable: use letters, digits and underscores, "
                 "starting with a letter, parts joined by dots"

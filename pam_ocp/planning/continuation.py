@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from ..judge.verdict import GROWTH
 from .candidate import Candidate, Engine
 from .mesh_sequence import MeshSequence
@@ -53,14 +55,19 @@ class Continuation:
         """The last candidate at the end of the path; None where it is blocked before."""
         s, step = self.settings, self.settings.step
         most, blocked, reentered = self.engine.work + s.work, False, False
+        first, missed, costs = c.place, np.inf, True
         while True:
             spent = self.engine.work > most or self.is_enough()
             if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
                 c = c if self.is_enough() else self._corrected(c, spent)
+            if spent and not self._is_unstable(c) and self._misses_less(c, missed):
+                # work limits what is left to gain; what is missed goes on to fall
+                spent, missed, costs = False, c.check.miss, False
+                most = self.engine.work + s.work
             if spent or self._is_unstable(c):
                 return c if c.place == 1.0 else None
-            meshes = [] if blocked else self.meshes.after(c)
+            meshes = [] if blocked else self.meshes.after(c, costs)
             if meshes:
                 finer = self._finer(c, meshes)
                 if finer is None and c.place == 1.0 and self.nonsmooth and not reentered:
@@ -75,9 +82,9 @@ class Continuation:
             if further is None and step * s.shrink < s.least_step:
                 return None
             if further is not None:
-                c, step, blocked = further, min(s.step, s.grow * step), False
-                if c.place == 1.0:  # the path is done: what it took is not the end's
+                if c.place == first or further.place == 1.0:  # mesh, path and end each have theirs
                     most = self.engine.work + s.work
+                c, step, blocked = further, min(s.step, s.grow * step), False
                 continue
             step *= s.shrink
 
@@ -127,6 +134,10 @@ class Continuation:
                 return now if now.check.dynamic < c.check.dynamic else c
             c = now
         return c
+
+    def _misses_less(self, c: Candidate, before: float) -> bool:
+        """Whether a motion at the end of the path does not meet the tolerance, but came nearer."""
+        return c.place == 1.0 and self.meshes.tolerance < c.check.miss < before / 2
 
     def _is_unstable(self, c: Candidate) -> bool:
         """Whether errors grow so much along a motion that no mesh makes it exact."""

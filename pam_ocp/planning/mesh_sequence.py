@@ -101,14 +101,17 @@ class MeshSequence:
         form = self.asked.form
         return form.control == "constant" and form.scheme != "shooting"
 
-    def after(self, c: Candidate) -> list[tuple[Mesh, str]]:
-        """Meshes that may do better and why, the most promising first; none where this one does."""
+    def after(self, c: Candidate, costs: bool = True) -> list[tuple[Mesh, str]]:
+        """Meshes that may do better and why, the most promising first; none where this one does.
+
+        costs : whether the objective is to be refined, too.
+        """
         if self.is_coarse(c.mesh):
             following = self.ladder[self.ladder.index(c.mesh) + 1]
             return [(following, "towards the mesh asked for"), (doubled(c.mesh), "between")]
         if not np.isfinite(self.wanted):
             return []
-        for find in (self._unresolved, self._dear, self._inexact):
+        for find in (self._unresolved, self._dear, self._inexact)[0 if costs else 2 :]:
             meshes = find(c)
             if meshes:
                 return [(mesh, why) for mesh, why in meshes if mesh != c.mesh]

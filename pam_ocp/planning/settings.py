@@ -66,8 +66,8 @@ class Settings:
     tie: float = 1e-4
     """Relative difference of two objectives up to which they count as one optimum."""
     work: float = 4e6
-    """Iterations times unknowns for one candidate, and of a search that has found a plan: half a
-    minute or so (measured: 5e-6 to 2e-5 s each)."""
+    """Iterations times unknowns for one candidate before, on and behind its path each, and of a
+    search that has found a plan: half a minute or so (measured: 5e-6 to 2e-5 s each)."""
     regularisation: float = 1e-3
     """Cost of the squared inputs, in nominals and times the weight of the time, that leads to the
     quickest motion of an over-actuated plant (measured: an arm with four muscles takes 130

@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from numbers import Real
 from typing import Any, cast
 
+import casadi as ca
+
 from ..core.errors import InputError
 from ..muscles.catalogue import muscle as catalogued
 from ..muscles.pneumatic_muscle import Muscle
@@ -48,9 +50,8 @@ def components(argument: str, value: Any, example: str) -> tuple[Any, ...]:
     """One component with a ``force``, several, or none."""
     if value is None:
         return ()
-    several = (
-        isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "force")
-    )
+    one = isinstance(value, str | ca.SX) or hasattr(value, "force")
+    several = isinstance(value, Iterable) and not one
     return tuple(component(argument, v, "force", example) for v in (value if several else (value,)))
 
 

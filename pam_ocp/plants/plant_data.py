@@ -14,6 +14,7 @@ from typing import Any
 
 import casadi as ca
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError
 from ..core.expressions import operations_of, results_of
 from ..core.files import write_json
@@ -93,6 +94,7 @@ def plant_of_data(said: Mapping[str, Any]) -> Plant:
     return plant
 
 
+@with_kinds
 def save_plant(plant: Plant, path: str | os.PathLike[str]) -> Path:
     """Write a plant with its values as .json, which :func:`pam_ocp.plants.load_plant` and all
     commands read.

@@ -11,6 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from ..core.arguments import with_kinds
 from ..core.cases import Loop, Place, ending
 from ..core.errors import InputError, SimulationError, require_count
 from ..core.executors import placed
@@ -157,6 +158,7 @@ def simulate_many(
     until: Mapping[str, float] | None = ...,
     **common: Any,
 ) -> KeptNumbers: ...
+@with_kinds
 def simulate_many(
     plant: Plant,
     cases: Iterable[Case],

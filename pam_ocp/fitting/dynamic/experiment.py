@@ -263,7 +263,8 @@ def measured_names(
             raise InputError(f"record {i + 1} is a {type(record).__name__}; give Trajectories")
     known = [v.name for v in (*plant.states, *plant.outputs)]
     if outputs is not None:
-        names = [plant.variable(n).name for n in outputs]
+        several = [outputs] if isinstance(outputs, str) else outputs
+        names = [plant.variable(n).name for n in several]
         wrong = [n for n in names if n not in known]
         if wrong:
             raise InputError(f"outputs: {wrong[0]} is neither a state nor an output of the plant")

@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.arguments import with_kinds
 from ...core.calibration import AMBIENT
 from ...core.errors import (
     InputError,
@@ -269,6 +270,7 @@ class ForceTable:
         )
 
 
+@with_kinds
 def read_table(
     source: Any,
     *,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ...core.arguments import with_kinds
 from ...core.calibration import AMBIENT, scale_of
 from ...core.errors import InputError, UnknownNameError, require_positive
 from ...core.signals import Interpolation
@@ -88,6 +89,7 @@ class RecordArguments(ReadingArguments):
         )
 
 
+@with_kinds
 def read_record(
     source: Any,
     plant: Plant | None = None,
@@ -176,6 +178,7 @@ def read_record(
     return longest
 
 
+@with_kinds
 def read_records(
     sources: Any, plant: Plant | None = None, *, split: str | None = None, **options: Any
 ) -> list[Trajectory]:

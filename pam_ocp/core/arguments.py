@@ -1,0 +1,152 @@
+"""Arguments of another kind than the signature says, named once a call has failed by them.
+
+Nothing is refused beforehand: what works, works. But where Python's own words would come out of the
+depth of a call (``'int' object is not iterable``), the signature tells whose fault it is.
+"""
+
+from __future__ import annotations
+
+import builtins
+import functools
+import inspect
+import numbers
+import reprlib
+import types
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin
+
+import numpy as np
+
+from .exceptions import InputError, PamError
+
+__all__ = ["RAW", "blamed", "with_kinds"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+RAW = (TypeError, ValueError, AttributeError, LookupError, RuntimeError)
+"""What Python and its libraries raise of a value that is of the wrong kind."""
+MOST = 100
+"""Items of a sequence that are looked at."""
+SHOWN = reprlib.Repr()
+SHOWN.maxstring = SHOWN.maxother = 60
+WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "True or False"}
+SERIES = (Sequence, Iterable, Collection, list, tuple)
+
+
+class _Names(dict[str, Any]):
+    """Names of annotations; those that are imported for type checkers alone are Any."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(builtins, name, Any)
+
+
+def blamed(function: Callable[..., Any], args: Any, kwargs: Any, error: Exception) -> Exception:
+    """An InputError that names the argument which is not of its kind; ``error`` where all are."""
+    if isinstance(error, PamError):
+        return error
+    signature = inspect.signature(function)
+    try:
+        given = signature.bind(*args, **kwargs).arguments
+    except TypeError:
+        return error
+    names = _Names(getattr(inspect.unwrap(function), "__globals__", {}))
+    for name, value in given.items():
+        parameter = signature.parameters[name]
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        hint = _resolved(parameter.annotation, names)
+        if not _fits(value, hint):
+            return InputError(f"{name} = {SHOWN.repr(value)}: give {_words(hint)}")
+    return error
+
+
+def with_kinds(made: F) -> F:
+    """A function, or a class, that names the argument which is of the wrong kind."""
+    if isinstance(made, type):
+        if "__init__" in vars(made):
+            setattr(made, "__init__", with_kinds(vars(made)["__init__"]))  # noqa: B010
+        return made
+
+    @functools.wraps(made)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return made(*args, **kwargs)
+        except RAW as error:
+            said = blamed(made, args, kwargs, error)
+            if said is error:
+                raise
+            raise said from error
+
+    return cast("F", called)
+
+
+def _resolved(annotation: Any, names: _Names) -> Any:
+    if annotation is inspect.Parameter.empty:
+        return Any
+    if not isinstance(annotation, str):
+        return annotation
+    try:
+        return eval(annotation, {}, names)  # of our own source
+    except Exception:
+        return Any
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of the kind that a hint says; True in doubt."""
+    hint = getattr(hint, "__value__", hint)
+    origin, of = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return True
+    if hint is None or hint is type(None):
+        return value is None
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, one) for one in of)
+    if origin is Literal:
+        return any(type(value) is type(one) and value == one for one in of)
+    kind = origin or hint
+    if kind is float or kind is int:  # texts are quantities
+        return isinstance(value, str | numbers.Number | np.ndarray) and not getattr(
+            value, "ndim", 0
+        )
+    if kind is str:
+        return isinstance(value, str)
+    if isinstance(kind, type) and issubclass(kind, Mapping):
+        return isinstance(value, Mapping) and all(_fits(k, of[0]) for k in value) if of else True
+    if kind in SERIES:
+        return _is_series(value, of)
+    if kind is Callable:
+        return callable(value)
+    if not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
+        return True
+    return isinstance(value, kind)
+
+
+def _is_series(value: Any, of: tuple[Any, ...]) -> bool:
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+        return False
+    try:
+        if iter(value) is value:
+            return True  # an iterator, which is not to be used up
+        items = list(value)[:MOST]
+    except (TypeError, NotImplementedError):  # an array without dimensions, an expression
+        return False
+    return all(_fits(item, of[0]) for item in items) if of else True
+
+
+def _words(hint: Any) -> str:
+    """A kind in words: ``a text or None``."""
+    origin, of = get_origin(hint), get_args(hint)
+    if hint is None or hint is type(None):
+        return "None"
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(map(_words, of)))
+    if origin is Literal:
+        return " or ".join(map(repr, of))
+    kind = origin or hint
+    if isinstance(kind, type) and issubclass(kind, Mapping):
+        return "a mapping {name: value}"
+    if kind in SERIES:
+        inner = _words(of[0]) if of and of[0] is not Any else "values"
+        return f"a sequence of {inner.removeprefix('a ')}{'s' if inner in WORDS.values() else ''}"
+    if kind is Callable:
+        return "a function"
+    return WORDS.get(kind) or f"a {getattr(kind, '__name__', str(kind))}"
