@@ -201,7 +201,7 @@ class FmuSide(Side):
         from ..export.runner import Runner, UnpackedFmu  # FMPy is loaded only when it is needed
 
         super().__init__()
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise InputError(f"{path}: no such FMU")
         self.name, (self._sample_time, self._parts, rtol) = path.stem, sampling
         self._rows: list[Array] = []

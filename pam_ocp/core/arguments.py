@@ -11,6 +11,7 @@ import functools
 import inspect
 import numbers
 import reprlib
+import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin
@@ -33,10 +34,13 @@ SERIES = (Sequence, Iterable, Collection, list, tuple)
 
 
 class _Names(dict[str, Any]):
-    """Names of annotations; those that are imported for type checkers alone are Any."""
+    """Names of annotations. Those that are imported for type checkers alone are classes of the face,
+    else Any.
+    """
 
     def __missing__(self, name: str) -> Any:
-        return getattr(builtins, name, Any)
+        known = getattr(sys.modules.get(__name__.partition(".")[0]), name, Any)
+        return getattr(builtins, name, known if isinstance(known, type) else Any)
 
 
 def blamed(function: Callable[..., Any], args: Any, kwargs: Any, error: Exception) -> Exception:
@@ -110,7 +114,9 @@ def _fits(value: Any, hint: Any) -> bool:
     if kind is str:
         return isinstance(value, str)
     if isinstance(kind, type) and issubclass(kind, Mapping):
-        return isinstance(value, Mapping) and all(_fits(k, of[0]) for k in value) if of else True
+        pairs = value.items() if isinstance(value, Mapping) and of else ()
+        fit = all(_fits(k, of[0]) and _fits(v, of[1]) for k, v in pairs)
+        return isinstance(value, Mapping) and fit
     if kind in SERIES:
         return _is_series(value, of)
     if kind is Callable:
@@ -143,7 +149,8 @@ def _words(hint: Any) -> str:
         return " or ".join(map(repr, of))
     kind = origin or hint
     if isinstance(kind, type) and issubclass(kind, Mapping):
-        return "a mapping {name: value}"
+        parts = [_words(one).removeprefix("a ") for one in of]
+        return f"a mapping {{{': '.join(parts)}}}" if parts else "a mapping"
     if kind in SERIES:
         inner = _words(of[0]) if of and of[0] is not Any else "values"
         return f"a sequence of {inner.removeprefix('a ')}{'s' if inner in WORDS.values() else ''}"

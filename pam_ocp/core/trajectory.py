@@ -115,7 +115,9 @@ class Trajectory:
         self.t: Array = _column("t", t, "s")
         if self.t.ndim != 1 or self.t.size == 0:
             raise InputError(f"t has shape {self.t.shape}; give a row of at least one time")
-        if not np.all(np.isfinite(self.t)) or not np.all(np.diff(self.t) > 0):
+        if not np.all(np.isfinite(self.t)):
+            raise InputError("t holds times that are not finite; give times in seconds")
+        if not np.all(np.diff(self.t) > 0):
             row = int(np.argmax(~(np.diff(self.t) > 0))) + 1
             raise InputError(f"t must rise from sample to sample; it does not at sample {row}")
         if interpolation not in ("previous", "linear", None):

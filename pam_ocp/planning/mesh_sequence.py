@@ -207,6 +207,15 @@ class MeshSequence:
         return bool(np.isfinite(apart) and apart > self.wanted)
 
     # ---- the plan's tolerance -------------------------------------------------------------------
+    @staticmethod
+    def _stalls(c: Candidate) -> bool:
+        """Whether limits that were watched on the same intervals are missed by as much as before."""
+        before = c.coarser
+        if before is None or before.place < 1.0:
+            return False
+        same = [i.fraction for i in before.mesh.intervals] == [i.fraction for i in c.mesh.intervals]
+        return same and c.check.miss > before.check.miss / 2
+
     def _inexact(self, c: Candidate) -> list[tuple[Mesh, str]]:
         if c.place < 1.0 or (c.check.miss <= self.tolerance and not self._miscounted(c)):
             return []
@@ -218,6 +227,8 @@ class MeshSequence:
         beyond = check.replay.beyond
         why = f"tolerance missed by {check.miss:.1g}"
         by_limits = [(watched(mesh, beyond, self.tolerance), why)] if beyond else []
+        if self._stalls(c):
+            by_limits = []
         everywhere = [(halved(mesh), why)]
         if mesh.form.control == "constant":
             everywhere.insert(0, (halved(mesh, joined=True), why))
