@@ -34,7 +34,7 @@ SERIES = (Sequence, Iterable, Collection, list, tuple)
 
 
 class _Names(dict[str, Any]):
-    """Names of annotations. Those that are imported for type checkers alone are classes of the face,
+    """Names of annotations; those imported for type checkers alone are classes of the face,
     else Any.
     """
 

@@ -209,7 +209,7 @@ class MeshSequence:
     # ---- the plan's tolerance -------------------------------------------------------------------
     @staticmethod
     def _stalls(c: Candidate) -> bool:
-        """Whether limits that were watched on the same intervals are missed by as much as before."""
+        """Whether limits that are watched on the same intervals are missed by as much as before."""
         before = c.coarser
         if before is None or before.place < 1.0:
             return False
