@@ -14,10 +14,12 @@ from ..core.errors import InputError, require_instance
 from ..core.files import atomic_path, write_json
 from .canvas import COLOURS, new_figure
 from .html import sheet_of
+from .sheet import number_in
 from .sheets import SHEETS
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Table", "frame_of", "plot_table", "report_of", "save_result", "table_of"]
@@ -46,7 +48,7 @@ def table_of(thing: Any) -> Table:
     if known - _BY_COLUMN:
         grid = max(sheet_of(thing).grids, key=lambda g: len(g.rows), default=None)
         if grid is not None:
-            return Table(grid.head, tuple(tuple(map(_number, row)) for row in grid.rows))
+            return Table(grid.head, tuple(tuple(map(number_in, row)) for row in grid.rows))
     rows = _cases(thing) or [_flat(p) for p in _parts(thing)]
     if rows:
         heads = tuple(dict.fromkeys(n for row in rows for n in row))
@@ -119,13 +121,6 @@ def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
         elif isinstance(value, Mapping) and not prefix:
             found |= _flat(value, f"{name}.")
     return found
-
-
-def _number(cell: str) -> Any:
-    try:
-        return float(cell)
-    except ValueError:
-        return cell
 
 
 # ---- out of it -----------------------------------------------------------------------------------
@@ -218,11 +213,16 @@ def plot_table(thing: Any) -> Figure:
         raise InputError(f"{type(thing).__name__} holds no column of numbers to draw; print it")
     size = (3.0 + 2.2 * len(numbers), 1.4 + 0.28 * len(rows))
     figure, axes = new_figure(1, len(numbers), size=size)
+
+    def first(ax: Axes) -> bool:
+        place = ax.get_subplotspec()
+        return place is None or place.is_first_col()
+
     for ax, j in zip(axes[0], numbers, strict=True):
         values = [float(r[j]) if _finite(r[j]) else 0.0 for r in rows]
         ax.barh(range(len(rows)), values, color=COLOURS[0], height=0.6)
         ax.set_xlabel(table.head[j])
-        ax.set_yticks(range(len(rows)), labels if ax is axes[0, 0] else [""] * len(rows))
+        ax.set_yticks(range(len(rows)), labels if first(ax) else [""] * len(rows))
         ax.invert_yaxis()
     return figure
 
