@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..canvas import quantity_of
+from ..canvas import axis_label
+from ..sheet import number_in
 from ..sheets import SHEETS
 from .book import Book, column_name
 
@@ -63,19 +64,12 @@ def _said(book: Book, name: str, thing: Any) -> None:
     for grid in sheet.grids:
         if grid.title:
             row = book.text(page, row, [grid.title])
-        rows = [[_number(cell) for cell in cells] for cells in grid.rows]
+        rows = [[number_in(cell) for cell in cells] for cells in grid.rows]
         row = book.table(page, row, grid.head, rows) + 1
     book.text(page, row, sheet.notes)
     page.set_column(0, 0, 22)
     page.set_column(1, 1, 44)
     page.set_column(2, 8, 18)
-
-
-def _number(cell: str) -> Any:
-    try:
-        return float(cell)
-    except ValueError:
-        return cell
 
 
 def _head(variable: Variable) -> str:
@@ -94,7 +88,7 @@ def _motion(book: Book, motion: Trajectory) -> None:
     for i, variable in enumerate(motion.variables, start=1):
         panels.setdefault(variable.display_unit, []).append(i)
     last, place = len(motion) + 1, column_name(len(heads) + 1)
-    for number, (unit, members) in enumerate(panels.items()):
+    for number, members in enumerate(panels.values()):
         series = [
             {
                 "name": motion.variables[i - 1].name,
@@ -103,8 +97,7 @@ def _motion(book: Book, motion: Trajectory) -> None:
             }
             for i in members[:MOST_LINES]
         ]
-        quantity = quantity_of(motion.variables[members[0] - 1].unit)
-        label = " ".join(filter(None, (quantity, "" if unit == "1" else f"[{unit}]"))) or "1"
+        label = axis_label(*(motion.variables[i - 1] for i in members)).replace("\n", " ")
         book.chart(page, f"{place}{2 + 16 * number}", series, ("time [s]", label), size=(760, 300))
 
 
