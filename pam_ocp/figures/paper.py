@@ -28,7 +28,7 @@ POINTS, THINNER, CHARACTER = 8.0, 0.6, 0.062
 """Size of letters; lines and marks beside those on a screen; the width of a letter [inch]."""
 DASHES: tuple[Any, ...] = ("-", (0, (6, 1.5)), "-.", (0, (1, 1)), (0, (6, 1, 1, 1, 1, 1)), ":")
 OUTSIDE = "outside upper left"
-VECTORS = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
+VECTORS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"}
 """Letters stay letters in the file: they can be searched and edited."""
 _WIDTH: ContextVar[float | None] = ContextVar("width of figures", default=None)
 
@@ -90,7 +90,7 @@ def adapt(figure: Figure) -> None:
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
-        text.set_fontsize(POINTS)  # type: ignore[attr-defined]
+        text.set(fontsize=POINTS)
     for ax in figure.axes:
         ax.tick_params(labelsize=POINTS, width=0.5, length=2.5)
         for spine in ax.spines.values():
@@ -132,7 +132,8 @@ def _thin(ax: Any) -> None:
 
 def _fit_legend(figure: Figure, legend: Legend, owner: Any) -> None:
     """A legend that stood beside a panel, above it; in as many columns as there is room for."""
-    handles, labels = legend.legend_handles, [text.get_text() for text in legend.get_texts()]
+    handles: list[Any] = legend.legend_handles
+    labels = [text.get_text() for text in legend.get_texts()]
     panel = owner is not figure
     if not labels or (panel and legend.get_bbox_to_anchor().x0 < owner.bbox.x1 - 1):
         return

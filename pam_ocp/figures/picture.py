@@ -35,7 +35,7 @@ class Picture(Figure):
             adapt(self)
         super().draw(renderer)
 
-    def savefig(self, fname: Any, **named: Any) -> None:  # type: ignore[override]
+    def savefig(self, fname: Any, **named: Any) -> None:
         """As matplotlib does; what is for print keeps its letters as text."""
         with rc_context(VECTORS if self._printed else {}):
             super().savefig(fname, **named)
