@@ -41,7 +41,20 @@ section { margin: 2rem 0; }
 img { background: white; max-width: 100%; }
 pre { overflow-x: auto; font-size: 13px; }
 nav li { margin: .2rem 0; }
-@media print { section { break-inside: avoid-page; } nav { display: none; } }
+@media (max-width: 40rem) {
+  body { padding: 0 .5rem; font-size: 14px; } table { font-size: 12px; }
+  th, td { padding-right: .3rem; } td { overflow-wrap: anywhere; } .short { white-space: nowrap; }
+  td:first-child:not(.short) { min-width: 4.5rem; } div, pre { overflow-wrap: anywhere; }
+  th { overflow-wrap: normal; }
+}
+@media print {
+  @page { margin: 15mm; }
+  body { max-width: none; margin: 0; padding: 0; font-size: 10pt; } nav { display: none; }
+  section { margin: 1rem 0; } table { font-size: 9pt; }
+  pre { font-size: 8pt; white-space: pre-wrap; }
+  tr, img { break-inside: avoid; } img { max-height: 13cm; }
+  h1, h2, b, caption, thead { break-after: avoid; }
+}
 """
 
 

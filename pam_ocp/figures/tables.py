@@ -14,7 +14,7 @@ from ..core.errors import InputError, require_instance
 from ..core.files import atomic_path, write_json
 from .canvas import COLOURS, new_figure
 from .html import sheet_of
-from .sheet import number_in
+from .sheet import cell_text, number_in
 from .sheets import SHEETS
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Table", "frame_of", "plot_table", "report_of", "save_result", "table_of"]
 
 ENDINGS = (".csv", ".html", ".json", ".txt", ".xlsx")
-MOST_PANELS, MOST_ROWS = 6, 40
+MOST_PANELS, MOST_ROWS, WIDEST = 6, 40, 60
 _BY_COLUMN = {"ForceTable"}
 """Of these the notebook shows a summary only."""
 
@@ -186,8 +186,10 @@ def _book(name: str, table: Table, path: Path) -> Path:
     with Book.writing(path, name) as book:
         page = book.sheet(name)
         book.table(page, 0, table.head, table.rows)
-        page.freeze_panes(1, 1)
-        page.set_column(0, len(table.head), 16)
+        book.heads(page, 1, 1)
+        for j, head in enumerate(table.head):
+            longest = max(len(cell_text(c)) for c in (head, *(row[j] for row in table.rows)))
+            page.set_column(j, j, min(longest, WIDEST) + 3)
     return path
 
 

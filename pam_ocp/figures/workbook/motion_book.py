@@ -82,7 +82,7 @@ def _motion(book: Book, motion: Trajectory) -> None:
     heads = ["time [s]", *(_head(v) for v in motion.variables)]
     columns = [motion.t, *(motion[v.name] / v.display_factor for v in motion.variables)]
     book.columns(page, 0, heads, columns)
-    page.freeze_panes(1, 1)
+    book.heads(page, 1, 1)
     page.set_column(0, len(heads), 13)
     panels: dict[str, list[int]] = {}
     for i, variable in enumerate(motion.variables, start=1):
@@ -136,13 +136,14 @@ def _record(
         page.write_string(0, own, f"{_head(variable)} difference", book.head)
         one, other = column_name(1 + 2 * i), column_name(2 + 2 * i)
         values = columns[1 + 2 * i] - columns[2 + 2 * i]
+        form = book.number(float(np.nanmax(np.abs(values), initial=0.0)))
         for row, value in enumerate(values.tolist(), start=1):
-            page.write_formula(row, own, f"={one}{row + 1}-{other}{row + 1}", None, value)
+            page.write_formula(row, own, f"={one}{row + 1}-{other}{row + 1}", form, value)
         series = [
             {"name": label, "x": f"'{name}'!$A$2:$A${last}", "y": f"'{name}'!${c}$2:${c}${last}"}
             for label, c in (("measured", one), ("simulated", other))
         ]
         place = f"{column_name(first + len(names) + 1)}{2 + 16 * i}"
         book.chart(page, place, series, ("time [s]", _head(variable)), size=(760, 300))
-    page.freeze_panes(1, 1)
+    book.heads(page, 1, 1)
     page.set_column(0, first + len(names), 15)
