@@ -83,8 +83,9 @@ def save_crate(
         files[f"script/{Path(script).name}"] = require_file(script).read_bytes()
     given = list(files)
     with TemporaryDirectory() as folder:
-        made = {"sources": (*sources, *([] if script is None else [script])), "text": text}
-        write_report(Path(folder, "report.html"), things, title=title, **made)
+        used = [*sources, *([] if script is None else [script])]
+        page = Path(folder, "report.html")
+        write_report(page, things, title=title, text=text, sources=used)
         for i, (heading, thing) in enumerate(things.items(), start=1):
             slug = re.sub(r"\W+", "_", heading, flags=re.ASCII).strip("_").lower()[:40]
             _write(thing, Path(folder, f"{i:02d}_{slug}".rstrip("_")))
@@ -137,7 +138,7 @@ def _file(name: str, content: bytes) -> Entity:
 
 def _run(given: Sequence[str], made: Sequence[str]) -> list[Entity]:
     """The run that made the results, and the software with its versions."""
-    found = [
+    found: list[Entity] = [
         {"@id": f"{PROJECT}/{n}/{v}/", "@type": "SoftwareApplication", "name": n, "version": v}
         for n, v in versions().items()
     ]
