@@ -87,10 +87,10 @@ def _linearize(options: argparse.Namespace) -> int:
 
 
 def _text(point: Any, said: dict[str, Any]) -> str:
+    from ..operating.operating_point import pole_texts
+
     lines = [f"point of rest, {said['stability']}:", str(point), "poles [1/s]:"]
-    for re, im in said["poles"]:
-        if im >= 0:
-            lines.append(f"    {re:.6g}" + (f" ± {im:.6g} i" if im else ""))
+    lines += [f"    {text}" for text in pole_texts(point.poles)]
     lines += [
         f"natural frequency {m['hertz']:.4g} Hz, damping ratio {m['damping_ratio']:.3g}"
         for m in said["modes"]

@@ -27,15 +27,21 @@ def add_report(commands: Any) -> None:
     )
     report.add_argument("--title", default="Report", metavar="TEXT")
     report.add_argument("--text", default="", metavar="TEXT", help="an introduction")
+    report.add_argument(
+        "--crate", type=Path, metavar="FILE.zip", help="also all of it as an RO-Crate (--licence)"
+    )
+    report.add_argument("--licence", metavar="ID", help="of the crate, as CC-BY-4.0")
+    report.add_argument("--author", metavar="NAME", help="of the crate")
     add_json(report)
     report.set_defaults(run=_report)
 
 
 def _report(options: argparse.Namespace) -> int:
+    from ..figures.crate import save_crate
     from ..figures.report import write_report
     from ..studies.file_kinds import load
 
-    require_places(options.out)
+    require_places(options.out, options.crate)
     names = [
         str(f) if len({g.name for g in options.files}) < len(options.files) else f.name
         for f in options.files
@@ -43,4 +49,7 @@ def _report(options: argparse.Namespace) -> int:
     things = {n: load(f) for n, f in zip(names, options.files, strict=True)}
     made = {"title": options.title, "text": options.text, "sources": options.files}
     wrote(options, write_report(options.out, things, **made))
+    if options.crate is not None:
+        own = {"licence": options.licence, "author": options.author}
+        wrote(options, save_crate(options.crate, things, **made, **own))
     return 0

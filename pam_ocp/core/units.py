@@ -11,7 +11,7 @@ from functools import cache
 
 from .exceptions import UnknownNameError
 
-__all__ = ["BASE", "Unit", "display_unit", "per_second", "unit"]
+__all__ = ["BASE", "DIGITS", "Unit", "display_unit", "per_second", "significant", "unit"]
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units in the order of FMI's BaseUnit element."""
@@ -131,12 +131,27 @@ def unit(name: str) -> Unit:
     return Unit(name, tuple(exponents), factor)
 
 
-_DISPLAY = {"Pa": "bar", "Pa/s": "bar/s", "m": "mm", "rad": "deg", "rad/s": "deg/s"}
+_DISPLAY = {"Pa": "bar", "Pa/s": "bar/s", "m": "mm", "rad": "deg", "rad/s": "deg/s", "N/m": "N/mm"}
 
 
 def display_unit(name: str) -> str:
-    """The unit in which people read this one: bar for Pa, mm for m, deg for rad."""
+    """The unit in which people read this one: bar for Pa, mm for m, deg for rad, N/mm for N/m."""
     return _DISPLAY.get(name, name)
+
+
+DIGITS = 4
+"""Significant ones of a number that people read."""
+
+
+def significant(value: float, digits: int = DIGITS) -> str:
+    """A number as people read it, without an exponent where it is of a usual size.
+
+    Examples
+    --------
+    >>> significant(123456.0), significant(0.0123456)
+    ('123500', '0.01235')
+    """
+    return f"{float(f'{value:.{digits}g}'):.{max(digits, 7)}g}"
 
 
 def per_second(unit: str) -> str:

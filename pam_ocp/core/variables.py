@@ -15,6 +15,7 @@ from .errors import InputError
 from .plausible import doubt, meant_within
 from .quantities import is_quantity, quantity
 from .shown import shown
+from .units import DIGITS, significant
 
 __all__ = ["Causality", "Memory", "Variable", "data_of_variable", "variable_of"]
 
@@ -23,6 +24,9 @@ Memory = Literal["", "held", "settling"]
 
 ROUNDING = 1e-6
 """A value of a state so little outside its range, scaled by nominals, is the end of the range."""
+
+ZERO = 1e-9
+"""So small a part of its nominal is the rounding of a zero, where people read it."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
 
@@ -144,8 +148,8 @@ class Variable:
                 number = nearest
         if not self.min <= number <= self.max:
             raise InputError(
-                f"{self.name}: {argument} = {self.shown(number)} is outside "
-                f"{self.shown(self.min)} .. {self.shown(self.max)}"
+                f"{self.name}: {argument} = {self.shown(number, 6)} is outside "
+                f"{self.shown(self.min, 6)} .. {self.shown(self.max, 6)}"
                 + meant_within(number, self.unit, self.min, self.max)
             )
         self.doubt(number, argument)
@@ -172,9 +176,20 @@ class Variable:
         """SI value per display unit: value_SI = display_factor * value_displayed."""
         return units.unit(self.display_unit).factor / units.unit(self.unit).factor
 
-    def shown(self, value: float) -> str:
-        """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``."""
-        text = f"{value / self.display_factor + 0.0:.6g}"
+    def displayed(self, value: float) -> float:
+        """``value`` [unit] in the display unit; 0 for what rounding has left of a zero, except in
+        parameters, which are as they were given.
+        """
+        if self.causality != "parameter" and abs(value) < ZERO * self.nominal:
+            return 0.0
+        return value / self.display_factor + 0.0
+
+    def shown(self, value: float, digits: int = DIGITS) -> str:
+        """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``.
+
+        digits : significant ones; messages on values next to a bound take more.
+        """
+        text = significant(self.displayed(value), digits)
         return text if self.display_unit == "1" else f"{text} {self.display_unit}"
 
     def _brief(self) -> str:

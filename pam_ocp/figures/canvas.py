@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
+from .paper import paper_size
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,10 +60,11 @@ def quantity_of(unit: str) -> str:
     return _QUANTITIES.get(unit, "")
 
 
-def axis_label(variable: Variable) -> str:
-    """Quantity and display unit of a panel that shows variables of this unit."""
-    unit = "" if variable.display_unit == "1" else f"[{variable.display_unit}]"
-    return "\n".join(filter(None, (quantity_of(variable.unit), unit)))
+def axis_label(*variables: Variable) -> str:
+    """Quantity and display unit of a panel that shows these variables, which have one unit."""
+    names = {v.name.rpartition(".")[2] for v in variables}
+    quantity = quantity_of(variables[0].unit) or (names.pop() if len(names) == 1 else "")
+    return "\n".join(filter(None, (quantity, f"[{variables[0].display_unit}]")))
 
 
 @interruptible()  # matplotlib is loaded in here
@@ -81,8 +83,9 @@ def new_figure(
     """
     from .picture import Picture
 
+    size, *places = paper_size(size, rows, columns)
     figure = Picture(figsize=size, layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex)
+    axes = figure.subplots(*places, squeeze=False, sharex=sharex).reshape(rows, columns)
     for ax in axes.ravel():
         ax.grid(True, color="#dddddd", linewidth=0.6)
         ax.set_axisbelow(True)

@@ -47,7 +47,7 @@ def trajectory_panels(trajectory: Trajectory, panels: Sequence[Sequence[str]]) -
                 line_shape="hv" if held else "linear",
             )
             figure.add_trace(line, row=row, col=1)
-        label = axis_label(trajectory.variable(members[0])).replace("\n", " ")
+        label = axis_label(*map(trajectory.variable, members)).replace("\n", " ")
         figure.update_yaxes(title_text=label, row=row, col=1)
     figure.update_xaxes(title_text="time [s]", row=len(panels), col=1)
     figure.update_layout(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import itertools
+from typing import Any
 
-from matplotlib import get_backend
+from matplotlib import get_backend, rc_context
 from matplotlib.figure import Figure
 
 from ..core.errors import InputError
+from .paper import VECTORS, adapt, paper_width
 
 __all__ = ["Picture"]
 
@@ -21,6 +23,22 @@ class Picture(Figure):
 
     As the last line of a notebook's cell it is shown; ``show()`` opens a window.
     """
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._to_adapt = self._printed = paper_width() is not None
+
+    def draw(self, renderer: Any) -> None:
+        """As matplotlib does; what is for print is made so before it is drawn first."""
+        if self._to_adapt:
+            self._to_adapt = False
+            adapt(self)
+        super().draw(renderer)
+
+    def savefig(self, fname: Any, **named: Any) -> None:
+        """As matplotlib does; what is for print keeps its letters as text."""
+        with rc_context(VECTORS if self._printed else {}):
+            super().savefig(fname, **named)
 
     def _repr_png_(self) -> bytes:
         drawn = io.BytesIO()

@@ -13,9 +13,11 @@ import numpy as np
 
 from ..core.errors import require_instance
 from ..core.stop import turns
+from ..core.units import significant
 from ..core.variables import Variable
 from ..planning.result import Plan
 from .canvas import COLOURS, axis_label, new_figure
+from .paper import paper_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,13 +83,15 @@ def plot_plan(plan: Plan) -> Figure:
     panels = panels_of(plan)
     limits = limits_along(plan)
     touched = _touched(limits)
-    heights = [1.6] * len(panels) + ([0.45 + 0.17 * len(touched)] if touched else [])
+    heights = [1.6] * len(panels) + (
+        [0.45 + (0.17 if paper_width() is None else 0.3) * len(touched)] if touched else []
+    )
     figure, axes = new_figure(len(heights), size=(9, 0.8 + sum(heights)), sharex=True)
     if touched:
         axes[0, 0].get_gridspec().set_height_ratios(heights)
     for ax, names in zip(axes[:, 0], panels.values(), strict=False):
         _panel(ax, plan, names, limits)
-        ax.set_ylabel(axis_label(plan.trajectory.variable(names[0])))
+        ax.set_ylabel(axis_label(*map(plan.trajectory.variable, names)))
     if touched:
         _chart(axes[-1, 0], touched, plan.duration)
     for ax in axes[:, 0]:
@@ -207,9 +211,20 @@ def _chart(ax: Axes, touched: dict[str, list[Limit]], duration: float) -> None:
         colour = colours_of([label])[label]
         spans = [span for limit in limits for span in _spans(limit)]
         bars = [(begin, max(end - begin, least)) for begin, end in spans]
-        ax.broken_barh(bars, (row - 0.35, 0.7), color=colour, alpha=0.75, lw=0)
-    ax.set_yticks(range(len(touched)), list(touched), fontsize="small")
-    ax.yaxis.tick_right()
+        ax.broken_barh(
+            bars,
+            (row - 0.35, 0.7),
+            color=colour,
+            alpha=0.75 if paper_width() is None else 0.3,
+            lw=0,
+        )
+    if paper_width() is None:
+        ax.set_yticks(range(len(touched)), list(touched), fontsize="small")
+        ax.yaxis.tick_right()
+    else:  # no room beside
+        ax.set_yticks([])
+        for row, label in enumerate(touched):
+            ax.text(0.01, row, label, transform=ax.get_yaxis_transform(), va="center")
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(len(touched) - 0.4, -0.6)
     ax.set_ylabel("active\nlimits")
@@ -258,7 +273,7 @@ def plot_costates(plan: Plan) -> Figure:
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
         _phases(ax, plan)
     axes[0, 0].set_title(
-        f"{plan.plant.name}: costates, objective {plan.objective:.6g}",
+        f"{plan.plant.name}: costates, objective {significant(plan.objective)}",
         loc="left",
         fontsize="medium",
     )
@@ -328,7 +343,7 @@ def plot_robust(robust: RobustPlan) -> Figure:
                         zorder=5,
                         clip_on=False,
                     )
-            worst = variable.shown(float(f"{spread.worst(name):.3g}"))
+            worst = variable.shown(spread.worst(name), 3)
             ax.set_title(f"{title}: {worst} at the stops", loc="left", fontsize="medium")
         for ax in row:
             ax.set_ylim(-1.05 * top, 1.05 * top)

@@ -22,7 +22,7 @@ from ..core.files import require_ending
 from ..core.stop import verb
 from .html import html_of
 
-__all__ = ["write_report"]
+__all__ = ["versions", "write_report"]
 
 PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib")
 
@@ -41,7 +41,20 @@ section { margin: 2rem 0; }
 img { background: white; max-width: 100%; }
 pre { overflow-x: auto; font-size: 13px; }
 nav li { margin: .2rem 0; }
-@media print { section { break-inside: avoid-page; } nav { display: none; } }
+@media (max-width: 40rem) {
+  body { padding: 0 .5rem; font-size: 14px; } table { font-size: 12px; }
+  th, td { padding-right: .3rem; } td { overflow-wrap: anywhere; } .short { white-space: nowrap; }
+  td:first-child:not(.short) { min-width: 4.5rem; } div, pre { overflow-wrap: anywhere; }
+  th { overflow-wrap: normal; }
+}
+@media print {
+  @page { margin: 15mm; }
+  body { max-width: none; margin: 0; padding: 0; font-size: 10pt; } nav { display: none; }
+  section { margin: 1rem 0; } table { font-size: 9pt; }
+  pre { font-size: 8pt; white-space: pre-wrap; }
+  tr, img { break-inside: avoid; } img { max-height: 13cm; }
+  h1, h2, b, caption, thead { break-after: avoid; }
+}
 """
 
 
@@ -98,16 +111,20 @@ def write_report(
 
 def _made_with(sources: Sequence[str | os.PathLike[str]]) -> str:
     """Versions, and digests of the sources."""
-    rows = [("pam_ocp", __version__), ("Python", platform.python_version())]
-    rows += [(name, _version(name)) for name in PACKAGES]
     files = [(Path(source).name, _digest(source)) for source in sources]
-    found = _table("Made with", rows)
+    found = _table("Made with", list(versions().items()))
     return f"<section>{found}{_table('Made from (SHA-256)', files) if files else ''}</section>"
 
 
 def _table(caption: str, rows: Sequence[tuple[str, str]]) -> str:
     cells = "".join(f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, b in rows)
     return f"<table><caption>{escape(caption)}</caption><tbody>{cells}</tbody></table>"
+
+
+def versions() -> dict[str, str]:
+    """Of this package, first, of Python, and of what numbers come from."""
+    own = {"pam_ocp": __version__, "Python": platform.python_version()}
+    return own | {name: _version(name) for name in PACKAGES}
 
 
 def _version(name: str) -> str:

@@ -9,34 +9,58 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
+from ..core.units import significant
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["DPI", "Grid", "Sheet"]
+__all__ = ["DPI", "Grid", "Sheet", "cell_text", "number_in"]
 
 DPI = 60
 """Of pictures, which are there for a glance: ``.plot()`` gives the whole one."""
-MOST_ROWS = 60
+MOST_ROWS, SHORT = 60, 10
+
+
+def cell_text(cell: str | float) -> str:
+    """A text as it is, a number as people read it."""
+    return cell if isinstance(cell, str) else significant(cell).replace("inf", "∞")
+
+
+def number_in(cell: str | float) -> str | float:
+    """The number of a cell, or its text."""
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def _cell(text: str) -> str:
+    """Short ones are not broken where the page is narrow."""
+    kind = ' class="short"' if len(text) <= SHORT else ""
+    return f"<td{kind}>{escape(text)}</td>"
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A table: heads and rows of texts. The first column is the row's name."""
+    """A table: heads, and rows of texts and of numbers, which are rounded where they are shown. The
+    first column is the row's name.
+    """
 
     head: tuple[str, ...]
-    rows: Sequence[Sequence[str]]
+    rows: Sequence[Sequence[str | float]]
     title: str = ""
 
     def html(self) -> str:
-        """As an HTML table, cut after ``MOST_ROWS`` rows."""
-        head = "".join(f"<th>{escape(h)}</th>" for h in self.head)
+        """As an HTML table without empty columns, cut after ``MOST_ROWS`` rows."""
+        told = [j for j in range(len(self.head)) if any(row[j] != "" for row in self.rows)]
+        head = "".join(f"<th>{escape(self.head[j])}</th>" for j in told)
         rows = [
-            "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>"
+            "<tr>" + "".join(_cell(cell_text(row[j])) for j in told) + "</tr>"
             for row in self.rows[:MOST_ROWS]
         ]
         if len(self.rows) > MOST_ROWS:
             more = f"... {len(self.rows) - MOST_ROWS} more rows"
-            rows.append(f'<tr><td colspan="{len(self.head)}">{more}</td></tr>')
+            rows.append(f'<tr><td colspan="{len(told)}">{more}</td></tr>')
         caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
         body = f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody>"
         return f"<table>{caption}{body}</table>"

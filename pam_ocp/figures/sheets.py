@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .sheet import Grid, Sheet
+from ..core.units import significant
+from ..operating.operating_point import pole_texts
+from .sheet import Grid, Sheet, cell_text
 
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
@@ -24,20 +26,12 @@ if TYPE_CHECKING:
 
 __all__ = ["SHEETS"]
 
-ROUNDING = 1e-12
-"""So small a part of the nominal is none."""
 KINDS = ("state", "input", "output", "parameter", "constraint")
 
 
-def _number(value: float | None, variable: Variable) -> str:
+def _number(value: float | None, variable: Variable) -> str | float:
     """In the display unit, without the unit itself."""
-    if value is None:
-        return ""
-    if not math.isfinite(value):
-        return {math.inf: "∞", -math.inf: "-∞"}.get(value, "nan")
-    if abs(value) < ROUNDING * variable.nominal:
-        value = 0.0
-    return f"{value / variable.display_factor + 0.0:.6g}"
+    return "" if value is None else variable.displayed(value)
 
 
 def _unit(variable: Variable) -> str:
@@ -47,7 +41,8 @@ def _unit(variable: Variable) -> str:
 def _range(variable: Variable) -> str:
     if math.isinf(variable.min) and math.isinf(variable.max):
         return ""
-    return f"{_number(variable.min, variable)} .. {_number(variable.max, variable)}"
+    low, high = (cell_text(variable.displayed(end)) for end in (variable.min, variable.max))
+    return f"{low} .. {high}"
 
 
 def _variables(variables: Iterable[Variable], title: str) -> Grid:
@@ -115,11 +110,8 @@ def _point(point: OperatingPoint) -> Sheet:
         (v.name, _number(point.values[v.name], v), _unit(v), v.description)
         for v in map(point.plant.variable, point.values)
     ]
-    poles = [
-        (f"{p.real:.4g}" + (f" ± {p.imag:.4g} i" if p.imag else ""), _vibration(p))
-        for p in point.poles
-        if p.imag >= 0
-    ]
+    upper = [p for p in point.poles if p.imag >= 0]
+    poles = list(zip(pole_texts(upper), map(_vibration, upper), strict=True))
     return Sheet(
         f"Operating point of {point.plant.name}",
         f"{point.stability}; residual {point.residual:.1e} (scaled by nominal values) per second",
@@ -155,8 +147,8 @@ def _plan(plan: Plan) -> Sheet:
     s = plan.statistics
     counted = plan._problem.objective.words if plan._problem else ""
     rows = [
-        ("duration", f"{plan.duration:.6g} s"),
-        ("objective", f"{plan.objective:.6g}" + (f" = {counted}" if counted else "")),
+        ("duration", f"{significant(plan.duration)} s"),
+        ("objective", significant(plan.objective) + (f" = {counted}" if counted else "")),
         ("solver", f"{s.get('solver', 'IPOPT')}: {plan.status}"),
         ("iterations", str(s.get("iterations", "?"))),
         ("mesh", f"{s.get('intervals', '?')} intervals, refined {len(plan.meshes) - 1} times"),
@@ -220,10 +212,8 @@ def _coefficients(fit: Any) -> Grid:
     for c in fit.coefficients.values():
         low, high = intervals.get(c.name, (c.value, c.value))
         unit = "" if c.unit == "1" else c.unit
-        error, between = f"{c.stderr:.3g}", f"{low:.5g} .. {high:.5g}".replace("inf", "∞")
-        if c.held:
-            error, between = "held", ""
-        rows.append((c.name, f"{c.value:.6g}", error, between, unit, c.description))
+        error: tuple[float | str, str] = c.stderr, f"{cell_text(low)} .. {cell_text(high)}"
+        rows.append((c.name, c.value, *(("held", "") if c.held else error), unit, c.description))
     head = ("name", "value", "standard error", "95 % interval", "unit", "description")
     return Grid(head, rows)
 

@@ -12,6 +12,7 @@ from ..core.errors import InputError
 from ..core.interrupts import interruptible
 from ..muscles.validity import ValidityWarning
 from .canvas import COLOURS
+from .paper import paper_size, paper_width
 
 if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
@@ -75,7 +76,7 @@ def _drawn(
         return surface(100 * kappa, p / 1e5, z, label, title, cells)
     from .picture import Picture
 
-    figure = Picture(figsize=(8, 6.4), layout="constrained")
+    figure = Picture(figsize=paper_size((8, 6.4))[0], layout="constrained")
     ax: Any = figure.add_subplot(projection="3d")
     ax.plot_surface(100 * kappa, p / 1e5, z, cmap="viridis", alpha=0.85, linewidth=0)
     if cells is not None:
@@ -86,5 +87,5 @@ def _drawn(
     ax.set_zlabel(label)
     ax.set_title(title, loc="left", fontsize="medium")
     ax.view_init(elev=24, azim=-52)
-    ax.set_box_aspect(None, zoom=0.88)
+    ax.set_box_aspect(None, zoom=0.88 if paper_width() is None else 0.74)
     return figure

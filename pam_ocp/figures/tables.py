@@ -14,16 +14,18 @@ from ..core.errors import InputError, require_instance
 from ..core.files import atomic_path, write_json
 from .canvas import COLOURS, new_figure
 from .html import sheet_of
+from .sheet import cell_text, number_in
 from .sheets import SHEETS
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Table", "frame_of", "plot_table", "report_of", "save_result", "table_of"]
 
 ENDINGS = (".csv", ".html", ".json", ".txt", ".xlsx")
-MOST_PANELS, MOST_ROWS = 6, 40
+MOST_PANELS, MOST_ROWS, WIDEST = 6, 40, 60
 _BY_COLUMN = {"ForceTable"}
 """Of these the notebook shows a summary only."""
 
@@ -46,7 +48,7 @@ def table_of(thing: Any) -> Table:
     if known - _BY_COLUMN:
         grid = max(sheet_of(thing).grids, key=lambda g: len(g.rows), default=None)
         if grid is not None:
-            return Table(grid.head, tuple(tuple(map(_number, row)) for row in grid.rows))
+            return Table(grid.head, tuple(tuple(map(number_in, row)) for row in grid.rows))
     rows = _cases(thing) or [_flat(p) for p in _parts(thing)]
     if rows:
         heads = tuple(dict.fromkeys(n for row in rows for n in row))
@@ -121,13 +123,6 @@ def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _number(cell: str) -> Any:
-    try:
-        return float(cell)
-    except ValueError:
-        return cell
-
-
 # ---- out of it -----------------------------------------------------------------------------------
 def frame_of(thing: Any) -> pd.DataFrame:
     """The table as a DataFrame. Raises InputError without pandas."""
@@ -191,8 +186,10 @@ def _book(name: str, table: Table, path: Path) -> Path:
     with Book.writing(path, name) as book:
         page = book.sheet(name)
         book.table(page, 0, table.head, table.rows)
-        page.freeze_panes(1, 1)
-        page.set_column(0, len(table.head), 16)
+        book.heads(page, 1, 1)
+        for j, head in enumerate(table.head):
+            longest = max(len(cell_text(c)) for c in (head, *(row[j] for row in table.rows)))
+            page.set_column(j, j, min(longest, WIDEST) + 3)
     return path
 
 
@@ -218,11 +215,16 @@ def plot_table(thing: Any) -> Figure:
         raise InputError(f"{type(thing).__name__} holds no column of numbers to draw; print it")
     size = (3.0 + 2.2 * len(numbers), 1.4 + 0.28 * len(rows))
     figure, axes = new_figure(1, len(numbers), size=size)
+
+    def first(ax: Axes) -> bool:
+        place = ax.get_subplotspec()
+        return place is None or place.is_first_col()
+
     for ax, j in zip(axes[0], numbers, strict=True):
         values = [float(r[j]) if _finite(r[j]) else 0.0 for r in rows]
         ax.barh(range(len(rows)), values, color=COLOURS[0], height=0.6)
         ax.set_xlabel(table.head[j])
-        ax.set_yticks(range(len(rows)), labels if ax is axes[0, 0] else [""] * len(rows))
+        ax.set_yticks(range(len(rows)), labels if first(ax) else [""] * len(rows))
         ax.invert_yaxis()
     return figure
 

@@ -62,7 +62,7 @@ def plot_trajectory(
             )
         for name, style in zip(chosen, layered(len(chosen)), strict=True):
             draw(ax, trajectory, name, **style)
-        ax.set_ylabel(axis_label(trajectory.variable(chosen[0])))
+        ax.set_ylabel(axis_label(*map(trajectory.variable, chosen)))
         ax.set_xlabel("time [s]")
         ax.legend(frameon=False, fontsize="small")
         return ax.figure
@@ -72,7 +72,7 @@ def plot_trajectory(
             if trajectory.variable(name).causality == "input":
                 style["linestyle"] = "--"
             draw(panel, trajectory, name, **style)
-        panel.set_ylabel(axis_label(trajectory.variable(members[0])))
+        panel.set_ylabel(axis_label(*map(trajectory.variable, members)))
         beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
         panel.legend(**beside, frameon=False, fontsize="small")
     axes[-1, 0].set_xlabel("time [s]")
@@ -182,8 +182,12 @@ def plot_bode(
 ) -> Figure:
     """Bode diagram from one input to one output, for each named system; decibels on the right.
 
-    units : of output and source, for the axis; by default both are called SI.
+    units : of output and source, for the axis; by default those of the first system, as
+        :func:`pam_ocp.linearize` tells them, else both are called SI.
     """
+    own = getattr(next(iter(systems.values()), None), "units", {})
+    if units is None and output in own and source in own:
+        units = own[output], own[source]
     figure, axes = new_figure(2, size=(8, 6), sharex=True)
     magnitude, phase = axes[:, 0]
     frequency = np.geomspace(*hertz, 600)

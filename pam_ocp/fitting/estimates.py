@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.errors import UnknownNameError
-from .statistics import Array, Coefficient, Linearisation, coefficient_frame
-
-if TYPE_CHECKING:
-    import pandas as pd
+from ..core.units import significant
+from .statistics import Array, Coefficient, Linearisation
+from .tabled import Tabled
 
 __all__ = ["Estimates", "at_edge", "coefficient_line", "correlation_lines", "following"]
 
@@ -23,7 +22,7 @@ LIKELY = 0.95
 """Probability from which a correlation is stated as a fact."""
 
 
-class Estimates:
+class Estimates(Tabled):
     """A result whose estimates are those of a linearised problem near its optimum.
 
     linearisation : that problem. A kind of fit overrides what it knows better (a profile in place
@@ -100,10 +99,6 @@ class Estimates:
         """Half width of the interval of an estimate."""
         return self.linearisation.reach(level) * c.stderr
 
-    def to_pandas(self) -> pd.DataFrame:
-        """The estimates as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
-        return coefficient_frame(self.coefficients, self.intervals())
-
     @property
     def warnings(self) -> tuple[str, ...]:
         """What to know before the estimates are trusted; empty when there is nothing."""
@@ -132,12 +127,12 @@ def coefficient_line(c: Coefficient, interval: tuple[float, float], reason: str 
     """``a3: -56.66 ± 4.5 (8 %), -65.8 .. -47.6``; ``reason`` why an end is open."""
     unit = "" if c.unit == "1" else f" {c.unit}"
     if c.held:
-        return f"    {c.name}: {c.value:.6g}{unit} (held)"
+        return f"    {c.name}: {significant(c.value)}{unit} (held)"
     low, high = interval
     relative = f"{100 * c.stderr / abs(c.value):.2g} %" if c.value else "-"
     return (
-        f"    {c.name}: {c.value:.6g} ± {c.stderr:.2g}{unit} ({relative}), {low:.5g} .. {high:.5g}"
-        + (f" (open: {reason})" if reason else "")
+        f"    {c.name}: {significant(c.value)} ± {significant(c.stderr, 2)}{unit} ({relative}), "
+        f"{significant(low)} .. {significant(high)}" + (f" (open: {reason})" if reason else "")
     )
 
 

@@ -31,8 +31,6 @@ LITTLE = 1e-3
 """Of an error, what is left of it when it was gone: no way any more."""
 FIGURES = 3
 """Digits of a distance that is told."""
-ZERO = 1e-9
-"""Of nominal: a set point below it is told as 0."""
 UNCONVERGED = 0.2
 """Of the calls of a solver: more that are not converged are named."""
 ASTRAY = 0.25
@@ -223,9 +221,7 @@ def _manner(
 
 def _told(variable: Variable, value: float, figures: int = FIGURES) -> str:
     """A value for people: rounded, and 0 where only arithmetic says otherwise."""
-    if abs(value) <= ZERO * variable.nominal:
-        return variable.shown(0.0)
-    return variable.shown(float(f"{value:.{figures}g}"))
+    return variable.shown(value, figures)
 
 
 def _idle(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, TypeAlias
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 
 from ..core.shown import shown
 from ..core.stop import locked
+from ..core.units import significant
 from ..plants.plant import Plant
 from .held import held_names
 from .stuck import Stuck
 
-__all__ = ["OperatingPoint"]
+__all__ = ["OperatingPoint", "pole_texts"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -107,3 +109,13 @@ class OperatingPoint:
         return "\n".join(
             f"{n:<24} {self.plant.variable(n).shown(v)}" for n, v in self.values.items()
         )
+
+
+def pole_texts(poles: Iterable[complex]) -> list[str]:
+    """Poles [1/s] as people read them, a pair in one; what is rounding beside the largest is 0."""
+    found = list(poles)
+    least = MARGIN * max(map(abs, found), default=0.0)
+    parts = [(p.real * (abs(p.real) > least), p.imag * (abs(p.imag) > least)) for p in found]
+    return [
+        significant(re) + (f" ± {significant(im)} i" if im else "") for re, im in parts if im >= 0
+    ]

@@ -19,6 +19,7 @@ from ..core.shown import shown
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import turns
 from ..core.trajectory import Trajectory
+from ..core.units import significant
 from ..core.variables import Variable
 from ..judge.motion import Judgement, Motion
 from ..judge.statement import Statement
@@ -341,7 +342,7 @@ class Plan:
         return self.trajectory.to_pandas()
 
     def _brief(self) -> str:
-        return f"of {self.plant.name}, {self.duration:.6g} s: {self.verdict}"
+        return f"of {self.plant.name}, {significant(self.duration)} s: {self.verdict}"
 
     def plot(self) -> Figure:
         """Motion, velocities, pressures with commands, forces, stiffness; active bounds shaded."""
@@ -354,8 +355,9 @@ class Plan:
         lines = [
             f"{verdict if self.verified else verdict.upper()[:12] + verdict[12:]}",
             f"plan of {self.plant.name}: {self.status}",
-            f"duration   {self.duration:.6g} s ({' + '.join(f'{d:.6g}' for d in self.durations)})",
-            f"objective  {self.objective:.6g}" + (f" = {counted}" if counted else ""),
+            f"duration   {significant(self.duration)} s "
+            f"({' + '.join(map(significant, self.durations))})",
+            f"objective  {significant(self.objective)}" + (f" = {counted}" if counted else ""),
             f"solver     {s.get('solver', 'IPOPT')}, {s['iterations']} iterations, "
             f"{s['solve_seconds']:.3f} s (built in {s['build_seconds']:.3f} s; {s['variables']} "
             f"variables, {s['constraints']} constraints)",

@@ -17,6 +17,7 @@ from ..core.files import read_toml, require_file, said_in
 from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
+from ..core.units import significant
 from ..muscles.muscle_file import load_muscle
 from ..muscles.pneumatic_muscle import Muscle
 from ..plants.plant import Plant
@@ -63,7 +64,7 @@ def _brief(value: Any) -> str:
         return f"{len(value)} values" if len(value) > 6 else ", ".join(map(_brief, value))
     if isinstance(value, dict):
         return "; ".join(f"{n} {_brief(v)}" for n, v in value.items())
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return significant(value) if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from ..fitting.static.static import fit_force
 from ..fitting.tables.force_table import ForceTable, read_table
 from ..muscles.muscle_file import save_muscle
 from ..muscles.pneumatic_muscle import Muscle
+from ..operating.operating_point import pole_texts
 from ..plants.feeds import Regulator
 from ..plants.hanging import HangingLoad
 from ..plants.plant import Plant
@@ -96,7 +97,7 @@ class Quick:
         if self.plan is not None:
             lines.append(f"motion of {self.plan.duration:.3g} s, {self.plan.verdict}")
         if self.linear is not None:
-            poles = ", ".join(f"{p:.3g}" for p in self.linear.poles())
+            poles = ", ".join(pole_texts(self.linear.poles()))
             lines.append(f"linearised at rest: poles {poles} 1/s")
         lines += ["", "Assumed:", *(f"  {step}: {said}" for step, said in self.assumptions.items())]
         if self.doubts:

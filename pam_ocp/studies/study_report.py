@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.units import display_unit, unit
+from ..core.units import display_unit, significant, unit
 from .kept_results import versions
 from .steps.step import STAGES, STEPS, csv_text
 from .study_file import Entry, Study
@@ -83,7 +83,7 @@ def _shown(entry: Entry, step: StudyStep) -> dict[str, Any]:
 def _number(name: str, value: float, measured: str) -> tuple[str, str]:
     shown = display_unit(measured)
     said = "" if shown == "1" else f" {shown}"
-    return name, f"{value / unit(shown).factor:.6g}{said}"
+    return name, f"{significant(value / unit(shown).factor)}{said}"
 
 
 def _plain(value: Any) -> str:

@@ -2,6 +2,8 @@
 
 import hashlib
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 
 import numpy as np
@@ -10,6 +12,8 @@ import pytest
 import pam_ocp as pam
 from pam_ocp.cli.main import main
 from pam_ocp.figures import write_report
+from pam_ocp.figures.sheet import Grid
+from pam_ocp.studies.file_kinds import load
 
 
 class Page(HTMLParser):
@@ -87,6 +91,30 @@ def test_what_cannot_be_shown_is_said(files, monkeypatch, capsys, arguments, wor
     assert words in said
     assert said.count("\n") == 1
     assert not (files / "report.html").exists()
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
+def test_on_a_telephone_nothing_lies_beside_the_page(files, tmp_path):
+    things = {n: load(files / n) for n in ("muscle.toml", "fit.json", "motion.npz")}
+    write_report(tmp_path / "r.html", {**things, "plant": pam.AntagonisticSlide("DMSP-20-200N")})
+    (tmp_path / "frame.html").write_text(
+        '<iframe id="f" src="r.html" style="width:390px;border:0"></iframe><p id="p"></p><script>'
+        "f.onload = () => p.textContent = f.contentDocument.documentElement.scrollWidth</script>"
+    )
+    browser = [CHROMIUM, "--headless", "--no-sandbox", "--allow-file-access-from-files"]
+    browser += ["--virtual-time-budget=5000", "--dump-dom", str(tmp_path / "frame.html")]
+    page = subprocess.run(browser, capture_output=True, text=True, timeout=120, check=True).stdout
+    assert 300 < int(re.search(r'<p id="p">(\d+)', page)[1]) <= 390
+
+
+def test_columns_without_content_are_left_out_and_tables_keep_them():
+    grid = Grid(("name", "start", "unit"), [("x", "", "mm"), ("y", "", "N")])
+    assert re.findall("<th>(.*?)</th>", grid.html()) == ["name", "unit"]
+    assert re.findall("<td.*?>(.*?)</td>", grid.html()) == ["x", "mm", "y", "N"]
 
 
 def test_what_shows_nothing_is_refused(tmp_path):

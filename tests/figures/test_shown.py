@@ -60,8 +60,22 @@ def test_tables_show_values_in_display_units(things):
     point = things[3]
     rows = {r[0].text: [c.text for c in r] for r in parsed(point).iter("tr") if r[0].tag == "td"}
     assert rows["muscle.pressure"][1:3] == ["2", "bar"]
-    assert float(rows["x"][1]) == pytest.approx(1e3 * point["x"], rel=1e-5)
-    assert rows["x"][2] == "mm"
+    assert rows["x"][1:3] == [f"{1e3 * point['x']:.4g}", "mm"]
+    kept = point.to_pandas().set_index("name")  # a table has all digits
+    assert float(kept.loc["x", "value"]) == pytest.approx(1e3 * point["x"], rel=1e-14)
+
+
+def test_what_rounding_leaves_of_a_zero_is_read_as_zero():
+    """In a position 1e-24 m are none; a parameter so small was given so."""
+    x = pam.Variable("x", "state", unit="m", nominal=0.02)
+    assert [x.shown(v) for v in (-1.2e-27, 1e-12, 1e-10)] == ["0 mm", "0 mm", "1e-07 mm"]
+    assert pam.Variable("leak", "parameter").shown(1.23456e-11) == "1.235e-11"
+
+
+def test_numbers_have_four_digits_and_stiffness_is_in_newtons_per_millimetre():
+    k = pam.Variable("k", "output", unit="N/m", nominal=1e4)
+    said = [k.shown(v) for v in (9001.4, 1e8 / 3, -20e3)]
+    assert said == ["9.001 N/mm", "33330 N/mm", "-20 N/mm"]
 
 
 def test_what_names_and_notes_hold_is_text_and_no_markup():

@@ -135,6 +135,30 @@ def test_a_fits_workbook_holds_data_parameters_intervals_and_formulas(fit, tmp_p
     assert kept["Parameters"]["B14"].value == pytest.approx(fit.rmse)  # seen without calculating
 
 
+def test_slack_points_of_the_law_lie_at_zero_and_do_not_count(fit, tmp_path):
+    page = openpyxl.load_workbook(fit.to_excel(tmp_path / "fit.xlsx"), data_only=True)["Data"]
+    rows = [[c.value for c in row[:6]] for row in page.iter_rows(min_row=5)]
+    slack = [r for r in rows if not r[5]]
+    assert len(slack) == fit.table.slack.sum()
+    assert min(r[3] for r in slack) == 0.0
+    assert all(r[4] == pytest.approx(r[2] - r[3]) for r in rows)
+    rest = [r[4] for r in rows if r[5]]
+    assert np.sqrt(np.mean(np.square(rest))) == pytest.approx(fit.rmse)
+
+
+def test_numbers_are_seen_with_four_digits_and_pages_print_as_wide_as_they_are(fit, tmp_path):
+    book = openpyxl.load_workbook(fit.to_excel(tmp_path / "fit.xlsx"))
+    for page in book:
+        assert page.page_setup.orientation == "landscape"
+        assert page.sheet_properties.pageSetUpPr.fitToPage
+        assert (page.page_setup.fitToWidth or 1, page.page_setup.fitToHeight) == (1, 0)
+    assert book["Data"].print_title_rows == "$4:$4"
+    assert book["Data"]["C5"].number_format == "0"  # up to 1654 N
+    assert book["Parameters"]["B14"].number_format == "0.000"  # RMSE 6.196 N
+    assert book["Parameters"]["C7"].number_format == "0.000E+00"  # 6.893e-05
+    assert book["Parameters"]["C7"].value == fit.coefficients["a1"].stderr  # all digits
+
+
 def test_the_same_fit_gives_the_same_bytes(fit, tmp_path):
     one, other = (fit.to_excel(tmp_path / n).read_bytes() for n in ("a.xlsx", "b.xlsx"))
     assert one == other
@@ -174,6 +198,8 @@ def test_in_libreoffice_force_and_rmse_follow_a_changed_coefficient(fit, tmp_pat
                 page.cell(row, 3 + (name == "Data")),
             )
             expected = float(law.tension(p.value * BAR, kappa.value / 100))
+            if name == "Data" and not page.cell(row, 6).value:  # slack
+                expected = max(0.0, expected)
             assert force.value == pytest.approx(expected, rel=1e-9, abs=1e-6)
     assert met["Curves"]["A45"].value == 3.21
     taut = fit.table.taut

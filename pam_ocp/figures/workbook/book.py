@@ -26,6 +26,7 @@ __all__ = ["MOST_ROWS", "Book", "address", "column_name", "require_writer"]
 
 MOST_ROWS = 1_048_000
 """Of a sheet (Excel: 1 048 576)."""
+A4 = 9
 _EPOCH = datetime(2000, 1, 1)
 
 
@@ -67,8 +68,7 @@ class Book:
         self.head = workbook.add_format(
             {**plain, "bold": True, "bottom": 1, "bg_color": "#e8eef4", "text_wrap": True}
         )
-        self.number = workbook.add_format({**plain, "num_format": "0.######"})
-        self.digits = workbook.add_format({**plain, "num_format": "0.00000E+00"})
+        self._plain, self._numbers = plain, dict[str, Any]()
         self.input = workbook.add_format(
             {**plain, "num_format": "General", "bg_color": "#fff2cc", "border": 1}
         )
@@ -100,7 +100,27 @@ class Book:
         """A new page."""
         page = self.workbook.add_worksheet(name[:31])
         page.hide_gridlines(2)
+        page.set_landscape()
+        page.set_paper(A4)
+        page.fit_to_pages(1, 0)
+        page.set_footer("&L&A&R&P / &N")
         return page
+
+    def heads(self, page: Any, rows: int, columns: int = 0) -> None:
+        """Rows and columns that stay in sight; the last of these rows heads each printed page."""
+        page.freeze_panes(rows, columns)
+        page.repeat_rows(rows - 1)
+
+    def number(self, size: float) -> Any:
+        """The format of numbers up to this size: four digits are seen, all are kept."""
+        shape = "0.000E+00"
+        if 1e-3 <= abs(size) < 1e6 or size == 0:
+            decimals = max(0, 3 - math.floor(math.log10(abs(size)))) if size else 0
+            shape = f"0.{'0' * decimals}" if decimals else "0"
+        if shape not in self._numbers:
+            said = {**self._plain, "num_format": shape}
+            self._numbers[shape] = self.workbook.add_format(said)
+        return self._numbers[shape]
 
     def text(self, page: Any, row: int, lines: Sequence[str], column: int = 0) -> int:
         """Lines, the first as a title; returns the next row."""
@@ -124,6 +144,8 @@ class Book:
         if isinstance(value, str):
             page.write_string(row, column, value, form)
         elif math.isfinite(value):
+            whole = isinstance(value, bool) or value == int(value)
+            form = form or (None if whole else self.number(value))
             page.write_number(row, column, value, form)
         else:
             page.write_string(row, column, {math.inf: "∞", -math.inf: "-∞"}.get(value, ""), form)
@@ -140,8 +162,9 @@ class Book:
                     f"{values.size} rows are more than a sheet has ({MOST_ROWS}); thin them out "
                     "by trajectory.at(times), or save as .csv or .parquet"
                 )
+            form = self.number(float(np.nanmax(np.abs(values), initial=0.0)))
             for i, value in enumerate(values.tolist(), start=row + 1):
-                self.cell(page, i, j, value)
+                self.cell(page, i, j, value, form)
 
     def chart(
         self,

@@ -205,6 +205,7 @@ class _FitBook:
         self.book, self.fit = book, fit
         self.names = list(fit.coefficients)
         self.formula = self._formula()
+        self.force = book.number(float(np.abs(fit.table.force).max()))
 
     def _formula(self) -> Formula | None:
         """The law's; None where spreadsheets have none."""
@@ -260,7 +261,7 @@ class _FitBook:
             ("taut cells", f"=SUM({taut})", float(fit.n), ""),
         ):
             page.write_string(row, 0, name, book.bold)
-            page.write_formula(row, 1, formula, None, value)
+            page.write_formula(row, 1, formula, book.number(value), value)
             page.write_string(row, 5, unit)
             row += 1
         book.text(page, row + 1, fit.warnings)
@@ -269,10 +270,15 @@ class _FitBook:
         page.set_column(6, 6, 40)
 
     # ---- cells with the law -------------------------------------------------------------------
-    def _law(self, page: Any, row: int, column: int, helpers: int, value: float) -> None:
-        """The law in a cell, of the pressure and contraction in the first two of its row."""
+    def _law(
+        self, page: Any, row: int, column: int, helpers: int, value: float, slack: bool = False
+    ) -> None:
+        """The law in a cell, of the pressure and contraction in the first two of its row; at a
+        slack point 0 where it is below.
+        """
+        value = max(0.0, value) if slack else value
         if self.formula is None:
-            page.write_number(row, column, value)
+            page.write_number(row, column, value, self.force)
             return
         cells = {n: address(row, helpers + i) for i, n in enumerate(self.formula.cells)}
 
@@ -288,7 +294,8 @@ class _FitBook:
                 at = helpers + self.formula.cells.index(name)
                 page.write_formula(row, at, text, self.book.grey)
             else:
-                page.write_formula(row, column, text, None, value)
+                text = f"=MAX(0,{text.removeprefix('=')})" if slack else text
+                page.write_formula(row, column, text, self.force, value)
 
     def _helpers(self, page: Any, row: int, column: int) -> None:
         for i, name in enumerate(self.formula.cells if self.formula else ()):
@@ -308,19 +315,20 @@ class _FitBook:
         order = np.lexsort((table.contraction, table.pressure))
         law = np.asarray(self.fit.law.tension(table.pressure, table.contraction))
         for row, i in enumerate(order.tolist(), start=4):
-            page.write_number(row, 0, table.pressure[i] / BAR)
-            page.write_number(row, 1, table.contraction[i] / PERCENT)
-            page.write_number(row, 2, table.force[i])
-            self._law(page, row, 3, helpers, float(law[i]))
-            difference = float(table.force[i] - law[i])
-            page.write_formula(row, 4, f"=C{row + 1}-D{row + 1}", None, difference)
+            book.cell(page, row, 0, float(table.pressure[i] / BAR))
+            book.cell(page, row, 1, float(table.contraction[i] / PERCENT))
+            page.write_number(row, 2, table.force[i], self.force)
+            slack = bool(table.slack[i])
+            self._law(page, row, 3, helpers, float(law[i]), slack)
+            difference = float(table.force[i] - (max(0.0, law[i]) if slack else law[i]))
+            page.write_formula(row, 4, f"=C{row + 1}-D{row + 1}", self.force, difference)
             page.write_number(row, 5, float(not table.slack[i]))
             for j, name in enumerate(labels):
                 page.write_string(row, 6 + j, getattr(table, name)[i])
         last = 4 + len(order)
         self._data_charts(page, table.pressure[order], last)
         page.set_column(0, helpers - 2, 13)
-        page.freeze_panes(4, 0)
+        book.heads(page, 4)
         return last
 
     def _data_charts(self, page: Any, pressure: Any, last: int) -> None:
@@ -364,10 +372,10 @@ class _FitBook:
                     page.write_number(row, 0, round(float(p) / BAR, 3), book.input)
                 else:
                     page.write_formula(row, 0, f"=A{begin + 1}", None, round(float(p) / BAR, 3))
-                page.write_number(row, 1, 100 * kappa)
+                book.cell(page, row, 1, 100 * kappa)
                 value = float(law.tension(round(float(p) / BAR, 3) * BAR, kappa))
                 self._law(page, row, 2, 5, value)
-                page.write_formula(row, 3, f"=MAX(0,C{row + 1})", None, max(0.0, value))
+                page.write_formula(row, 3, f"=MAX(0,C{row + 1})", self.force, max(0.0, value))
                 row += 1
             x, y = (f"Curves!${c}${begin + 1}:${c}${row}" for c in "BD")
             name = f"=Curves!$A${begin + 1}"
@@ -377,4 +385,4 @@ class _FitBook:
         place = f"{column_name(5 + cells + (1 if cells else 0))}2"
         book.chart(page, place, series, labels, "Pulling force, pressures in bar")
         page.set_column(0, 4 + cells, 13)
-        page.freeze_panes(4, 0)
+        book.heads(page, 4)

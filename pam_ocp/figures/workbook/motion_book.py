@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..canvas import quantity_of
+from ..canvas import axis_label
+from ..sheet import number_in
 from ..sheets import SHEETS
 from .book import Book, column_name
 
@@ -63,19 +64,12 @@ def _said(book: Book, name: str, thing: Any) -> None:
     for grid in sheet.grids:
         if grid.title:
             row = book.text(page, row, [grid.title])
-        rows = [[_number(cell) for cell in cells] for cells in grid.rows]
+        rows = [[number_in(cell) for cell in cells] for cells in grid.rows]
         row = book.table(page, row, grid.head, rows) + 1
     book.text(page, row, sheet.notes)
     page.set_column(0, 0, 22)
     page.set_column(1, 1, 44)
     page.set_column(2, 8, 18)
-
-
-def _number(cell: str) -> Any:
-    try:
-        return float(cell)
-    except ValueError:
-        return cell
 
 
 def _head(variable: Variable) -> str:
@@ -88,13 +82,13 @@ def _motion(book: Book, motion: Trajectory) -> None:
     heads = ["time [s]", *(_head(v) for v in motion.variables)]
     columns = [motion.t, *(motion[v.name] / v.display_factor for v in motion.variables)]
     book.columns(page, 0, heads, columns)
-    page.freeze_panes(1, 1)
+    book.heads(page, 1, 1)
     page.set_column(0, len(heads), 13)
     panels: dict[str, list[int]] = {}
     for i, variable in enumerate(motion.variables, start=1):
         panels.setdefault(variable.display_unit, []).append(i)
     last, place = len(motion) + 1, column_name(len(heads) + 1)
-    for number, (unit, members) in enumerate(panels.items()):
+    for number, members in enumerate(panels.values()):
         series = [
             {
                 "name": motion.variables[i - 1].name,
@@ -103,8 +97,7 @@ def _motion(book: Book, motion: Trajectory) -> None:
             }
             for i in members[:MOST_LINES]
         ]
-        quantity = quantity_of(motion.variables[members[0] - 1].unit)
-        label = " ".join(filter(None, (quantity, "" if unit == "1" else f"[{unit}]"))) or "1"
+        label = axis_label(*(motion.variables[i - 1] for i in members)).replace("\n", " ")
         book.chart(page, f"{place}{2 + 16 * number}", series, ("time [s]", label), size=(760, 300))
 
 
@@ -143,13 +136,14 @@ def _record(
         page.write_string(0, own, f"{_head(variable)} difference", book.head)
         one, other = column_name(1 + 2 * i), column_name(2 + 2 * i)
         values = columns[1 + 2 * i] - columns[2 + 2 * i]
+        form = book.number(float(np.nanmax(np.abs(values), initial=0.0)))
         for row, value in enumerate(values.tolist(), start=1):
-            page.write_formula(row, own, f"={one}{row + 1}-{other}{row + 1}", None, value)
+            page.write_formula(row, own, f"={one}{row + 1}-{other}{row + 1}", form, value)
         series = [
             {"name": label, "x": f"'{name}'!$A$2:$A${last}", "y": f"'{name}'!${c}$2:${c}${last}"}
             for label, c in (("measured", one), ("simulated", other))
         ]
         place = f"{column_name(first + len(names) + 1)}{2 + 16 * i}"
         book.chart(page, place, series, ("time [s]", _head(variable)), size=(760, 300))
-    page.freeze_panes(1, 1)
+    book.heads(page, 1, 1)
     page.set_column(0, first + len(names), 15)

@@ -10,17 +10,16 @@ import numpy as np
 
 from ... import courtesy
 from ...core.errors import UnknownNameError
-from ..statistics import Array, Coefficient, coefficient_frame, student_t
+from ..statistics import Array, Coefficient, student_t
+from ..tabled import Tabled
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from .coverage import Coverage
 
 __all__ = ["FittedPlant"]
 
 
-class FittedPlant(ABC):
+class FittedPlant(Tabled, ABC):
     """Coefficients with standard errors, and what follows from them."""
 
     @property
@@ -58,10 +57,6 @@ class FittedPlant(ABC):
         wider = np.array([c.stderr for c in self.coefficients.values()])
         ratio = np.where(np.isfinite(wider), wider / size, 1.0)
         return np.asarray(plain * np.outer(ratio, ratio))
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The parameters as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
-        return coefficient_frame(self.coefficients, self.intervals())
 
     def coverage(self, other: Any, **options: Any) -> Coverage:
         """Where the records of this fit have been, against a record or a signal that is to be

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ...core.units import significant
 from ..estimates import at_edge, correlation_lines, following
 from .branches import branch_lines
 from .correlation import FEWEST
@@ -73,7 +74,8 @@ def _published_lines(fit: Optimum) -> list[str]:
         return []
     values: Mapping[str, float] = published()
     texts = [
-        f"{n} {v:.6g} ± {fit.coefficients[n].stderr * abs(v / fit.law.values[n]):.2g}"
+        f"{n} {significant(v)} ± "
+        f"{significant(fit.coefficients[n].stderr * abs(v / fit.law.values[n]), 2)}"
         for n, v in values.items()
         if fit.law.values[n]
     ]

@@ -101,8 +101,7 @@ class Pareto:
         ]
         for i, (plan, row) in enumerate(zip(self.plans, self.values, strict=True)):
             cells = "".join(
-                f"{v.shown(float(f'{x:.6g}')):>18}"
-                for v, x in zip((self.first, self.second), row, strict=True)
+                f"{v.shown(x):>18}" for v, x in zip((self.first, self.second), row, strict=True)
             )
             mark = "  knee" if i == self.knee else ""
             mark += "" if plan.verified else f"  {plan.verdict}"
@@ -289,8 +288,8 @@ class _Sweep:
             most = SLOWEST * least.duration
         if most is not None and most <= self.first.value(least):
             raise InputError(
-                f"until = {self.first.variable.shown(most)} is not more than the least of "
-                f"{self.first.name}, {self.first.variable.shown(self.first.value(least))}"
+                f"until = {self.first.variable.shown(most, 6)} is not more than the least of "
+                f"{self.first.name}, {self.first.variable.shown(self.first.value(least), 6)}"
             )
         asked = self._with((self.first, most), (self.second, None))
         self.planner = Planner(self.plant, self.stops, minimise=self.second.name, **asked)

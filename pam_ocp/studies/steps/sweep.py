@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...core.errors import InputError, UnknownNameError
-from ...core.units import display_unit, unit
+from ...core.units import display_unit, significant, unit
 from .step import STEPS, Job, Made, Step, csv_text
 
 __all__ = ["SweepStep", "cases_of"]
@@ -67,7 +67,7 @@ class SweepStep(Step):
 
 
 def _text(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    cells = [[f"{c:.6g}" if isinstance(c, float) else c for c in row] for row in rows]
+    cells = [[significant(c) if isinstance(c, float) else c for c in row] for row in rows]
     widths = [max(len(r[i]) for r in [head, *cells]) + 2 for i in range(len(head))]
     return "\n".join(
         "".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in [head, *cells]
