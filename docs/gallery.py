@@ -176,6 +176,7 @@ PAGES = (
     "control",
     "fitting",
     "fmu",
+    "index",
     "problem_files",
 )
 """Run for the site, the long ones first; fragments (``<!-- a fragment -->``) are left out."""

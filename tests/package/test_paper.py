@@ -38,9 +38,8 @@ def test_a_doi_is_one_that_the_citation_file_has():
 
 
 def test_as_many_laws_are_counted_as_there_are():
-    numbers = dict(
-        zip(["six", "seven", "eight", "nine", "ten", "eleven", "twelve"], range(6, 13), strict=True)
-    )
+    words = ["six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
+    numbers = dict(zip(words, range(6, 13), strict=True))
     (count,) = re.findall(r"corrected; (\w+) others are included", TEXT)
     assert numbers[count] + 1 == len(pam_ocp.laws.LAWS)
 
