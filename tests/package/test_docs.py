@@ -111,6 +111,17 @@ def test_pages_with_blocks_are_found():
         assert script(DOCS / f"{page}.md")
 
 
+def test_a_page_has_at_most_2500_words():
+    long = {p.name: len(p.read_text("utf-8").split()) for p in DOCS.glob("*.md")}
+    assert {name: count for name, count in long.items() if count > 2500} == {}
+
+
+def test_the_5_minute_path_is_short(gallery):
+    page = (DOCS / "index.md").read_text("utf-8")
+    (path,) = re.findall(r"^## The 5-minute path\n(.*?)^```\{toctree\}", page, re.S | re.M)
+    assert len(gallery.BLOCK.sub("", path).split()) <= 150
+
+
 def test_names_that_pages_speak_of_exist():
     import pam_ocp as pam
 
