@@ -172,6 +172,7 @@ PAGES = (
     "dynamic_fits",
     "vibration",
     "howto",
+    "ladder",
     "command_line",
     "control",
     "fitting",

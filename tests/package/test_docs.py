@@ -112,7 +112,8 @@ def test_pages_with_blocks_are_found():
 
 
 def test_a_page_has_at_most_2500_words():
-    long = {p.name: len(p.read_text("utf-8").split()) for p in DOCS.glob("*.md")}
+    pages = set(DOCS.glob("*.md")) - {DOCS / "components.md"}  # the registries'
+    long = {p.name: len(p.read_text("utf-8").split()) for p in pages}
     assert {name: count for name, count in long.items() if count > 2500} == {}
 
 
