@@ -33,6 +33,14 @@ def test_a_campaign_under_its_former_name_says_the_new_one(tmp_path):
         pam.fitting.fit_campaign(tmp_path, length_laws=[])
 
 
+def test_the_plant_of_an_fmu_under_its_former_name_says_the_new_one():
+    with (
+        pytest.warns(DeprecationWarning, match=r"plant=.* is export_fmu\(system="),
+        pytest.raises(pam.PamError, match="nowhere"),
+    ):
+        pam.export_fmu(plant=pam.HangingLoad("DMSP-20-300", mass=5.0), path="nowhere/load.fmu")
+
+
 @pytest.mark.parametrize(("call", "old", "new"), RENAMED)
 def test_an_argument_of_a_former_name_is_refused_by_the_new_one(call, old, new):
     place = pam
