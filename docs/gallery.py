@@ -246,9 +246,9 @@ def run_page(name: str, folder: Path) -> Path:
 
 
 def drawn(place: Path) -> dict[Path, int]:
-    """{picture: when it was written}."""
-    found = (path for path in sorted(place.rglob("*")) if path.suffix in PICTURES)
-    return {path: path.stat().st_mtime_ns for path in found}
+    """{picture: when it was written}, in this order."""
+    found = {p: p.stat().st_mtime_ns for p in place.rglob("*") if p.suffix in PICTURES}
+    return dict(sorted(found.items(), key=lambda one: one[1]))
 
 
 def printed(cell: Any) -> str:
