@@ -6,6 +6,7 @@ pip install -e '.[docs]' && sphinx-build -W -b html docs docs/_build/html
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import sys
 from pathlib import Path
@@ -41,6 +42,7 @@ html_favicon = "_static/favicon.svg"
 html_theme_options = {"navigation_with_keys": True}
 copybutton_prompt_text = r">>> |\.\.\. "
 copybutton_prompt_is_regexp = True
+copybutton_selector = "div:not(.output) > div.highlight > pre"
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # the gallery's notebooks come with what they printed
@@ -57,6 +59,7 @@ nitpicky = True
 
 gallery.make(HERE / "gallery")
 gallery.index(HERE / "gallery")
+gallery.make_pages(HERE / "outputs")
 
 
 # -- the list of components, from the registries --------------------------------------------------
@@ -169,9 +172,17 @@ def to_the_gallery(app: Any, name: str, text: list[str]) -> None:
     text[0] = text[0].replace("](../examples/README.md)", "](gallery/index.md)")
 
 
+def with_outputs(app: Any, name: str, text: list[str]) -> None:
+    """What the blocks of a page printed and drew stands under them."""
+    if name in gallery.PAGES:
+        found = json.loads((HERE / "outputs" / f"{name}.json").read_text("utf-8"))
+        text[0] = gallery.with_shown(text[0], found["shown"])
+
+
 def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", plain)
     app.connect("source-read", to_the_gallery)
+    app.connect("source-read", with_outputs)
 
 
 write_reference()

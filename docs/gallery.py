@@ -3,7 +3,8 @@
 python docs/gallery.py [FOLDER] [NAME ...]
 
 A script becomes a notebook so: its docstring is the title and the text, ``# %%`` begins a cell,
-comments behind it are text, and what it saves as a picture is shown instead.
+comments behind it are text, and what it saves as a picture is shown instead. Pages whose blocks
+run are run in the same way; under each block stands what it printed and drew.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 import ast
 import base64
 import hashlib
+import json
 import re
+import shutil
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
@@ -159,6 +162,119 @@ def index(folder: Path) -> None:
     text, target = "\n".join(lines), folder / "index.md"
     if not target.is_file() or target.read_text("utf-8") != text:
         target.write_text(text, "utf-8")
+
+
+# -- pages: under each block what it printed and drew ---------------------------------------------
+
+PAGES = (
+    "planning",
+    "tutorial",
+    "dynamic_fits",
+    "vibration",
+    "howto",
+    "ladder",
+    "command_line",
+    "control",
+    "fitting",
+    "fmu",
+    "index",
+    "problem_files",
+)
+"""Run for the site, the long ones first; fragments (``<!-- a fragment -->``) are left out."""
+BLOCK = re.compile(r"(<!-- a fragment -->\n)?^```(python|sh|toml)\n(.*?)^```\n", re.S | re.M)
+READY = """
+import warnings
+
+import matplotlib
+
+matplotlib.use("agg")
+warnings.formatwarning = lambda message, kind, *_: f"{kind.__name__}: {message}\\n"
+"""
+BASH = f"""%%bash
+set -e
+pam-ocp() {{ "{sys.executable}" -m pam_ocp "$@"; }}
+"""
+PICTURES = {".png", ".gif"}
+
+
+def blocks(page: str) -> list[tuple[int, str, str]]:
+    """(end, kind, code for a kernel) of each block of a page that runs."""
+    found = []
+    for match in BLOCK.finditer(page):
+        fragment, kind, code = match.groups()
+        file = re.match(r"# (\S+\.toml)\n", code)
+        if fragment or (kind == "toml" and not file):
+            continue
+        if file:
+            code = f"%%writefile {file[1]}\n{code}"
+        found.append((match.end(), kind, BASH + code if kind == "sh" else code))
+    return found
+
+
+def run_page(name: str, folder: Path) -> Path:
+    """``folder/NAME.json``: what each block printed, and its pictures; kept while blocks stay."""
+    from nbclient import NotebookClient
+    from nbformat import v4
+
+    codes = [(kind, code) for _, kind, code in blocks((HERE / f"{name}.md").read_text("utf-8"))]
+    source = hashlib.sha256(json.dumps(codes).encode()).hexdigest()
+    target = folder / f"{name}.json"
+    if target.is_file() and json.loads(target.read_text("utf-8"))["source"] == source:
+        return target
+    made = v4.new_notebook(
+        cells=[v4.new_code_cell(code) for code in (READY, *(c for _, c in codes))]
+    )
+    shown = []
+    with tempfile.TemporaryDirectory() as place:
+        shutil.copy(HERE / "rig.xlsx", place)
+        client = NotebookClient(made, timeout=1800, resources={"metadata": {"path": place}})
+        with client.setup_kernel():
+            client.execute_cell(made.cells[0], 0)
+            for number, (kind, _) in enumerate(codes, start=1):
+                before = drawn(Path(place))
+                cell = client.execute_cell(made.cells[number], number)
+                text = "" if kind == "toml" else printed(cell).replace(f"{place}/", "")
+                fresh = [
+                    path for path, time in drawn(Path(place)).items() if before.get(path) != time
+                ]
+                copies = [f"{name}-{number}-{path.name}" for path in fresh]
+                for path, copy in zip(fresh, copies, strict=True):
+                    shutil.copy(path, folder / copy)
+                shown.append({"text": text, "pictures": copies})
+    target.write_text(json.dumps({"source": source, "shown": shown}, indent=1), "utf-8")
+    return target
+
+
+def drawn(place: Path) -> dict[Path, int]:
+    """{picture: when it was written}, in this order."""
+    found = {p: p.stat().st_mtime_ns for p in place.rglob("*") if p.suffix in PICTURES}
+    return dict(sorted(found.items(), key=lambda one: one[1]))
+
+
+def printed(cell: Any) -> str:
+    """What a cell wrote, as a terminal shows it."""
+    return "".join(output.text for output in cell.outputs if output.output_type == "stream").strip()
+
+
+def with_shown(page: str, shown: list[dict[str, Any]]) -> str:
+    """A page with text and pictures under its blocks."""
+    parts, end = [], 0
+    for (at, _, _), block in zip(blocks(page), shown, strict=True):
+        parts.append(page[end:at])
+        end = at
+        if block["text"]:
+            parts.append(f"\n`````{{code-block}} text\n:class: output\n\n{block['text']}\n`````\n")
+        for picture in block["pictures"]:
+            file = picture.split("-", 2)[2]
+            parts.append(f"\n![{file}, drawn by the block above](outputs/{picture})\n")
+    return "".join([*parts, page[end:]])
+
+
+def make_pages(folder: Path) -> None:
+    """Run pages, two at a time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(partial(run_page, folder=folder), PAGES))
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..core.block import Block
 from ..core.errors import InputError
+from ..core.renamed import renamed
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..muscles.pneumatic_muscle import Muscle
@@ -26,6 +27,7 @@ from .settings import FmiVersion, Settings, checked, checked_about
 __all__ = ["export_fmu", "export_muscle", "write_block"]
 
 
+@renamed("0.3", plant="system")
 @verb
 def export_fmu(
     system: Plant | Block | Any,

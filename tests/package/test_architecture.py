@@ -248,11 +248,3 @@ def test_the_face_has_about_sixty_names_and_each_of_them_stands_in_no_second_roo
             own = getattr(pam_ocp, room)
             if name in getattr(own, "__all__", ()):
                 assert getattr(own, name) is getattr(pam_ocp, name)
-
-
-def test_a_name_of_version_01_that_moved_to_a_room_still_works_and_says_where_it_is():
-    with pytest.warns(DeprecationWarning, match=r"pam_ocp\.losses\.Creep since version 0\.2"):
-        old = pam_ocp.Creep
-    assert old is pam_ocp.losses.Creep
-    for name, room in pam_ocp._MOVED.items():
-        assert hasattr(getattr(pam_ocp, room), name), name

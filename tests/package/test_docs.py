@@ -1,7 +1,9 @@
 """What the pages of docs/ show runs as it stands there, block after block."""
 
+import json
 import logging
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -52,16 +54,79 @@ def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
     exec(compile(PAGES[page], f"docs/{page}.md", "exec"), {"__name__": "__main__"})
 
 
+@pytest.fixture
+def gallery(monkeypatch):
+    pytest.importorskip("nbclient")
+    monkeypatch.syspath_prepend(str(DOCS))
+    import gallery
+
+    return gallery
+
+
+def test_every_command_line_is_run_for_the_site_or_is_a_fragment(gallery):
+    for page in DOCS.glob("*.md"):
+        kinds = {kind for _, kind, _ in gallery.blocks(page.read_text("utf-8"))}
+        assert page.stem in gallery.PAGES or "sh" not in kinds, page.name
+
+
+PAGE = """# A page
+
+```python
+print("six")
+```
+
+<!-- a fragment -->
+```python
+raise SystemExit
+```
+
+```toml
+# some.toml
+a = 1
+```
+
+```sh
+cat some.toml; echo P6 1 1 255 > some.png
+```
+"""
+
+
+def test_under_a_block_stands_what_it_printed_and_drew(gallery, tmp_path, monkeypatch):
+    pytest.importorskip("ipykernel")
+    (tmp_path / "page.md").write_text(PAGE)
+    shutil.copy(DOCS / "rig.xlsx", tmp_path)
+    monkeypatch.setattr(gallery, "HERE", tmp_path)
+    made = json.loads(gallery.run_page("page", tmp_path).read_text("utf-8"))
+    assert [block["text"] for block in made["shown"]] == ["six", "", "# some.toml\na = 1"]
+    shown = gallery.with_shown(PAGE, made["shown"])
+    six, some = shown.index("\n\nsix\n"), shown.index("\na = 1\n`````")
+    assert shown.index('print("six")') < six < shown.index("a fragment") < some
+    assert "(outputs/page-3-some.png)" in shown[some:]
+    assert (tmp_path / "page-3-some.png").is_file()
+
+
 def test_pages_with_blocks_are_found():
     assert {"control", "ladder"} <= set(PAGES)
     for page in ELSEWHERE:
         assert script(DOCS / f"{page}.md")
 
 
+def test_a_page_has_at_most_2500_words():
+    pages = set(DOCS.glob("*.md")) - {DOCS / "components.md"}  # the registries'
+    long = {p.name: len(p.read_text("utf-8").split()) for p in pages}
+    assert {name: count for name, count in long.items() if count > 2500} == {}
+
+
+def test_the_5_minute_path_is_short(gallery):
+    page = (DOCS / "index.md").read_text("utf-8")
+    (path,) = re.findall(r"^## The 5-minute path\n(.*?)^```\{toctree\}", page, re.S | re.M)
+    assert len(gallery.BLOCK.sub("", path).split()) <= 150
+
+
 def test_names_that_pages_speak_of_exist():
     import pam_ocp as pam
 
-    for page in DOCS.glob("*.md"):
+    for page in set(DOCS.glob("*.md")) - {DOCS / "migration.md"}:  # of former names
         for name in re.findall(r"`pam\.([a-z_A-Z.]*[a-zA-Z])", page.read_text("utf-8")):
             place = pam
             for part in name.split("."):

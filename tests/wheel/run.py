@@ -179,7 +179,7 @@ def main() -> None:
         print(f"{version} imports in the clone, where nothing is installed", flush=True)
 
         builder, _ = environment(work / "builder")
-        pip(builder, "install", "build", *REQUIRED)
+        pip(builder, "install", "build", "twine", *REQUIRED)
         # a copy, so that the clone stays as it is; the wheel is built out of the source archive
         clone = shutil.copytree(
             ROOT,
@@ -192,6 +192,7 @@ def main() -> None:
         tell(*build, "--outdir", work / "dist", clone, folder=work)
         (wheel,), (archive,) = (work / "dist").glob("*.whl"), (work / "dist").glob("*.tar.gz")
         require(f"-{version}-" in wheel.name, f"{wheel.name} is not version {version}")
+        tell(builder, "-m", "twine", "check", "--strict", wheel, archive, folder=work)
         look_into_archive(archive)
         files = look_into_wheel(wheel)
         tell(*build, "--wheel", "--outdir", work / "direct", clone, folder=work)

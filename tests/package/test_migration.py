@@ -1,0 +1,54 @@
+"""Every old name that docs/migration.md lists does what the page says of it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import pam_ocp as pam
+
+PAGE = (Path(__file__).parents[2] / "docs" / "migration.md").read_text("utf-8")
+MOVED = {
+    name: room
+    for room, names in re.findall(r"^\| `pam\.(\w+)` \| (`\w+`(?:, `\w+`)*) \|$", PAGE, re.M)
+    for name in re.findall(r"`(\w+)`", names)
+}
+RENAMED = re.findall(r"^\| `pam\.([\w.]+)` \| `(\w+)` \| `(\w+)` \|$", PAGE, re.M)
+
+
+def test_the_page_lists_all_names_that_have_moved():
+    assert MOVED == pam._MOVED
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_a_name_that_has_moved_works_and_says_where_it_stands(name):
+    place = f"{MOVED[name]}.{name}"
+    with pytest.warns(DeprecationWarning, match=rf"is pam_ocp\.{place} since"):
+        old = getattr(pam, name)
+    assert old is getattr(getattr(pam, MOVED[name]), name)
+
+
+def test_a_campaign_under_its_former_name_says_the_new_one(tmp_path):
+    with pytest.warns(DeprecationWarning, match="fit_forces"), pytest.raises(pam.PamError):
+        pam.fitting.fit_campaign(tmp_path, length_laws=[])
+
+
+def test_the_plant_of_an_fmu_under_its_former_name_says_the_new_one():
+    with (
+        pytest.warns(DeprecationWarning, match=r"plant=.* is export_fmu\(system="),
+        pytest.raises(pam.PamError, match="nowhere"),
+    ):
+        pam.export_fmu(plant=pam.HangingLoad("DMSP-20-300", mass=5.0), path="nowhere/load.fmu")
+
+
+@pytest.mark.parametrize(("call", "old", "new"), RENAMED)
+def test_an_argument_of_a_former_name_is_refused_by_the_new_one(call, old, new):
+    place = pam
+    for part in call.split("."):
+        place = getattr(place, part)
+    with pytest.raises(TypeError, match=rf"no argument '{old}'; did you mean {new}"):
+        place(**{old: 1e-3})
+
+
+def test_the_page_lists_arguments():
+    assert len(RENAMED) >= 8
