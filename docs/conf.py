@@ -175,7 +175,9 @@ def to_the_gallery(app: Any, name: str, text: list[str]) -> None:
 def with_outputs(app: Any, name: str, text: list[str]) -> None:
     """What the blocks of a page printed and drew stands under them."""
     if name in gallery.PAGES:
-        found = json.loads((HERE / "outputs" / f"{name}.json").read_text("utf-8"))
+        source = HERE / "outputs" / f"{name}.json"
+        app.env.note_dependency(source)  # read again when it is run again
+        found = json.loads(source.read_text("utf-8"))
         text[0] = gallery.with_shown(text[0], found["shown"])
 
 
