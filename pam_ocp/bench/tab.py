@@ -75,6 +75,9 @@ class Page(Protocol):
     def script(self) -> str:
         """What was done in this session, as a script."""
 
+    def words(self, text: str) -> str:
+        """What the library says in the words of the page (words.py)."""
+
     def say(self, text: str, kind: str = "info") -> None:
         """A line below the header, read out to the blind; kind "error" stays until it is closed."""
 

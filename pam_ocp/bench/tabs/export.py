@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Sequence
+from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 from nicegui import ui
@@ -99,6 +101,8 @@ class Export(Tab):
         self._motion = chosen if chosen in motions else usual
         self._fmi = str(self._remembered("fmi", "2.0"))
         self._step = float(self._remembered("step", 1e-3))
+        cross = find_spec("ziglang") is not None  # the extra [cross]
+        self._platforms = str(self._remembered("platforms", "windows" if cross else "native"))
 
         def keep(name: str, field: str, value: Any) -> None:
             setattr(self, field, value)
@@ -114,6 +118,10 @@ class Export(Tab):
             high=1.0,
             shown="ms",
         )
+        kinds = {key: words for key, (words, _) in script.PLATFORMS.items()}
+        act = partial(keep, "platforms", "_platforms")
+        hint = "others than this machine need the cross compiler: pip install 'pam_ocp[cross]'"
+        el.choice("Runs on", kinds, self._platforms, act, hint)
         against = {**motions, "": "the operating point"}
         el.choice("Held against", against, self._motion, lambda v: keep("motion", "_motion", v))
         with ui.element("div").classes("bench-row").style("margin-top: 6px"):
@@ -171,6 +179,7 @@ class Export(Tab):
             said["controller"] = self._controller
         else:
             said |= {"fmi": self._fmi, "step_size": self._step, "motion": self._motion}
+            said["platforms"] = self._platforms
         function = {"fmu": jobs.fmu, "ssp": jobs.ssp, "c": jobs.c_code}[kind]
         made = await self.bench.work(
             f"Export {kind.upper()}",
@@ -280,7 +289,9 @@ class Export(Tab):
                 ]
                 for row in rows
             ]
-            el.table(["figure [SI]", "page", "script", ""], shown, label="Figures, page and script")
+            el.table(
+                ["figure [SI]", "page", "script", "agrees"], shown, label="Figures, page and script"
+            )
 
 
 def _said(value: float | None) -> str:
