@@ -115,7 +115,8 @@ def test_axe_finds_nothing_on_any_tab_light_dark_or_narrow(hand, server):
         found |= {f"{name}, narrow": looked_at(hand, source, name) for name in TABS}
     finally:
         hand.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    assert {where: what for where, what in found.items() if what} == {}
+    lines = [f"{where}: {one}" for where, what in found.items() for one in what]
+    assert not lines, "\n".join(lines)
 
 
 def looked_at(hand, source, name):
