@@ -32,7 +32,6 @@ __all__ = [
     "button",
     "check",
     "choice",
-    "download",
     "note",
     "plots",
     "section",
@@ -472,8 +471,3 @@ _UPLOAD = """<div class="bench-row">
   <button type="button" class="bench-play" aria-label="LABEL" @click="props.pickFiles">+</button>
   <span>LABEL</span><q-spinner v-if="props.isUploading" />
   <span style="display: none"><q-uploader-add-trigger /></span></div>"""
-
-
-def download(content: bytes | str, name: str) -> None:
-    """Hand a file to the browser."""
-    ui.download.content(content, name)

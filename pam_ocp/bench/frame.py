@@ -118,6 +118,11 @@ class Bench:
         with suppress(Exception), self.client:
             self._message.say(self.words(text), kind)
 
+    def download(self, content: bytes | str, name: str) -> None:
+        """Hand a file to the browser; what was pressed may be drawn anew, or gone, meanwhile."""
+        with self.client:
+            ui.download.content(content, name)
+
     def open(self, title: str) -> None:
         """Show a tab."""
         self._tabs.set_value(title)

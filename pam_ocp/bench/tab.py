@@ -81,6 +81,9 @@ class Page(Protocol):
     def say(self, text: str, kind: str = "info") -> None:
         """A line below the header, read out to the blind; kind "error" stays until it is closed."""
 
+    def download(self, content: bytes | str, name: str) -> None:
+        """Hand a file to the browser; what was pressed may be drawn anew, or gone, meanwhile."""
+
     def open(self, title: str) -> None:
         """Show a tab."""
 

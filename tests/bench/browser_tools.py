@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PATIENCE = 40.0
+PATIENCE = 90.0
 """Seconds after which what is awaited does not come any more; machines of tests are busy."""
 AGAIN = 15.0
 """Seconds after which a user types or chooses once more what a page drawn anew has not heard."""

@@ -391,7 +391,7 @@ class Data(Tab):
             return
         made = await self.bench.work("One page", one_page, self.bench.folder, item)
         path = self.bench.folder / "exports" / made["file"]
-        el.download(path.read_bytes(), path.name)
+        self.bench.download(path.read_bytes(), path.name)
         self._quick_words[item["id"]] = made["words"]
         self._show()
 

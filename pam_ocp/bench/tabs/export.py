@@ -159,7 +159,7 @@ class Export(Tab):
                 if path.is_file():
                     el.button(
                         f"Download {said['file']}",
-                        lambda path=path: el.download(path.read_bytes(), path.name),
+                        lambda path=path: self.bench.download(path.read_bytes(), path.name),
                     )
                 el.button("Remove", lambda id=said["id"]: self._remove(id))
             if made is not None and said["kind"] == "fmu":
@@ -212,7 +212,7 @@ class Export(Tab):
             warm="plan",
         )
         path = self.bench.folder / "exports" / made["file"]
-        el.download(path.read_bytes(), path.name)
+        self.bench.download(path.read_bytes(), path.name)
 
     # ---- script and study -----------------------------------------------------------------------
     def _study_text(self) -> str:
@@ -221,11 +221,11 @@ class Export(Tab):
 
     def _download_script(self) -> None:
         with self.bench.shown_errors():
-            el.download(self.bench.script(), "session.py")
+            self.bench.download(self.bench.script(), "session.py")
 
     def _download_study(self) -> None:
         with self.bench.shown_errors():
-            el.download(self._study_text(), "session.toml")
+            self.bench.download(self._study_text(), "session.toml")
 
     def _download_all(self) -> None:
         """The folder, with script and study as they are now."""
@@ -242,7 +242,7 @@ class Export(Tab):
                 if study.needs_muscle_file(self.state):
                     muscle = study.save_muscle_file(folder, self.state)
                     archive.write(muscle, muscle.name)
-            el.download(packed.getvalue(), f"{self.bench.session.id}.zip")
+            self.bench.download(packed.getvalue(), f"{self.bench.session.id}.zip")
 
     def _check_soon(self) -> None:
         self.bench.soon(self._check)

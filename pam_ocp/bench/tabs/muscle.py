@@ -549,7 +549,7 @@ class MuscleTab(Tab):
             content = await self.bench.work(
                 "Saving", jobs.muscle_file, self.bench.folder, self.state, time_limit=30.0
             )
-            el.download(content, "muscle.toml")
+            self.bench.download(content, "muscle.toml")
 
     async def _save_workbook(self) -> None:
         with self.bench.shown_errors():
@@ -564,7 +564,7 @@ class MuscleTab(Tab):
                     said["fixed"],
                     warm="muscle",
                 )
-                el.download(content, "fit.xlsx")
+                self.bench.download(content, "fit.xlsx")
 
 
 def _same(table: Mapping[str, Any], item: Mapping[str, Any]) -> bool:
