@@ -28,7 +28,7 @@ KEPT = 600.0
 MOST_SHOWN = 12
 """Sessions on the first page."""
 STATIC = Path(__file__).with_name("static")
-HEAD = '<link rel="stylesheet" href="/bench/bench.css">'
+HEAD = '<link rel="stylesheet" href="/bench/bench.css"><script src="/bench/focus.js"></script>'
 
 
 @dataclass
@@ -140,7 +140,7 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
 
 def _start_page(known: list[tuple[str, float]]) -> None:
     ui.add_head_html(HEAD)
-    with ui.element("main").classes("bench-start"):
+    with ui.element("div").classes("bench-start"):
         ui.html("<h1>pam_ocp bench</h1>", sanitize=False)
         ui.button("New session", on_click=lambda: ui.navigate.to("/new")).props("no-caps")
         ui.html("<h2>Resume</h2>", sanitize=False)

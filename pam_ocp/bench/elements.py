@@ -22,6 +22,7 @@ from ..core.errors import InputError, PamError
 from ..core.quantities import quantity
 from ..core.units import display_unit
 from ..core.units import unit as unit_of
+from . import look
 
 __all__ = [
     "Field",
@@ -31,7 +32,6 @@ __all__ = [
     "button",
     "check",
     "choice",
-    "download",
     "note",
     "plots",
     "section",
@@ -41,6 +41,7 @@ __all__ = [
     "tag",
     "text_field",
     "units_like",
+    "upload",
 ]
 
 UNITS: tuple[tuple[str, ...], ...] = (
@@ -379,17 +380,27 @@ def _cell(cell: Any, pressed: Any) -> None:
 
 
 class Plot:
-    """A picture (look.figure), read out as ``label``. on_click : with the point that is clicked."""
+    """A picture (look.figure), named ``label``; a sentence says to the blind what it shows.
+
+    on_click : with the point that is clicked. empty : what will be there, where there is nothing.
+    """
 
     def __init__(
         self,
         figure: dict[str, Any],
         label: str,
         on_click: Callable[[dict[str, Any]], Any] | None = None,
+        *,
+        empty: str,
     ) -> None:
-        self.element = ui.plotly(figure)
-        self.element._props["role"] = "img"
-        self.element._props["aria-label"] = label
+        name = f"plot-{next(_ids)}"
+        self.element = ui.plotly({})
+        self._empty = empty
+        # no "img": that would hide the picture's own buttons from a screen reader
+        self.element._props.update({"role": "figure", "aria-label": label})
+        self.element._props["aria-describedby"] = name
+        self._words = tag("p", "", "bench-unseen", id=name)
+        self.draw(figure)
         if on_click is not None:
             self.element.on("plotly_click", lambda e: self._clicked(e, on_click), js_handler=_PICK)
 
@@ -397,9 +408,12 @@ class Plot:
     def _clicked(event: Any, act: Callable[[dict[str, Any]], Any]) -> Any:
         return act(event.args) if isinstance(event.args, dict) and event.args else None
 
-    def draw(self, figure: dict[str, Any]) -> None:
-        """Show another figure; zoom stays while ``keep`` of it does."""
-        self.element.update_figure(figure)
+    def draw(self, figure: dict[str, Any], label: str = "") -> None:
+        """Show another figure; zoom stays while ``keep`` of it does. label : another name."""
+        self._words.set_text(look.described(figure) if figure["data"] else self._empty)
+        if label:
+            self.element._props["aria-label"] = label
+        self.element.update_figure(figure if figure["data"] else look.blank(figure, self._empty))
 
     def curves(self, traces: Sequence[int], **values: Sequence[Any]) -> None:
         """New values of some lines or markers: ``curves([3, 4], y=[..., ...])``. Quick: axes stay
@@ -426,6 +440,34 @@ _PICK = """(e) => { const p = e.points && e.points[0];
     data: p.customdata}); }"""
 
 
-def download(content: bytes | str, name: str) -> None:
-    """Hand a file to the browser."""
-    ui.download.content(content, name)
+def upload(
+    label: str,
+    act: Callable[[Any], Any],
+    refused: Callable[[], Any],
+    *,
+    accept: str = "",
+    **more: Any,
+) -> None:
+    """A place to drop files, or to choose them; what became of a file ``act`` and ``refused`` say.
+
+    The framework's own list, whose ticks tell that a file has arrived, not that it was understood,
+    is not shown, and its button, an input within a link, is none to a keyboard.
+    accept : endings, as ".toml,.json".
+    """
+
+    async def arrived(event: Any) -> None:
+        try:
+            await act(event)
+        finally:
+            made.run_method("removeUploadedFiles")
+
+    made = ui.upload(auto_upload=True, on_upload=arrived, on_rejected=refused, **more)
+    made.props("flat bordered" + (f" accept='{accept}'" if accept else ""))
+    made.add_slot("header", _UPLOAD.replace("LABEL", label))
+    made.add_slot("list", "<span></span>")
+
+
+_UPLOAD = """<div class="bench-row">
+  <button type="button" class="bench-play" aria-label="LABEL" @click="props.pickFiles">+</button>
+  <span>LABEL</span><q-spinner v-if="props.isUploading" />
+  <span style="display: none"><q-uploader-add-trigger /></span></div>"""

@@ -12,6 +12,7 @@ from nicegui import background_tasks, ui
 from nicegui.events import KeyEventArguments
 
 from ..core.errors import PamError
+from .elements import tag
 from .script import script_of
 from .session import Session
 from .tab import Tab
@@ -21,6 +22,7 @@ from .tabs.export import Export
 from .tabs.motion import Motion
 from .tabs.muscle import MuscleTab
 from .tabs.plant import PlantTab
+from .words import page_words
 from .work import Job, JobFailed, JobStopped, Workshop
 
 __all__ = ["TABS", "Bench"]
@@ -106,10 +108,20 @@ class Bench:
         """What was done in this session, as a script."""
         return script_of([tab.lines(self.session.state) for tab in TABS])
 
+    def words(self, text: str) -> str:
+        """What the library says in the words of the page (words.py)."""
+        known = {d["file"]: d["name"] for d in self.session.state["data"] if "file" in d}
+        return page_words(text, self.folder, {**known, **self.session.names})
+
     def say(self, text: str, kind: str = "info") -> None:
         """A line below the header, read out to the blind; an error stays until it is closed."""
         with suppress(Exception), self.client:
-            self._message.say(text, kind)
+            self._message.say(self.words(text), kind)
+
+    def download(self, content: bytes | str, name: str) -> None:
+        """Hand a file to the browser; what was pressed may be drawn anew, or gone, meanwhile."""
+        with self.client:
+            ui.download.content(content, name)
 
     def open(self, title: str) -> None:
         """Show a tab."""
@@ -121,7 +133,7 @@ class Bench:
         ui.colors(primary="#0072b2", negative="#b3261e", positive="#00734f", warning="#9a5b00")
         dark = ui.dark_mode(self.session.view("page", "dark"))
         with ui.header().classes("bench-header"):
-            ui.label("pam_ocp bench").classes("bench-brand")
+            tag("h1", "pam_ocp bench", "bench-brand")
             with ui.tabs().props("dense no-caps inline-label").classes("bench-tabs") as tabs:
                 for tab in self.tabs:
                     ui.tab(tab.title).props(f"aria-label={tab.title}")
@@ -144,7 +156,7 @@ class Bench:
         if first not in [tab.title for tab in self.tabs]:
             first = self.tabs[0].title
         self._bodies = {}
-        with ui.element("main").classes("bench-panels"):
+        with ui.element("div").classes("bench-panels"):  # the framework's page is the main part
             for tab in self.tabs:
                 body = ui.element("div").classes("bench-main").props("role=tabpanel")
                 body._props["aria-label"] = tab.title

@@ -6,6 +6,7 @@ page's light and dark by bench.css.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,10 +22,13 @@ __all__ = [
     "SYMBOLS",
     "axis",
     "band",
+    "blank",
+    "described",
     "figure",
     "line",
     "numbers",
     "points",
+    "quantity",
     "rgba",
 ]
 
@@ -93,6 +97,60 @@ def figure(
             "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
         },
     }
+
+
+def blank(figure: Mapping[str, Any], words: str) -> dict[str, Any]:
+    """A figure without data: no axes, and what will be there."""
+    layout = figure["layout"]
+    lines = "<br>".join(textwrap.wrap(words, 44))  # Plotly breaks no lines by itself
+    note = {"text": lines, "showarrow": False, "xref": "paper", "yref": "paper", "x": 0.5, "y": 0.5}
+    hidden = {k: {"visible": False} for k in layout if k.startswith(("xaxis", "yaxis"))}
+    shown = {"annotations": [note], "height": min(layout["height"], 160), **hidden}
+    return {**figure, "layout": {**layout, **shown}}
+
+
+def described(figure: Mapping[str, Any]) -> str:
+    """What a figure shows, in words: "6 curves; force from 0 to 1654 N"."""
+    data, layout = figure["data"], figure["layout"]
+    curves = [d for d in data if "lines" in d.get("mode", "") and "fill" not in d]
+    marks = sum(len(d["x"]) for d in data if d.get("mode") == "markers")
+    parts = [f"{n} {w}{'s' * (n != 1)}" for n, w in ((len(curves), "curve"), (marks, "point")) if n]
+    scene = layout.get("scene")
+    for key, side in (scene or layout).items():
+        if key[:5] not in ("xaxis", "yaxis", "zaxis"):
+            continue
+        own = f"{key[0]}{key[5:]}"
+        drawn = [
+            d[key[0]]
+            for d in data
+            if key[0] in d and "fill" not in d and (scene or d.get(f"{key[0]}axis", key[0]) == own)
+        ]
+        parts += _range(side["title"]["text"], drawn)
+    return "; ".join(parts)
+
+
+def _range(title: str, drawn: Sequence[Any]) -> list[str]:
+    """What an axis [unit] spans, on which this is drawn."""
+    values = np.concatenate([np.zeros(0), *(np.asarray(d, float).ravel() for d in drawn)])
+    values = values[np.isfinite(values)]
+    name, _, unit = title.partition(" [")
+    unit = "" if unit == "1]" else f" {unit[:-1]}"
+    return [f"{name} from {values.min():.4g} to {values.max():.4g}{unit}"] if values.size else []
+
+
+_QUANTITIES = {
+    "mm": "position", "m": "position", "deg": "angle", "rad": "angle", "m/s": "velocity",
+    "deg/s": "velocity", "rad/s": "velocity", "bar": "pressure", "Pa": "pressure", "N": "force",
+    "N.m": "torque", "N/m": "stiffness", "N/mm": "stiffness", "N.m/rad": "stiffness", "W": "power",
+    "%": "part", "1": "part", "kg": "mass", "kg/s": "mass flow", "K": "temperature",
+    "degC": "temperature", "V": "voltage", "A": "current", "J": "energy",
+}  # fmt: skip
+
+
+def quantity(unit: str) -> str:
+    """The title of an axis of what is measured in a unit: "pressure [bar]"."""
+    name = _QUANTITIES.get(unit, "value")
+    return name if unit == "1" else f"{name} [{unit}]"
 
 
 ABOVE: dict[str, Any] = {

@@ -19,6 +19,7 @@ from ..plants.kinds import PLANTS
 
 __all__ = [
     "HEAD",
+    "PLATFORMS",
     "PUSH",
     "call",
     "can_be_pushed",
@@ -32,6 +33,7 @@ __all__ = [
     "muscle_lines",
     "plant_code",
     "plant_lines",
+    "platforms_of",
     "script_of",
     "wrapped",
 ]
@@ -316,6 +318,23 @@ def _run_lines(said: Mapping[str, Any]) -> list[str]:
 
 
 # ---- exports -------------------------------------------------------------------------------------
+PLATFORMS: dict[str, tuple[str, list[str]]] = {
+    "native": ("this machine", ["native"]),
+    "windows": ("this machine and Windows, 64 bit", ["native", "x86_64-windows"]),
+    "linux": ("this machine and Linux, 64 bit", ["native", "x86_64-linux"]),
+    "mac-intel": ("this machine and macOS, Intel", ["native", "x86_64-darwin"]),
+    "mac-apple": ("this machine and macOS, Apple", ["native", "aarch64-darwin"]),
+    "all": ("all five: Linux (Intel, ARM), Windows, macOS (Intel, Apple)", []),
+}
+"""What an FMU or SSP is built for: {key: (words, names of pam_ocp.export.PLATFORMS; none: all)}.
+This machine is always among them, for here it is checked."""
+
+
+def platforms_of(said: Mapping[str, Any]) -> list[str] | None:
+    """``platforms=`` of an export; of sessions that say none, this machine."""
+    return PLATFORMS[said.get("platforms", "native")][1] or None
+
+
 def export_lines(state: Mapping[str, Any]) -> list[str]:
     """Each FMU with its check, each SSP."""
     lines: list[str] = []
@@ -329,7 +348,7 @@ def export_lines(state: Mapping[str, Any]) -> list[str]:
                 "plant",
                 literal(f"{id}.fmu"),
                 fmi=said["fmi"],
-                platforms=["native"],
+                platforms=platforms_of(said),
                 step_size=said["step_size"],
             )
             lines += [f"{id} = {made}"]
@@ -349,7 +368,7 @@ def export_lines(state: Mapping[str, Any]) -> list[str]:
                 f'{id} = pam.export_ssp({{"plant": plant, "motion": {motion}.trajectory}}, '
                 f'{{f"plant.{{v.name}}": f"motion.{{v.name}}" for v in plant.inputs}}, '
                 f"{literal(f'{id}.ssp')}, step_size={said['step_size']!r}, "
-                f'stop_time={motion}.duration, platforms=["native"])'
+                f"stop_time={motion}.duration, platforms={literal(platforms_of(said))})"
             ]
         elif said["kind"] == "c" and said["controller"]:
             lines += [f"pam.export_c({said['controller']}, {literal(f'{id}_c')})"]

@@ -129,6 +129,8 @@ class Session:
         if not self._lock.taken:
             raise SessionInUse(f"{folder}: another bench has this session open; close it there")
         self.title = ""
+        self.names: dict[str, str] = {}
+        """Of files dropped since it was opened, the names that users gave them."""
         self.state: State = copy.deepcopy(EMPTY)
         self._past: list[tuple[str, State]] = []
         self._future: list[tuple[str, State]] = []
@@ -270,6 +272,7 @@ class Session:
         if not _whole(there / kept):
             with atomic_path(there / kept) as temporary:
                 temporary.write_bytes(content)
+        self.names[kept] = name
         return kept
 
     def path(self, file: str) -> Path:

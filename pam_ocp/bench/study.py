@@ -16,7 +16,7 @@ from .jobs.control import lqr_arguments, mpc_arguments, side_state
 from .jobs.export import STEPS, TOLERANCE
 from .jobs.motion import METHODS, arguments
 from .made import muscle_of, plant_of
-from .script import PUSH, can_be_pushed, is_followed
+from .script import PUSH, can_be_pushed, is_followed, platforms_of
 
 __all__ = ["study_of"]
 
@@ -99,7 +99,8 @@ def _run(plant: Plant, state: State, said: State, against: str) -> dict[str, Any
 def _exported(said: State, state: State) -> Steps:
     """An export, with its check where there is one."""
     id, kind, motion = said["id"], said["kind"], said["motion"]
-    unit = {"plant": "plant", "platforms": ["native"]}
+    chosen = platforms_of(said)
+    unit = {"plant": "plant", **({"platforms": chosen} if chosen else {})}
     if kind == "c":
         return {id: {"kind": "export-c", "controller": f"{said['controller']}-law"}}
     unit |= {"fmi": said["fmi"], "step_size": said["step_size"]} if kind == "fmu" else {}

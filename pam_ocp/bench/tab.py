@@ -75,8 +75,14 @@ class Page(Protocol):
     def script(self) -> str:
         """What was done in this session, as a script."""
 
+    def words(self, text: str) -> str:
+        """What the library says in the words of the page (words.py)."""
+
     def say(self, text: str, kind: str = "info") -> None:
         """A line below the header, read out to the blind; kind "error" stays until it is closed."""
+
+    def download(self, content: bytes | str, name: str) -> None:
+        """Hand a file to the browser; what was pressed may be drawn anew, or gone, meanwhile."""
 
     def open(self, title: str) -> None:
         """Show a tab."""

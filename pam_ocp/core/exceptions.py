@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 
-_LONG_TEXT = re.compile(r"('[^'\n]{60})[^'\n]{140,}'")
+_LONG_TEXT = re.compile(r"(?<!\w)('[^'\n]{60})[^'\n]{140,}'(?!\w)")
 """A value between quotes that is too long for a sentence."""
 
 

@@ -92,6 +92,26 @@ def test_a_live_run_is_the_closed_loop_sample_by_sample(state, tmp_path):
     assert 1e-3 * np.array(reached) == pytest.approx(run["x"][:100], abs=1e-8)
 
 
+def test_a_live_run_goes_on_where_it_stands_with_other_gains(state, tmp_path):
+    plant = plant_of(tmp_path, state)
+    said = control_jobs.first_controller(plant, state["point"], "lqr", "controllers1")
+    ask = {"run": "b", "seconds": 0.1, "reference": state["point"].get("x", 0.0) + 2e-3, "push": 0}
+
+    def live(**more):
+        return control_jobs.live(say, tmp_path, state, {**said, **more}, ask, False)
+
+    before = live()
+    after = live(gains={**said["gains"], "effort": 2.0})
+    assert before["restart"]
+    assert after["built"]
+    assert not after["restart"]
+    assert after["t"][0] == pytest.approx(before["t"][-1] + said["sample_time"])
+    step = np.diff(before["rows"]["x"]).max()
+    assert abs(after["rows"]["x"][0] - before["rows"]["x"][-1]) <= step
+    ask["run"] = "c"
+    assert live()["restart"]
+
+
 def test_a_pid_about_a_point_has_the_poles_of_its_equations():
     rng = np.random.default_rng()
     plant = pam.HangingLoad(pam.muscle("DMSP-20-300"), mass=rng.uniform(2, 20))

@@ -45,7 +45,7 @@ def test_data_a_dropped_file_is_understood_coloured_and_nothing_in_it_is_run(
     hand, server, tmp_path
 ):
     hand.drop(rig_file(tmp_path))
-    hand.sees("holds lengths: give rest_length")
+    hand.sees("holds lengths: fill in the field Rest length")
     hand.type("Rest length", "300")
     hand.sees("ForceTable(120 cells")
     assert {"inflation", "deflation"} <= {t["name"] for t in hand.traces("Force over contraction")}

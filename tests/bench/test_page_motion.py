@@ -219,7 +219,7 @@ def test_control_a_predictive_controller_runs_live_and_follows_the_hand(hand, se
         return abs(asked - reached) < 3 and asked < 100
 
     hand.until(close, "the plant at its reference")
-    retype(hand, "Disturbance pulse", "40")
+    retype(hand, "Push, until changed", "40")
     time.sleep(1.0)
 
     def button(text):

@@ -1,14 +1,25 @@
 """The study file of a session repeats what the page shows: the same figures from ``run_study``."""
 
+import ast
+import re
+
 import pytest
 
 import pam_ocp as pam
 from pam_ocp.bench.jobs import control as jobs
 from pam_ocp.bench.jobs.motion import first_motion, motion_figures, plan_of
 from pam_ocp.bench.made import muscle_of, plant_of
-from pam_ocp.bench.script import control_lines, export_lines, muscle_lines, plant_lines, script_of
+from pam_ocp.bench.script import (
+    PLATFORMS,
+    control_lines,
+    export_lines,
+    muscle_lines,
+    plant_lines,
+    script_of,
+)
 from pam_ocp.bench.session import EMPTY
 from pam_ocp.bench.study import save_muscle_file, study_of
+from pam_ocp.export.compile import native, platforms_named
 from pam_ocp.studies import run_study
 from pam_ocp.studies.study_file import read_study
 
@@ -62,6 +73,20 @@ def test_the_runs_of_all_kinds_of_controllers(tmp_path):
         for name, kind in (("final", "last"), ("max", "max"), ("min", "min")):
             assert numbers[f"x.{kind}"][0] == pytest.approx(own[f"{name}(x)"], rel=1e-9), said
         assert numbers["push.max"][0] == 12.0
+
+
+@pytest.mark.parametrize("key", PLATFORMS)
+def test_script_and_study_build_for_the_platforms_that_were_chosen(key, tmp_path):
+    state = {**SLIDE, "exports": [unit("exports1", platforms=key)]}
+    path = tmp_path / "session.toml"
+    path.write_text(study_of(tmp_path, state), "utf-8")
+    step = read_study(path).entries["exports1"].said
+    (line,) = [x for x in export_lines(state) if "export_fmu" in x]
+    expected = platforms_named(PLATFORMS[key][1] or None)
+    assert platforms_named(step.get("platforms")) == expected
+    (said,) = re.findall(r"platforms=(\[.*?\])", line) or [None]
+    assert platforms_named(said and ast.literal_eval(said)) == expected
+    assert native() in expected  # for here it is checked
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ def test_a_deviation_counts_whichever_way_it_goes():
     ("t", "columns", "message"),
     [
         ([0.0, 0.0], {"x": [0, 1], "muscle.command": [0, 1]}, "must rise"),
-        ([0.0, np.nan], {"x": [0, 1], "muscle.command": [0, 1]}, "must rise"),
+        ([0.0, np.nan], {"x": [0, 1], "muscle.command": [0, 1]}, "not finite"),
         ([0.0, 1.0], {"x": [0], "muscle.command": [0, 1]}, "shape"),
         ([], {"x": [], "muscle.command": []}, "at least one time"),
     ],

@@ -432,6 +432,19 @@ class _Live:
             self.since = 0
         return {"t": times, "rows": rows}
 
+    def go_on(self, before: _Live) -> bool:
+        """Begin where another controller's run stands, of the same plant; whether that can be."""
+        if not isinstance(before.side, PlantSide):
+            return False
+        values = before.side.values()
+        own = {v.name: values[v.name] for v in (*self.whole.states, *self.whole.inputs)}
+        self.side.__exit__(None, None, None)
+        self.side = self._begin(own)
+        self.actuators = Actuators(self.side, self.plant)
+        self.goal = before.goal
+        self.k = round(before.k * before.sample_time / self.sample_time)
+        return True
+
     def scene(self) -> dict[str, Any] | None:
         """The side as it stands."""
         values = self.side.values()
@@ -449,7 +462,7 @@ def _fmu(folder: Path, whole: Plant) -> Path:
     return export_fmu(whole, path, platforms=["native"])
 
 
-_runs: dict[str, tuple[str, _Live]] = {}
+_runs: dict[str, tuple[tuple[str, str], _Live]] = {}
 
 
 def live(
@@ -460,19 +473,23 @@ def live(
     ask: Mapping[str, Any],
     allow_code: bool,
 ) -> dict[str, Any]:
-    """Some samples more of a run; it is begun where this process has none, which the answer says.
+    """Some samples more of a run; it is begun where this process has none, which the answer says
+    ("restart"). With other gains it goes on where it stands, and is built anew ("built").
 
     ask : {"run": its name, "seconds", "reference" [SI], "push" [N]}.
     """
     begin = time.perf_counter()
-    kept = [state["plant"], state["muscle"], state["point"], said, ask["run"]]
-    key = json.dumps(kept, sort_keys=True)
+    world = [state["plant"], state["muscle"], state["point"], said.get("against"), ask["run"]]
+    key = json.dumps(world, sort_keys=True), json.dumps(said, sort_keys=True)
     there = _runs.get(str(folder))
-    fresh = there is None or there[0] != key
-    if fresh:
+    built = there is None or there[0] != key
+    fresh = there is None or there[0][0] != key[0]
+    if built:
+        run = _Live(folder, state, said, allow_code)
         if there is not None:
+            fresh = fresh or not run.go_on(there[1])
             there[1].side.__exit__(None, None, None)
-        _runs[str(folder)] = there = key, _Live(folder, state, said, allow_code)
+        _runs[str(folder)] = there = key, run
     assert there is not None
     run = there[1]
     if ask["reference"] is not None:
@@ -490,6 +507,7 @@ def live(
         "t": found["t"],
         "rows": rows,
         "restart": fresh,
+        "built": built,
         "scene": run.scene(),
         "busy": time.perf_counter() - begin,
     }

@@ -30,7 +30,7 @@ from ...operating.linear import equilibrium
 from ...simulation.simulator import simulate
 from ...studies.from_table import quick
 from ..made import muscle_of, plant_of, source_of, table_of
-from ..script import figures_said
+from ..script import figures_said, platforms_of
 from ..session import safe_name
 from ..work import Say
 from .control import controller_of, loop_figures, loop_of
@@ -78,7 +78,7 @@ def _member(state: State, part: str, id: str) -> Mapping[str, Any]:
 def fmu(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> dict[str, Any]:
     """The plant as an FMU, compared with a motion of the session, or rest at the operating point.
 
-    said : {"id", "fmi", "step_size" [s], "motion": id or ""}.
+    said : {"id", "fmi", "step_size" [s], "platforms": key of PLATFORMS, "motion": id or ""}.
     """
     say(0.1, "writing and compiling")
     plant = plant_of(folder, state, allow_code=allow_code)
@@ -86,7 +86,7 @@ def fmu(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> 
         plant,
         _place(folder, f"{said['id']}.fmu"),
         fmi=said["fmi"],
-        platforms=["native"],
+        platforms=platforms_of(said),
         step_size=said["step_size"],
     )
     say(0.6, "running it")
@@ -131,7 +131,7 @@ def ssp(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> 
         _place(folder, f"{said['id']}.ssp"),
         step_size=said["step_size"],
         stop_time=found.duration,
-        platforms=["native"],
+        platforms=platforms_of(said),
     )
     return {"file": path.name, "size": path.stat().st_size, "ok": True, "words": str(path.name)}
 

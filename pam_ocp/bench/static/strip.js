@@ -21,9 +21,9 @@ export default {
         </g>
         <text class="stops-text" :x="M.left + w / 2" :y="height - 4" text-anchor="middle">time [s]</text>
         <text class="stops-text" :x="M.left" :y="height - 18" text-anchor="start">{{ Math.max(0, now - span).toFixed(1) }}</text>
-        <text class="stops-text" :x="M.left + w" :y="height - 18" text-anchor="end">{{ now.toFixed(1) }}</text>
+        <text class="stops-text" :x="M.left + w" :y="height - 18" text-anchor="end">{{ Math.max(now, span).toFixed(1) }}</text>
         <g class="stops-stop" tabindex="0" role="slider" aria-orientation="vertical" aria-label="reference" :aria-valuemin="low" :aria-valuemax="high"
-          :aria-valuenow="Number(wanted.toPrecision(5))" :aria-valuetext="Number(wanted.toPrecision(4)) + ' ' + unit" @pointerdown="take" @keydown="key">
+          :aria-valuenow="wanted.toFixed(4)" :aria-valuetext="Number(wanted.toFixed(4)) + ' ' + unit" @pointerdown="take" @keydown="key">
           <polygon class="stops-dot" :points="handle" />
         </g>
       </svg>

@@ -22,7 +22,7 @@ from .. import look
 from ..jobs import control as jobs
 from ..live import Strip
 from ..made import plant_of
-from ..script import control_lines
+from ..script import can_be_pushed, control_lines
 from ..tab import Tab
 from .control_shown import (
     about,
@@ -38,6 +38,7 @@ __all__ = ["Control"]
 
 Said = dict[str, Any]
 KINDS = {"pid": "PID on position", "lqr": "LQR, with an integral", "mpc": "model predictive"}
+LINEAR = "about the operating point, of a PID or LQR; a predictive controller has none"
 DECADES = 2.0
 """Of a gain's slider, to either side of where it begins."""
 BEAT = 0.05
@@ -83,14 +84,18 @@ class Control(Tab):
                 with el.section("Poles"):
                     self._margins = el.note("", "bench-verdict")
                     self._margins._props["aria-live"] = "polite"
-                    self._poles = el.Plot(look.figure([]), "Poles of the loop")
+                    self._poles = _plot(
+                        "Poles of the loop", "The poles of plant and loop: make a controller"
+                    )
                 with el.section("Step of the linear loop"):
-                    self._step = el.Plot(look.figure([]), "Step response")
+                    self._step = _plot("Step response", f"The answer to a step {LINEAR}")
                 with el.section("Bode, open loop", wide=True):
-                    self._bode = el.Plot(look.figure([]), "Bode plot of the open loop")
-                with el.section("Run against the plant", wide=True) as self._run_words:
+                    self._bode = _plot("Bode plot of the open loop", f"Gain and phase {LINEAR}")
+                with el.section("The run", wide=True):
                     self._run_said = el.note("", "bench-verdict")
-                    self._plot = el.Plot(look.figure([]), "The closed loop over time")
+                    self._plot = _plot(
+                        "The closed loop over time", "The run against the plant: make a controller"
+                    )
         self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
@@ -103,9 +108,20 @@ class Control(Tab):
         if self._ready:
             self.bench.soon(self._design_it)
             self.bench.soon(self._run_it)
+        elif self._keys:
+            self._clear()
 
     def close(self) -> None:
         self._runs = False
+
+    def _clear(self) -> None:
+        """Nothing is shown of a controller that is gone."""
+        self._stop()
+        self._keys = {}
+        for plot in (self._poles, self._step, self._bode, self._plot):
+            plot.draw(look.figure([]))
+        for words in (self._margins, self._run_said):
+            words.set_text("")
 
     @staticmethod
     def lines(state: dict[str, Any]) -> Sequence[str]:
@@ -228,9 +244,8 @@ class Control(Tab):
             )
         with ui.element("div").classes("bench-row").style("margin-top: 6px"):
             for kind, words in KINDS.items():
-                el.button(
-                    f"New {kind.upper()}", lambda kind=kind: self._new(kind), aria_label=words
-                )
+                name = f"New {kind.upper()}"
+                el.button(name, lambda kind=kind: self._new(kind), aria_label=f"{name}: {words}")
             if said is not None:
                 el.button("Delete", self._delete)
 
@@ -387,7 +402,7 @@ class Control(Tab):
                 time_limit=120.0,
             )
         except Exception as error:
-            self._run_said.set_text(str(error))
+            self._run_said.set_text(self.bench.words(str(error)))
             self._run_said.classes("bench-bad")
             raise
         if self._keys["run"] == key:
@@ -418,10 +433,10 @@ class Control(Tab):
                     height=240,
                     pull=self._pulled,
                 )
-                self._push_field = el.Field("Disturbance pulse", 0.0, "N", self._set_push)
+                self._push_box = ui.element("div")
         el.note(
-            "Drag the arrow at the right edge, or use its arrow keys: the reference. Pull the "
-            "plant with the pointer, or type a push."
+            "Press Start. Then drag the arrow at the right edge, or use its arrow keys: the "
+            "reference. Pull the plant with the pointer, type a push, move gains: the run goes on."
         )
 
     def _show_live(self, plant: Plant) -> None:
@@ -443,6 +458,14 @@ class Control(Tab):
                     "dash": "" if i == 0 else "6 3",
                 }
             )
+        self._push = 0.0
+        self._push_box.clear()
+        with self._push_box:
+            if can_be_pushed(self.state["plant"]):
+                unit = "N" if v.unit == "m" else "N.m"
+                self._push_field = el.Field("Push, until changed", 0.0, unit, self._set_push)
+            else:
+                el.note("This arrangement takes no push.")
         self._strip.show(
             low=low,
             high=high,
@@ -462,6 +485,8 @@ class Control(Tab):
     def _pulled(self, by: Said) -> None:
         """Towards the positive side of the picture: right, or up where it hangs."""
         x, y = (by.get(k) for k in ("x", "y"))
+        if not can_be_pushed(self.state["plant"]):
+            return
         if isinstance(x, int | float) and isinstance(y, int | float) and np.isfinite(x + y):
             self._push = float(np.clip(PULL * (x if abs(x) > abs(y) else y), -500.0, 500.0))
             self._push_field.set(self._push)
@@ -490,6 +515,7 @@ class Control(Tab):
         name = f"{time.time():.6f}"
         against = self.bench.session.view("Control", "against", "plant")
         last, simulated, clock = time.monotonic(), 0.0, 0.0
+        self._rate.set_text("starting: what runs is built ...")
         try:
             while self._runs and self._ready:
                 said = self._controller
@@ -519,9 +545,16 @@ class Control(Tab):
                 self._strip.add({k: found[k] for k in ("t", "rows", "restart")})
                 self._film.show(found["scene"])
                 took = time.monotonic() - now
+                if found["built"]:  # in which all is built: no measure of what follows
+                    last, simulated, clock = time.monotonic(), 0.0, 0.0
+                    continue
                 simulated = 0.9 * simulated + seconds
                 clock = 0.9 * clock + max(took, BEAT)
                 self._rate.set_text(f"{simulated / clock:.2f} of real time")
                 await asyncio.sleep(max(0.0, BEAT - took))
         finally:
             self._stop()
+
+
+def _plot(label: str, what: str) -> el.Plot:
+    return el.Plot(look.figure([]), label, empty=what)

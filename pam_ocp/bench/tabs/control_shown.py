@@ -115,7 +115,7 @@ def run_figure(found: Said) -> Said:
     for k, unit in enumerate(units):
         top = 1 - (k + 1) * (each + 0.06)
         layout[f"yaxis{k + 2}"] = look.axis(
-            "inputs" if unit == "1" else f"inputs [{unit}]", domain=[max(0.0, top - each), top]
+            "openings" if unit == "1" else f"inputs [{unit}]", domain=[max(0.0, top - each), top]
         )
     for i, name in enumerate(inputs):
         axis = f"y{units.index(found['units'][name]) + 2}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from ..jobs.data import look_at
 from ..jobs.export import one_page
 from ..script import data_lines
 from ..tab import Tab
+from ..words import ASKED
 
 __all__ = ["Data"]
 
@@ -32,6 +34,7 @@ UNITS = {
     "contraction": ("%", "1"),
     "time": ("s", "ms", "us", "min", "d"),
 }
+FORCES = "Force over contraction"
 NONE = "-"
 UNNAMED = " (none named)"
 """Behind the unit that a preview takes where the header names none."""
@@ -59,7 +62,12 @@ class Data(Tab):
                     self._quick_box = ui.element("div")
             with el.plots():
                 with el.section("Preview", wide=True) as self._words:
-                    self._plot = el.Plot(look.figure([]), "Force over contraction", self._clicked)
+                    self._plot = el.Plot(
+                        look.figure([]),
+                        FORCES,
+                        self._clicked,
+                        empty="The cells of a force table, or the curves of a record: add data",
+                    )
                 with el.section("Columns", wide=True):
                     self._columns = ui.element("div")
                 with el.section("What was understood", wide=True):
@@ -86,17 +94,16 @@ class Data(Tab):
 
     # ---- adding ---------------------------------------------------------------------------------
     def _uploads(self) -> None:
-        ui.upload(
-            label="Drop files here, or choose them with +",
-            multiple=True,
-            auto_upload=True,
-            max_file_size=MOST_UPLOAD,
-            max_files=50,
-            on_upload=self._dropped,
-            on_rejected=lambda: self.bench.say(
+        el.upload(
+            "Drop files here, or choose them with +",
+            self._dropped,
+            lambda: self.bench.say(
                 f"a file was refused: at most {MOST_UPLOAD / 2**20:g} MiB each, 50 at once", "error"
             ),
-        ).props("flat bordered hide-upload-btn")
+            multiple=True,
+            max_file_size=MOST_UPLOAD,
+            max_files=50,
+        )
         with ui.element("div").classes("bench-row").style("margin-top: 6px"):
             el.tag("span", "Bundled:", "bench-note")
             for name, length in BUNDLED.items():
@@ -186,10 +193,11 @@ class Data(Tab):
             place.clear()
         self._words.set_text("")
         if item is None:
-            self._plot.draw(look.figure([], "contraction [%]", "force [N]"))
+            self._plot.draw(look.figure([]))
             return
         with self._reading:
             self._options(item)
+            self._asked(item["said"], seen or {})
         if seen is None:
             self._words.set_text("reading ...")
             return
@@ -199,11 +207,11 @@ class Data(Tab):
             self._understood(seen)
         with self._quick_box:
             self._quick_fields("cells" in seen)
-        self._words.set_text(seen.get("reads_as") or seen["problem"])
+        self._words.set_text(seen.get("reads_as") or self.bench.words(seen["problem"]))
         if "records" in seen:
-            self._plot.draw(_record_figure(seen))
+            self._plot.draw(_record_figure(seen), "Curves of the record")
         else:
-            self._plot.draw(self._table_figure(item, seen.get("cells")))
+            self._plot.draw(self._table_figure(item, seen.get("cells")), FORCES)
 
     def _options(self, item: Mapping[str, Any]) -> None:
         said = item["said"]
@@ -248,6 +256,17 @@ class Data(Tab):
         self._missing(said)
         coloured = {"pressure": "pressure", "branch": "branch", "run": "repeat", "file": "file"}
         el.choice("Colour by", coloured, self._colour, self._coloured)
+
+    def _asked(self, said: Mapping[str, Any], seen: Mapping[str, Any]) -> None:
+        """Fields of what is rarely needed, once it was given, or a message asks for it."""
+        messages = " ".join([seen.get("problem", ""), *seen.get("doubts", ())])
+        for option, label in ASKED.items():
+            if option in said or f"{option}=" in messages:
+                keep = partial(self._say_one, option)
+                el.text_field(label, str(said.get(option, "")), keep, "as a message asks for it")
+
+    def _say_one(self, option: str, text: str) -> None:
+        self._say(**{option: text or None})
 
     def _missing(self, said: Mapping[str, Any]) -> None:
         el.text_field(
@@ -339,8 +358,7 @@ class Data(Tab):
         options = known if shown in known else (shown, *known)
         _menu(f"unit of {column['header']}", options, shown, chosen)
 
-    @staticmethod
-    def _understood(seen: Mapping[str, Any]) -> None:
+    def _understood(self, seen: Mapping[str, Any]) -> None:
         for title, words, kind in (
             ("not read yet", [seen["problem"]] if seen["problem"] else [], "bench-bad"),
             ("doubt", seen["doubts"], "bench-bad"),
@@ -349,8 +367,9 @@ class Data(Tab):
             ("text", [", ".join(seen["dialect"])] if seen["dialect"] else [], "bench-note"),
         ):
             for one in words:
-                el.note(f"{title}: {one}", kind)
-        el.tag("pre", seen["call"], "bench-pre")
+                el.note(f"{title}: {self.bench.words(one)}", kind)
+        name = str(self._item["name"]) if self._item else ""
+        el.tag("pre", re.sub(r"'files/[^']*'", lambda _: repr(name), seen["call"]), "bench-pre")
 
     # ---- one page -------------------------------------------------------------------------------
     def _quick_fields(self, table: bool) -> None:
@@ -372,7 +391,7 @@ class Data(Tab):
             return
         made = await self.bench.work("One page", one_page, self.bench.folder, item)
         path = self.bench.folder / "exports" / made["file"]
-        el.download(path.read_bytes(), path.name)
+        self.bench.download(path.read_bytes(), path.name)
         self._quick_words[item["id"]] = made["words"]
         self._show()
 
@@ -448,7 +467,7 @@ def _cells(cells: Mapping[str, Any], off: set[int], by: str) -> list[dict[str, A
         scale = {
             "color": look.numbers(p[taut] / 1e5),
             "colorscale": look.SCALE,
-            "colorbar": {"title": {"text": "p [bar]"}, "thickness": 12, "outlinewidth": 0},
+            "colorbar": {"title": {"text": "pressure [bar]"}, "thickness": 12, "outlinewidth": 0},
             "size": 8,
         }
         data.append(marked(taut, "taut", marker=scale))
@@ -486,7 +505,7 @@ def _record_figure(seen: Mapping[str, Any]) -> dict[str, Any]:
         low = 1 - (row + 1) / len(units)
         layout[f"yaxis{axis}"] = {
             "domain": [low + 0.03, low + 1 / len(units) - 0.01],
-            "title": {"text": f"[{unit}]" if unit != "1" else ""},
+            "title": {"text": look.quantity(unit)},
             "gridcolor": look.GRID,
         }
     return look.figure(data, "time [s]", height=140 * max(2, len(units)), keep="record", **layout)

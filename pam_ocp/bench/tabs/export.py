@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Sequence
+from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 from nicegui import ui
@@ -99,6 +101,8 @@ class Export(Tab):
         self._motion = chosen if chosen in motions else usual
         self._fmi = str(self._remembered("fmi", "2.0"))
         self._step = float(self._remembered("step", 1e-3))
+        cross = find_spec("ziglang") is not None  # the extra [cross]
+        self._platforms = str(self._remembered("platforms", "windows" if cross else "native"))
 
         def keep(name: str, field: str, value: Any) -> None:
             setattr(self, field, value)
@@ -114,6 +118,10 @@ class Export(Tab):
             high=1.0,
             shown="ms",
         )
+        kinds = {key: words for key, (words, _) in script.PLATFORMS.items()}
+        act = partial(keep, "platforms", "_platforms")
+        hint = "others than this machine need the cross compiler: pip install 'pam_ocp[cross]'"
+        el.choice("Runs on", kinds, self._platforms, act, hint)
         against = {**motions, "": "the operating point"}
         el.choice("Held against", against, self._motion, lambda v: keep("motion", "_motion", v))
         with ui.element("div").classes("bench-row").style("margin-top: 6px"):
@@ -151,7 +159,7 @@ class Export(Tab):
                 if path.is_file():
                     el.button(
                         f"Download {said['file']}",
-                        lambda path=path: el.download(path.read_bytes(), path.name),
+                        lambda path=path: self.bench.download(path.read_bytes(), path.name),
                     )
                 el.button("Remove", lambda id=said["id"]: self._remove(id))
             if made is not None and said["kind"] == "fmu":
@@ -171,6 +179,7 @@ class Export(Tab):
             said["controller"] = self._controller
         else:
             said |= {"fmi": self._fmi, "step_size": self._step, "motion": self._motion}
+            said["platforms"] = self._platforms
         function = {"fmu": jobs.fmu, "ssp": jobs.ssp, "c": jobs.c_code}[kind]
         made = await self.bench.work(
             f"Export {kind.upper()}",
@@ -203,7 +212,7 @@ class Export(Tab):
             warm="plan",
         )
         path = self.bench.folder / "exports" / made["file"]
-        el.download(path.read_bytes(), path.name)
+        self.bench.download(path.read_bytes(), path.name)
 
     # ---- script and study -----------------------------------------------------------------------
     def _study_text(self) -> str:
@@ -212,11 +221,11 @@ class Export(Tab):
 
     def _download_script(self) -> None:
         with self.bench.shown_errors():
-            el.download(self.bench.script(), "session.py")
+            self.bench.download(self.bench.script(), "session.py")
 
     def _download_study(self) -> None:
         with self.bench.shown_errors():
-            el.download(self._study_text(), "session.toml")
+            self.bench.download(self._study_text(), "session.toml")
 
     def _download_all(self) -> None:
         """The folder, with script and study as they are now."""
@@ -233,7 +242,7 @@ class Export(Tab):
                 if study.needs_muscle_file(self.state):
                     muscle = study.save_muscle_file(folder, self.state)
                     archive.write(muscle, muscle.name)
-            el.download(packed.getvalue(), f"{self.bench.session.id}.zip")
+            self.bench.download(packed.getvalue(), f"{self.bench.session.id}.zip")
 
     def _check_soon(self) -> None:
         self.bench.soon(self._check)
@@ -280,7 +289,9 @@ class Export(Tab):
                 ]
                 for row in rows
             ]
-            el.table(["figure [SI]", "page", "script", ""], shown, label="Figures, page and script")
+            el.table(
+                ["figure [SI]", "page", "script", "agrees"], shown, label="Figures, page and script"
+            )
 
 
 def _said(value: float | None) -> str:

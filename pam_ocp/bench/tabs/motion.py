@@ -63,7 +63,11 @@ class Motion(Beside):
                 with el.section("Figures"):
                     self._figures = ui.element("div")
                 with el.section("Pressures, commands, forces", wide=True):
-                    self._plot = el.Plot(look.figure([]), "Curves of the plan over time")
+                    self._plot = el.Plot(
+                        look.figure([]),
+                        "Curves of the plan over time",
+                        empty="Position, pressures, commands and forces of the plan: add a motion",
+                    )
         self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
@@ -530,7 +534,7 @@ class Motion(Beside):
         if told is None:
             self._verdict.set_text(self._note)
         elif not told["ok"]:
-            self._verdict.set_text(told["problem"])
+            self._verdict.set_text(self.bench.words(told["problem"]))
             self._verdict.classes("bench-bad")
         else:
             dragged = "verb_seconds" in told

@@ -98,13 +98,12 @@ class Beside(Tab):
         records = {d["id"]: d["name"] for d in self.state["data"] if d.get("is") == "record"}
         if records:
             el.choice("Record", {"": "none", **records}, self._record_id, self._set_record)
-        ui.upload(
-            label="Drop a record of the motion here",
-            auto_upload=True,
+        el.upload(
+            "Drop a record of the motion here",
+            self._dropped,
+            lambda: self.bench.say("the file was refused: it is too large", "error"),
             max_file_size=MOST_UPLOAD,
-            on_upload=self._dropped,
-            on_rejected=lambda: self.bench.say("the file was refused: it is too large", "error"),
-        ).props("flat bordered hide-upload-btn")
+        )
 
     def _set_compared(self, id: str, on: bool) -> None:
         ids = [i for i in self.bench.session.view("Motion", "compared", []) if i != id]

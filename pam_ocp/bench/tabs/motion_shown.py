@@ -25,7 +25,7 @@ def curves(told: Mapping[str, Any]) -> dict[str, Any]:
         axis = "" if i == 0 else str(i + 1)
         top = 1 - i * (each + gap)
         layout[f"yaxis{axis}"] = {
-            **look.axis(panel["unit"] if panel["unit"] != "1" else "part"),
+            **look.axis(look.quantity(panel["unit"])),
             "domain": [max(0.0, top - each), top],
         }
         for k, name in enumerate(panel["names"]):

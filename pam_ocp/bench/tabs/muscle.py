@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -67,11 +67,23 @@ class MuscleTab(Tab):
                     self._others()
             with el.plots():
                 with el.section("Force", wide=True) as self._force_words:
-                    self._force = el.Plot(look.figure([]), "Force over contraction")
+                    self._force = el.Plot(
+                        look.figure([]),
+                        "Force over contraction",
+                        empty="A curve for each pressure: fit a law, or choose a muscle",
+                    )
                 with el.section("Residuals"):
-                    self._rest = el.Plot(look.figure([], height=300), "Residuals of the fit")
+                    self._rest = el.Plot(
+                        look.figure([], height=300),
+                        "Residuals of the fit",
+                        empty="Measured minus fitted force of each cell, after a fit",
+                    )
                 with el.section("Force surface"):
-                    self._surface = el.Plot(look.figure([], height=300), "Force surface")
+                    self._surface = el.Plot(
+                        look.figure([], height=300),
+                        "Force surface",
+                        empty="The force over contraction and pressure",
+                    )
                 with el.section("Measure next"):
                     self._next_box = ui.element("div")
                 with el.section("Intervals, 95 %"):
@@ -152,7 +164,7 @@ class MuscleTab(Tab):
         )
         for one in self._ranked:
             if not one["fitted"]:
-                el.note(f"{one['name']}: {one['problem']}")
+                el.note(self.bench.words(f"{one['name']}: {one['problem']}"))
 
     @property
     def _constants(self) -> dict[str, float]:
@@ -251,7 +263,7 @@ class MuscleTab(Tab):
                 with self._coefficients:
                     self._coefficient_sliders(said, self._fit)
                 with self._intervals:
-                    _interval_table(self._fit)
+                    _interval_table(self._fit, self.bench.words)
                 with self._next_box:
                     self._design_box()
                 self._report.set_text(self._fit["report"])
@@ -492,7 +504,7 @@ class MuscleTab(Tab):
     # ---- other muscles, and out of it -----------------------------------------------------------
     def _others(self) -> None:
         self._length: float | None = None
-        names = {"": "choose ..."} | {n: _short(catalogue_summary(n)) for n in muscle_names()}
+        names = {"": "choose ..."} | {n: catalogue_summary(n) for n in muscle_names()}
         el.choice("Catalogue", names, "", self._catalogued)
         el.Field(
             "Rest length",
@@ -504,12 +516,13 @@ class MuscleTab(Tab):
             optional=True,
             hint="where the catalogue holds none, or of another one",
         )
-        ui.upload(
-            label="Muscle file (.toml, .json)",
-            auto_upload=True,
+        el.upload(
+            "Muscle file (.toml, .json)",
+            self._dropped,
+            lambda: self.bench.say("the file was refused: a .toml or .json up to 1 MiB", "error"),
             max_file_size=MOST_FILE,
-            on_upload=self._dropped,
-        ).props("flat bordered accept='.toml,.json'")
+            accept=".toml,.json",
+        )
 
     def _catalogued(self, name: str) -> None:
         with self.bench.shown_errors():
@@ -536,7 +549,7 @@ class MuscleTab(Tab):
             content = await self.bench.work(
                 "Saving", jobs.muscle_file, self.bench.folder, self.state, time_limit=30.0
             )
-            el.download(content, "muscle.toml")
+            self.bench.download(content, "muscle.toml")
 
     async def _save_workbook(self) -> None:
         with self.bench.shown_errors():
@@ -551,7 +564,7 @@ class MuscleTab(Tab):
                     said["fixed"],
                     warm="muscle",
                 )
-                el.download(content, "fit.xlsx")
+                self.bench.download(content, "fit.xlsx")
 
 
 def _same(table: Mapping[str, Any], item: Mapping[str, Any]) -> bool:
@@ -563,10 +576,6 @@ def _shown_unit(unit: str) -> tuple[str, float]:
     """The unit in which a coefficient is shown (bar for Pa), and its factor to SI."""
     shown = unit.replace("Pa", "bar")
     return ("" if shown == "1" else shown), unit_of(shown).factor
-
-
-def _short(words: str) -> str:
-    return " ".join(words.split())[:70]
 
 
 def _curves(muscle: Muscle, levels: Sequence[float], kappa: Any) -> list[dict[str, Any]]:
@@ -616,7 +625,7 @@ def _residuals(law: ForceLaw, fit: Mapping[str, Any]) -> tuple[Any, float]:
     return residuals, float(np.sqrt(np.mean(residuals**2)))
 
 
-def _interval_table(fit: Mapping[str, Any]) -> None:
+def _interval_table(fit: Mapping[str, Any], worded: Callable[[str], str]) -> None:
     rows = []
     for c in fit["coefficients"]:
         shown, factor = _shown_unit(c["unit"])
@@ -625,6 +634,6 @@ def _interval_table(fit: Mapping[str, Any]) -> None:
         if c["held"]:
             ends, error = ["", ""], "held"
         rows.append((c["name"], value, error, *ends, shown))
-    el.table(["", "value", "std. error", "from", "to", "unit"], rows, label="Intervals")
+    el.table(["coefficient", "value", "std. error", "from", "to", "unit"], rows, label="Intervals")
     for words in fit["warnings"]:
-        el.note(words, "bench-bad")
+        el.note(worded(words), "bench-bad")

@@ -56,7 +56,10 @@ class PlantTab(Tab):
                     self._scene = el.Scene("The plant, drawn to scale", None, height=300)
                 with el.section("Equilibrium map") as self._map_words:
                     self._map_plot = el.Plot(
-                        look.figure([], height=330), "Equilibrium map", self._clicked
+                        look.figure([], height=330),
+                        "Equilibrium map",
+                        self._clicked,
+                        empty="Position and stiffness over the pressures: press Compute the map",
                     )
                     with ui.element("div").classes("bench-row"):
                         el.button("Compute the map", self._compute_map)
@@ -281,7 +284,7 @@ class PlantTab(Tab):
         found, rest = self._map, self._rest if self.state["point"] else None
         if found is None:
             self._map_words.set_text("")
-            self._map_plot.draw(look.figure([], "pressure [bar]", "position", height=330))
+            self._map_plot.draw(look.figure([], height=330))
             return
         unit, factor = found["position_unit"]
         position = found["position"] / factor
@@ -321,7 +324,11 @@ class PlantTab(Tab):
         view = self.bench.session.view
         remember = self.bench.session.remember
         turning = self._arrangement in TURNING
-        self._swing_plot = el.Plot(look.figure([], height=240), "Free vibration over time")
+        self._swing_plot = el.Plot(
+            look.figure([], height=240),
+            "Free vibration over time",
+            empty="The position after the plant is let go: press Free response",
+        )
         self._swing_scene = el.Scene("The plant, swinging", None, height=200)
         el.Field(
             "Let go beside rest by",
@@ -371,7 +378,12 @@ class PlantTab(Tab):
     def _loads_box(self) -> None:
         self._masses = self.bench.session.view("Plant", "masses", "5, 10, 20, 50")
         self._levels = self.bench.session.view("Plant", "levels", "1, 2, 3, 4, 5, 6")
-        self._study_plot = el.Plot(look.figure([], height=330), "Load study")
+        self._study_plot = el.Plot(
+            look.figure([], height=330),
+            "Load study",
+            empty="Position, stiffness, frequency and settling time over pressure, a curve for "
+            "each mass: press Study the loads",
+        )
         el.text_field("Masses [kg]", self._masses, lambda v: self._several("masses", v, "kg"))
         el.text_field("Pressures [bar]", self._levels, lambda v: self._several("levels", v, "bar"))
         with ui.element("div").classes("bench-row"):
@@ -419,7 +431,7 @@ def _curve(
         "color": look.numbers(stiffness),
         "colorscale": look.SCALE,
         "size": 8,
-        "colorbar": {"title": {"text": f"k [{felt}]"}, "thickness": 12, "outlinewidth": 0},
+        "colorbar": {"title": {"text": f"stiffness [{felt}]"}, "thickness": 12, "outlinewidth": 0},
     }
     hover = f"%{{x:.3g}} bar, %{{y:.4g}}, k %{{marker.color:.4g}} {felt}<extra></extra>"
     data = [
@@ -486,13 +498,13 @@ def _study_figure(cases: Sequence[Mapping[str, float]]) -> dict[str, Any]:
             **side,
             "domain": [0.55 * column, 0.55 * column + 0.45],
             "anchor": f"y{axis}",
-            "title": {"text": "pressure [bar]" if row else ""},
+            "title": {"text": "pressure [bar]", "font": {"size": 11}, "standoff": 4},
         }
         layout[f"yaxis{axis}"] = {
             **side,
-            "domain": [0.56, 1.0] if row == 0 else [0.0, 0.44],
+            "domain": [0.6, 1.0] if row == 0 else [0.0, 0.4],
             "anchor": f"x{axis}",
             "title": {"text": title, "font": {"size": 11}},
         }
     legend = {"orientation": "h", "y": 1.1, "x": 0.0, "xanchor": "left", "font": {"size": 11}}
-    return look.figure(data, height=380, legend=legend, **layout)
+    return look.figure(data, height=430, legend=legend, **layout)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from nicegui import events, ui
+from nicegui import events
 
 from ...core.errors import InputError
+from .. import elements as el
 from ..made import own_plants
 from ..tab import Page
 
@@ -33,9 +34,10 @@ def own_plant_upload(bench: Page, choose: Callable[[str], None]) -> None:
                 )
             choose(next((name for name in made if name not in before), made[0]))
 
-    ui.upload(
-        label="A plant of your own (.py)",
-        auto_upload=True,
+    el.upload(
+        "A plant of your own (.py)",
+        dropped,
+        lambda: bench.say(f"the file was refused: a .py up to {MOST_FILE / 2**20:g} MiB", "error"),
         max_file_size=MOST_FILE,
-        on_upload=dropped,
-    ).props("flat bordered accept='.py'")
+        accept=".py",
+    )
