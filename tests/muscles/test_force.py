@@ -71,7 +71,7 @@ def test_pressure_inverts_the_tension_exactly(law):
 
 
 def test_a_pressure_beyond_what_was_measured_is_said(fluidic):
-    with pytest.warns(ValidityWarning, match=r"pressure = 1434\.\d+ bar is outside"):
+    with pytest.warns(ValidityWarning, match=r"pressure = 1434 bar is outside"):
         assert fluidic.pressure(300e3, 0.1) > 1e7
 
 
