@@ -49,6 +49,8 @@ BLOCKED = "no way from wider smoothing to the plant's own terms"
 """Status of a search whose starts are solved, while none is led to the end."""
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
+SAME = 1e-6
+"""Relative difference of objectives of which the one with less left to gain is kept."""
 PARTS = 4, 2
 """Intervals in one of meshes that are tried where the first led to nothing: few unknowns, and
 numerical damping.
@@ -213,7 +215,9 @@ class Search:
             return
         before = best.check.miss
         if miss <= limit and before <= limit:
-            better = c.check.replay.objective < best.check.replay.objective
+            less = best.check.replay.objective - c.check.replay.objective
+            level = self.meshes.economical and abs(less) <= SAME * abs(c.check.replay.objective)
+            better = self.meshes.gap(c) < self.meshes.gap(best) if level else less > 0
         else:
             better = miss < before
         if better:
