@@ -48,8 +48,13 @@ def test_a_plant_of_ones_own_where_code_is_allowed(allowing, tmp_path):
     begin(hand, "HangingLoad")
     tab(hand, "Plant")
     hand.sees("A plant of your own (.py)")
-    shown = [e for e in hand.all("input[type=file]") if e.get_attribute("accept") == ".py"]
-    shown[-1].send_keys(str(own_file(tmp_path)))
+    mine = str(own_file(tmp_path))
+
+    def dropped():  # again where the form is drawn anew meanwhile
+        hand.all("input[type=file][accept='.py']")[-1].send_keys(mine)
+        return True
+
+    hand.until(dropped, "a place for files")
     hand.until(lambda: server.state(hand.session)["plant"]["arrangement"].endswith("mine.py:heavy"))
     hand.until(lambda: "9.5" in hand.text, "the mass of the plant")
     assert list((server.folder / hand.session / "files").glob("was-run"))
