@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.units import quantity_of
 from ..figures.canvas import COLOURS
 
 __all__ = [
@@ -138,18 +139,9 @@ def _range(title: str, drawn: Sequence[Any]) -> list[str]:
     return [f"{name} from {values.min():.4g} to {values.max():.4g}{unit}"] if values.size else []
 
 
-_QUANTITIES = {
-    "mm": "position", "m": "position", "deg": "angle", "rad": "angle", "m/s": "velocity",
-    "deg/s": "velocity", "rad/s": "velocity", "bar": "pressure", "Pa": "pressure", "N": "force",
-    "N.m": "torque", "N/m": "stiffness", "N/mm": "stiffness", "N.m/rad": "stiffness", "W": "power",
-    "%": "part", "1": "part", "kg": "mass", "kg/s": "mass flow", "K": "temperature",
-    "degC": "temperature", "V": "voltage", "A": "current", "J": "energy",
-}  # fmt: skip
-
-
 def quantity(unit: str) -> str:
     """The title of an axis of what is measured in a unit: "pressure [bar]"."""
-    name = _QUANTITIES.get(unit, "value")
+    name = quantity_of(unit) or ("part" if unit in ("1", "%") else "value")
     return name if unit == "1" else f"{name} [{unit}]"
 
 

@@ -48,8 +48,8 @@ def _report(options: argparse.Namespace) -> int:
     ]
     things = {n: load(f) for n, f in zip(names, options.files, strict=True)}
     made = {"title": options.title, "text": options.text, "sources": options.files}
-    wrote(options, write_report(options.out, things, **made))
-    if options.crate is not None:
+    if options.crate is not None:  # first, as it may refuse its licence
         own = {"licence": options.licence, "author": options.author}
         wrote(options, save_crate(options.crate, things, **made, **own))
+    wrote(options, write_report(options.out, things, **made))
     return 0

@@ -14,13 +14,13 @@ import reprlib
 import sys
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from .exceptions import InputError, PamError
 
-__all__ = ["RAW", "blamed", "with_kinds"]
+__all__ = ["blamed", "with_kinds"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 RAW = (TypeError, ValueError, AttributeError, LookupError, RuntimeError)
@@ -55,9 +55,10 @@ def blamed(function: Callable[..., Any], args: Any, kwargs: Any, error: Exceptio
     names = _Names(getattr(inspect.unwrap(function), "__globals__", {}))
     for name, value in given.items():
         parameter = signature.parameters[name]
-        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+        variadic = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+        if variadic or parameter.annotation is parameter.empty:
             continue
-        hint = _resolved(parameter.annotation, names)
+        hint = _hint(parameter.annotation, names)
         if not _fits(value, hint):
             return InputError(f"{name} = {SHOWN.repr(value)}: give {_words(hint)}")
     return error
@@ -83,13 +84,11 @@ def with_kinds(made: F) -> F:
     return cast("F", called)
 
 
-def _resolved(annotation: Any, names: _Names) -> Any:
-    if annotation is inspect.Parameter.empty:
-        return Any
-    if not isinstance(annotation, str):
-        return annotation
+def _hint(annotation: Any, names: _Names) -> Any:
+    """A hint out of its text; Any where that needs what is imported for type checkers alone."""
+    one = types.SimpleNamespace(__annotations__={"it": annotation})
     try:
-        return eval(annotation, {}, names)  # of our own source
+        return get_type_hints(one, {}, names)["it"]
     except Exception:
         return Any
 

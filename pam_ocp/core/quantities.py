@@ -40,6 +40,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
         a unit of another kind is refused. ``inf`` and ``-inf`` are numbers.
     """
     expected = " or ".join(repr(u) for u in units) or "a plain number"
+    example = "a plain number" if units in ((), ("1",)) else "a number with its unit, as '15 mm'"
     if hasattr(value, "magnitude") and hasattr(value, "units"):
         return _of_pint(where, value, expected, units)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
@@ -54,9 +55,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
         return given
     match = _QUANTITY.match(value)
     if match is None:
-        raise InputError(
-            f"{where} = {value!r} is not a number; give a number with its unit, as '15 mm'"
-        )
+        raise InputError(f"{where} = {value!r} is not a number; give {example}")
     number, name = float(match[1]), match[2]
     if math.isinf(number):
         raise InputError(f"{where} {TOO_LARGE}")

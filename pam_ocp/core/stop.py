@@ -21,7 +21,7 @@ from contextlib import AbstractContextManager
 from types import FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
-from .arguments import RAW, blamed
+from .arguments import with_kinds
 from .errors import OutOfTime, require_positive
 from .exceptions import nearest
 from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
@@ -227,23 +227,18 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
     signature = inspect.signature(function)
     argument = signature.parameters.get("time_limit")
     default = None if argument is None else argument.default
+    named = with_kinds(function)
 
     @functools.wraps(function)
     @boundary
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         require_known_keywords(function.__qualname__, signature, kwargs)
         seconds: Any = kwargs.get("time_limit", default)
-        try:
-            if seconds is None:
-                with _signals, LOCK:
-                    return function(*args, **kwargs)
-            with _signals, limited(seconds), LOCK:
-                return function(*args, **kwargs)
-        except RAW as error:
-            said = blamed(function, args, kwargs, error)
-            if said is error:
-                raise
-            raise said from error
+        if seconds is None:
+            with _signals, LOCK:
+                return named(*args, **kwargs)
+        with _signals, limited(seconds), LOCK:
+            return named(*args, **kwargs)
 
     return called
 

@@ -11,7 +11,16 @@ from functools import cache
 
 from .exceptions import UnknownNameError
 
-__all__ = ["BASE", "DIGITS", "Unit", "display_unit", "per_second", "significant", "unit"]
+__all__ = [
+    "BASE",
+    "DIGITS",
+    "Unit",
+    "display_unit",
+    "per_second",
+    "quantity_of",
+    "significant",
+    "unit",
+]
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units in the order of FMI's BaseUnit element."""
@@ -137,6 +146,33 @@ _DISPLAY = {"Pa": "bar", "Pa/s": "bar/s", "m": "mm", "rad": "deg", "rad/s": "deg
 def display_unit(name: str) -> str:
     """The unit in which people read this one: bar for Pa, mm for m, deg for rad, N/mm for N/m."""
     return _DISPLAY.get(name, name)
+
+
+_QUANTITIES = {
+    "m": "position",
+    "rad": "angle",
+    "m/s": "velocity",
+    "rad/s": "angular velocity",
+    "Pa": "pressure",
+    "Pa/s": "pressure rate",
+    "N": "force",
+    "N.m": "torque",
+    "N/m": "stiffness",
+    "N.m/rad": "stiffness",
+    "W": "power",
+    "J": "energy",
+    "kg": "mass",
+    "kg/s": "mass flow",
+    "K": "temperature",
+    "V": "voltage",
+    "A": "current",
+}
+_READ = {shown: si for si, shown in _DISPLAY.items()}
+
+
+def quantity_of(unit: str) -> str:
+    """What is measured in a unit of SI, or in the one that people read; "" without a usual name."""
+    return _QUANTITIES.get(_READ.get(unit, unit), "")
 
 
 DIGITS = 4

@@ -148,8 +148,8 @@ class Variable:
                 number = nearest
         if not self.min <= number <= self.max:
             raise InputError(
-                f"{self.name}: {argument} = {self.shown(number, 6)} is outside "
-                f"{self.shown(self.min, 6)} .. {self.shown(self.max, 6)}"
+                f"{self.name}: {argument} = {self.exactly(number)} is outside "
+                f"{self.exactly(self.min)} .. {self.exactly(self.max)}"
                 + meant_within(number, self.unit, self.min, self.max)
             )
         self.doubt(number, argument)
@@ -187,10 +187,14 @@ class Variable:
     def shown(self, value: float, digits: int = DIGITS) -> str:
         """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``.
 
-        digits : significant ones; messages on values next to a bound take more.
+        digits : significant ones.
         """
         text = significant(self.displayed(value), digits)
         return text if self.display_unit == "1" else f"{text} {self.display_unit}"
+
+    def exactly(self, value: float) -> str:
+        """As :meth:`shown`, with the digits that tell a value from a bound next to it."""
+        return self.shown(value, DIGITS + 2)
 
     def _brief(self) -> str:
         start = "" if self.start is None else f" = {self.shown(self.start)}"

@@ -71,7 +71,7 @@ _STYLE = (
 
 def _range(variable: Variable) -> str:
     low, high = (
-        variable.shown(bound, 6) if math.isfinite(bound) else ""
+        variable.exactly(bound) if math.isfinite(bound) else ""
         for bound in (variable.min, variable.max)
     )
     return f"{low} .. {high}" if low or high else ""
@@ -84,7 +84,7 @@ def _table(title: str, variables: Iterable[Variable]) -> str:
             f"<td>{html.escape(cell)}</td>"
             for cell in (
                 v.name,
-                "" if v.start is None else v.shown(v.start, 6),
+                "" if v.start is None else v.exactly(v.start),
                 v.unit,
                 _range(v),
                 "tunable" if v.tunable else "",

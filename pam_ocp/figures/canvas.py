@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
+from ..core.units import quantity_of
 from ..core.variables import Variable
 from .paper import paper_size
 
@@ -26,7 +27,6 @@ __all__ = [
     "draw",
     "layered",
     "new_figure",
-    "quantity_of",
 ]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -34,30 +34,6 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 STROKES = ("-", "--", "-.", ":")
 MARKS = ("o", "s", "^", "D", "v", "P")
 """Beside the colours, so that lines are told apart in print."""
-
-_QUANTITIES = {
-    "m": "position",
-    "rad": "angle",
-    "m/s": "velocity",
-    "rad/s": "angular velocity",
-    "Pa": "pressure",
-    "Pa/s": "pressure rate",
-    "N": "force",
-    "N.m": "torque",
-    "N/m": "stiffness",
-    "N.m/rad": "stiffness",
-    "W": "power",
-    "J": "energy",
-    "kg": "mass",
-    "kg/s": "mass flow",
-    "K": "temperature",
-    "V": "voltage",
-}
-
-
-def quantity_of(unit: str) -> str:
-    """What a panel of this SI unit shows, where the unit has a usual name; else ""."""
-    return _QUANTITIES.get(unit, "")
 
 
 def axis_label(*variables: Variable) -> str:

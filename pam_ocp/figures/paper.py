@@ -51,13 +51,13 @@ def for_paper(width: str | float = "column") -> Iterator[None]:
     >>> print(round(25.4 * figure.get_figwidth(), 6))
     88.0
     """
-    known = WIDTHS.get(width) if isinstance(width, str) else None
-    metres = quantity("width", width, "m") if known is None else known
+    known = "give 'column' (88 mm), 'page' (180 mm) or a width such as '84 mm'"
+    word = width.isalpha() if isinstance(width, str) else False
+    if word and width not in WIDTHS:
+        raise InputError(f"width = {width!r}: {known}")
+    metres = WIDTHS[str(width)] if word else quantity("width", width, "m")
     if not RANGE[0] <= metres <= RANGE[1]:
-        raise InputError(
-            f"width = {1e3 * metres:g} mm is outside 50 .. 500 mm; give 'column' (88 mm), 'page' "
-            "(180 mm) or a width such as '84 mm'"
-        )
+        raise InputError(f"width = {1e3 * metres:g} mm is outside 50 .. 500 mm; {known}")
     before = _WIDTH.set(metres)
     try:
         yield

@@ -452,8 +452,8 @@ class LinearGrid:
             slack = 1e-9 * variable.nominal
             if not axis[0] - slack <= value <= axis[-1] + slack:
                 raise InputError(
-                    f"{name} = {variable.shown(value, 6)} is outside the grid "
-                    f"{variable.shown(axis[0], 6)} .. {variable.shown(axis[-1], 6)}"
+                    f"{name} = {variable.exactly(value)} is outside the grid "
+                    f"{variable.exactly(axis[0])} .. {variable.exactly(axis[-1])}"
                 )
             i = int(np.clip(np.searchsorted(axis, value, side="right") - 1, 0, len(axis) - 2))
             share = float(np.clip((value - axis[i]) / (axis[i + 1] - axis[i]), 0.0, 1.0))

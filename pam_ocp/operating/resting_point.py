@@ -126,7 +126,7 @@ def why_not(search: Search, nearest: Array) -> str:
     else:
         near = search.point(np.clip(nearest, search.low, search.high))
         at = ", ".join(
-            f"{v.name} = {v.shown(near[v.name], 6)}" for v in (*plant.states, *plant.inputs)
+            f"{v.name} = {v.exactly(near[v.name])}" for v in (*plant.states, *plant.inputs)
         )
         worst = search.names[int(np.argmax(np.abs(search.residual(nearest))))]
         missed = f"{worst} is not {'met' if worst in search.values else 'zero'}"
@@ -147,7 +147,7 @@ def _kept(search: Search) -> list[str]:
 
 def _said(plant: Plant, name: str, value: float) -> str:
     known = {v.name for v in plant.variables}
-    return f"{name} = {plant.variable(name).shown(value, 6) if name in known else f'{value:.6g}'}"
+    return f"{name} = {plant.variable(name).exactly(value) if name in known else f'{value:.6g}'}"
 
 
 def _remedy(search: Search, name: str) -> str:
@@ -171,7 +171,7 @@ def _remedy(search: Search, name: str) -> str:
             continue
         value, point = told
         beyond = _beyond(search, point, name)
-        words = [] if value == given else [f"{name} = {variable.shown(value, 6)}"]
+        words = [] if value == given else [f"{name} = {variable.exactly(value)}"]
         if not [*words, *beyond]:
             continue  # met as it stands: nothing to change
         out = " (beyond the plant's range)" if beyond or value > variable.max else ""
@@ -190,7 +190,7 @@ def _beyond(search: Search, point: Array, name: str) -> list[str]:
         if z > v.max + ROUGH * v.nominal
     ]
     inputs = [(v, z) for v, z in found if v.causality == "input"] or found
-    return [f"{v.name} = {v.shown(z, 6)}" for v, z in inputs if v.name != name]
+    return [f"{v.name} = {v.exactly(z)}" for v, z in inputs if v.name != name]
 
 
 def _tried(
@@ -207,7 +207,7 @@ def _tried(
         tried = float(f"{(value + further * (value - given)) / factor:.6g}") * factor
         if value == given:
             tried = given
-        elif variable.shown(tried, 6) == variable.shown(given, 6):
+        elif variable.exactly(tried) == variable.exactly(given):
             return None
         most = np.inf if high is search.higher and variable.unit == "Pa" else variable.max
         if not variable.min <= tried <= most:

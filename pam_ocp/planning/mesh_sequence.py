@@ -111,7 +111,8 @@ class MeshSequence:
             return [(following, "towards the mesh asked for"), (doubled(c.mesh), "between")]
         if not np.isfinite(self.wanted):
             return []
-        for find in (self._unresolved, self._dear, self._inexact)[0 if costs else 2 :]:
+        finds = (self._unresolved, self._dear, self._inexact) if costs else (self._inexact,)
+        for find in finds:
             meshes = find(c)
             if meshes:
                 return [(mesh, why) for mesh, why in meshes if mesh != c.mesh]
@@ -226,9 +227,8 @@ class MeshSequence:
             return []
         beyond = check.replay.beyond
         why = f"tolerance missed by {check.miss:.1g}"
-        by_limits = [(watched(mesh, beyond, self.tolerance), why)] if beyond else []
-        if self._stalls(c):
-            by_limits = []
+        near = beyond and not self._stalls(c)
+        by_limits = [(watched(mesh, beyond, self.tolerance), why)] if near else []
         everywhere = [(halved(mesh), why)]
         if mesh.form.control == "constant":
             everywhere.insert(0, (halved(mesh, joined=True), why))

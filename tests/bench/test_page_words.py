@@ -49,7 +49,7 @@ def test_files_are_named_as_they_were_dropped_and_folders_are_not_told():
     names = {stored: "rig 1.csv"}
     assert page_words(f"{place}: row 3", FOLDER, names) == "rig 1.csv: row 3"
     assert page_words(f"files/{stored} is empty", FOLDER, {}) == "rig_1.csv is empty"
-    assert page_words("/tmp/pam_ocp_x1/c/m.c: failed", FOLDER, {}) == "m.c: failed"
+    assert page_words("/srv/build/c/m.c: failed", FOLDER, {}) == "m.c: failed"
     assert page_words("0.5 N/m at 3 m/s", FOLDER, {}) == "0.5 N/m at 3 m/s"
 
 

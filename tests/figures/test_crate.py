@@ -5,6 +5,7 @@ import json
 import re
 import zipfile
 from datetime import date
+from pathlib import Path
 from urllib.parse import unquote
 
 import numpy as np
@@ -134,4 +135,6 @@ def test_the_command_report_writes_a_crate_of_its_files(things, tmp_path, monkey
     assert main(["report", "motion.npz", "--crate", "c.zip", "--licence", "CC0-1.0"]) == 0
     files, _, _ = read("c.zip")
     assert files["data/motion.npz"] == (tmp_path / "motion.npz").read_bytes()
-    assert main(["report", "motion.npz", "--crate", "c.zip"]) == 2  # under which terms?
+    refused = ["report", "motion.npz", "--out", "no.html", "--crate", "c.zip"]
+    assert main(refused) == 2  # under which terms?
+    assert not Path("no.html").exists()

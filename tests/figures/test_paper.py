@@ -89,9 +89,12 @@ def test_outside_the_block_figures_are_for_a_screen(things):
     assert things["fit"]().get_figwidth() == 8.0
 
 
-@pytest.mark.parametrize("width", ["5 mm", 3.0, "wide", "5 bar"])
-def test_a_width_that_is_none_is_told(width):
-    with pytest.raises(pam.InputError, match="width"), pam.figures.for_paper(width):
+@pytest.mark.parametrize(
+    ("width", "said"),
+    [("5 mm", "'column'"), (3.0, "50 .. 500"), ("wide", "'page'"), ("5 bar", "'m'")],
+)
+def test_a_width_that_is_none_is_told(width, said):
+    with pytest.raises(pam.InputError, match=f"width.*{said}"), pam.figures.for_paper(width):
         pass
 
 

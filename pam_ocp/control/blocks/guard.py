@@ -108,9 +108,9 @@ class _Guarded:
             )
         if low < command.min or high > command.max:
             raise InputError(
-                f"limits[{name!r}] = {command.shown(low, 6)} .. {command.shown(high, 6)} goes "
-                f"beyond the command's range {command.shown(command.min, 6)} .. "
-                f"{command.shown(command.max, 6)}; give a part of it"
+                f"limits[{name!r}] = {command.exactly(low)} .. {command.exactly(high)} goes "
+                f"beyond the command's range {command.exactly(command.min)} .. "
+                f"{command.exactly(command.max)}; give a part of it"
             )
         return low, high
 
@@ -169,8 +169,8 @@ class _Guarded:
             safe = v.number(self.guard.safe[v.name], "safe")
             if not low <= safe <= high:
                 raise InputError(
-                    f"safe[{v.name!r}] = {v.shown(safe, 6)} is outside {v.shown(low, 6)} .. "
-                    f"{v.shown(high, 6)}; give a command within its range"
+                    f"safe[{v.name!r}] = {v.exactly(safe)} is outside {v.exactly(low)} .. "
+                    f"{v.exactly(high)}; give a command within its range"
                 )
             self._enter(
                 f"safe.{v.name}", "parameter", safe, description="while off or blind", **about

@@ -690,7 +690,7 @@ def _limits(
         if low > high:
             raise InputError(
                 f"bounds[{variable.name!r}] leave nothing of the plant's own "
-                f"{variable.shown(variable.min, 6)} .. {variable.shown(variable.max, 6)}"
+                f"{variable.exactly(variable.min)} .. {variable.exactly(variable.max)}"
             )
         if math.isfinite(low) or math.isfinite(high):
             gives = soft and variable.causality != "input"

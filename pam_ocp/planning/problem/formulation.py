@@ -183,13 +183,13 @@ def _conditions(
         least, most = bounds.get(name, (variable.min, variable.max))
         if (low > most or high < least) and least == most:
             raise InputError(
-                f"{label}: {name} = {variable.shown(low, 6)}, but bounds hold it at "
-                f"{variable.shown(least, 6)} all along; give (low, high) for a range"
+                f"{label}: {name} = {variable.exactly(low)}, but bounds hold it at "
+                f"{variable.exactly(least)} all along; give (low, high) for a range"
             )
         if low > most or high < least:
             raise InputError(
-                f"{label}: {name} = {variable.shown(low, 6)} is outside the stroke "
-                f"{variable.shown(least, 6)} .. {variable.shown(most, 6)}"
+                f"{label}: {name} = {variable.exactly(low)} is outside the stroke "
+                f"{variable.exactly(least)} .. {variable.exactly(most)}"
             )
         conditions.append(
             Condition(f"{label}: {name}", expression, low, high, variable.nominal, variable)

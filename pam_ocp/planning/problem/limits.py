@@ -106,8 +106,8 @@ def narrowed(
 def _crossing(argument: str, variable: Variable, low: float, high: float) -> Range:
     if low > high:
         raise InputError(
-            f"{argument}[{variable.name!r}]: nothing is left between {variable.shown(low, 6)} and "
-            f"{variable.shown(high, 6)}"
+            f"{argument}[{variable.name!r}]: nothing is left between {variable.exactly(low)} and "
+            f"{variable.exactly(high)}"
         )
     return low, high
 
@@ -115,9 +115,9 @@ def _crossing(argument: str, variable: Variable, low: float, high: float) -> Ran
 def _inside(argument: str, variable: Variable, low: float, high: float) -> Range:
     if low > variable.max or high < variable.min:
         raise InputError(
-            f"{argument}[{variable.name!r}] = {variable.shown(low, 6)} .. "
-            f"{variable.shown(high, 6)} lie outside the plant's own "
-            f"{variable.shown(variable.min, 6)} .. {variable.shown(variable.max, 6)}"
+            f"{argument}[{variable.name!r}] = {variable.exactly(low)} .. "
+            f"{variable.exactly(high)} lie outside the plant's own "
+            f"{variable.exactly(variable.min)} .. {variable.exactly(variable.max)}"
         )
     return max(low, variable.min), min(high, variable.max)
 
@@ -166,7 +166,7 @@ def range_of(argument: str, value: Any, variable: Variable) -> Range:
         variable.doubt(low, argument)
     if math.isnan(low) or math.isnan(high) or low > high:
         raise InputError(
-            f"{argument} = ({variable.shown(low, 6)}, {variable.shown(high, 6)}): the bounds are "
+            f"{argument} = ({variable.exactly(low)}, {variable.exactly(high)}): the bounds are "
             "crossed; give (lower, upper)"
         )
     return low, high

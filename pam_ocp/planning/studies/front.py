@@ -288,8 +288,8 @@ class _Sweep:
             most = SLOWEST * least.duration
         if most is not None and most <= self.first.value(least):
             raise InputError(
-                f"until = {self.first.variable.shown(most, 6)} is not more than the least of "
-                f"{self.first.name}, {self.first.variable.shown(self.first.value(least), 6)}"
+                f"until = {self.first.variable.exactly(most)} is not more than the least of "
+                f"{self.first.name}, {self.first.variable.exactly(self.first.value(least))}"
             )
         asked = self._with((self.first, most), (self.second, None))
         self.planner = Planner(self.plant, self.stops, minimise=self.second.name, **asked)
