@@ -310,7 +310,7 @@ class _Work:
         from ..figures.report import write_report
 
         platforms = self.platforms
-        self.assumptions["fmu"] = f"FMI 2.0 for {', '.join(platforms)} (platforms=)"
+        self.assumptions["FMU"] = f"FMI 2.0 for {', '.join(platforms)} (platforms=)"
         steps: dict[str, Callable[[Path], Any]] = {
             "muscle": lambda path: save_muscle(muscle, path),
             "plan": lambda path: motion.save(path),
@@ -326,7 +326,9 @@ class _Work:
                 files[what] = folder / NAMES[what]
         named = source if isinstance(source, str | os.PathLike) else fit.table.source or "a table"
         name = Path(named).name
-        said = [f"{step.capitalize()}: {words}." for step, words in self.assumptions.items()]
+        said = [
+            f"{step[0].upper()}{step[1:]}: {words}." for step, words in self.assumptions.items()
+        ]
         doubts = [f"In doubt, {words}." for words in dict.fromkeys(self.doubts)]
         made_from = isinstance(source, str | os.PathLike) and Path(source).is_file()
         write_report(

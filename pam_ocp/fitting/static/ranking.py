@@ -132,17 +132,18 @@ class LawComparison:
         return self.laws[0]
 
     def __str__(self) -> str:
+        wide = 2 + max(len(law.name) for law in self.laws)
         lines = [
             f"{self.source or 'table'}; left out: mean RMSE at the interior contraction levels, "
             "each left out of the fit",
-            f"{'law':<20}{'k':>3}{'RMSE [N]':>10}{'AIC':>9}{'BIC':>9}{'left out [N]':>14}",
+            f"{'law':<{wide}}{'k':>3}{'RMSE [N]':>10}{'AIC':>9}{'BIC':>9}{'left out [N]':>14}",
         ]
         for law in self.laws:
             if law.fit is None:
-                lines.append(f"{law.name:<20}  - {law.problem}")
+                lines.append(f"{law.name:<{wide}}  - {law.problem}")
                 continue
             lines.append(
-                f"{law.name:<20}{law.parameters:>3}{law.rmse:>10.2f}{law.aic:>9.1f}{law.bic:>9.1f}"
+                f"{law.name:<{wide}}{law.parameters:>3}{law.rmse:>10.2f}{law.aic:>9.1f}{law.bic:>9.1f}"
                 f"{law.left_out_rmse:>14.2f}" + (f"  {law.problem}" if law.problem else "")
             )
         return "\n".join(lines)
