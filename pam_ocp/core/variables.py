@@ -52,6 +52,8 @@ class Variable:
         slowly and rests where its own equation says (creep).
     widest : for parameters that round off a kink: the width at which planning a motion begins, to
         be narrowed to the parameter's value; 0 for all others.
+    relaxed : for parameters that make a motion hard to plan: the value from which they are led to
+        their own together with the widths, and where that leads to nothing, not; 0 for all others.
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
 
     Examples
@@ -74,6 +76,7 @@ class Variable:
     disturbance: bool = False
     memory: Memory = ""
     widest: float = 0.0
+    relaxed: float = 0.0
 
     def __post_init__(self) -> None:
         if self.causality not in get_args(Causality):
@@ -92,7 +95,7 @@ class Variable:
                 f"{self.name}: display_unit {self.display_unit!r} does not measure the same "
                 f"quantity as unit {self.unit!r}"
             )
-        for argument in ("nominal", "min", "max", "widest"):
+        for argument in ("nominal", "min", "max", "widest", "relaxed"):
             number = self.number(getattr(self, argument), argument)
             object.__setattr__(self, argument, number)
         if not (math.isfinite(self.nominal) and self.nominal > 0):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.solvers import Nlp, nlpsol
+from ..numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from .operating_point import OperatingPoint
 from .rest import Rest
 
@@ -53,14 +53,8 @@ class Search(Rest):
             "f": ca.sumsqr(r),
             "g": self.function(w * self.nominal, p)[0][self._open] - r,
         }
-        ipopt: dict[str, Any] = {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-10,
-            "max_iter": 200,
-            "mu_init": 1e-3,
-        }
-        return nlpsol("equilibrium", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
+        options = quiet_ipopt(tol=1e-10, max_iter=200, mu_init=1e-3)
+        return nlpsol("equilibrium", "ipopt", nlp, options)
 
     def nearest(self, guess: Array, high: Array | None = None, slack: Array | None = None) -> Array:
         """The point within the bounds whose residual is smallest, |r_i| <= slack_i."""

@@ -159,6 +159,8 @@ class Engine:
     ) -> None:
         self.first, self.solver, self.backend, self.settings = first, solver, backend, settings
         self.stages, self._near = stages, backend.near()
+        self.relaxed = True
+        """Whether the path of smoothing leads relaxed parameters along."""
         self._until = 0.0
         """Unknowns of a mesh up to which flat costs need not be brought to their least again."""
 
@@ -179,6 +181,10 @@ class Engine:
             return self.first
         return on_mesh(self.first.problem, mesh, self._near.programs)
 
+    def smoothed(self, program: Program, place: float) -> Program:
+        """A program at a place of the path."""
+        return smoothed_at(program, place, self.relaxed)
+
     def solver_of(self, program: Program) -> Solver:
         return self.solver if program.nlp is self.first.nlp else self._near.build(program)
 
@@ -194,7 +200,7 @@ class Engine:
         """A program at a place of the path, from scaled unknowns; ``why``: name and reason of the
         stage.
         """
-        smooth, solver = smoothed_at(program, place), self.solver_of(program)
+        smooth, solver = self.smoothed(program, place), self.solver_of(program)
         with stage(*why):
             outcome = solver(smooth, guess, start, warm)
         return self.solved(smooth, outcome)

@@ -25,7 +25,7 @@ from .openings import ValveOpenings
 from .problem.objective import regularised
 from .result import Solved
 from .reuse import renewed, same_form
-from .smoothing import is_nonsmooth, smoothed_at
+from .smoothing import has_relaxed, is_nonsmooth
 from .solvers.diagnosis import Conflict, elastic, resolving
 from .solvers.ipopt_options import Start
 from .solvers.side_by_side import solved_side_by_side
@@ -144,16 +144,25 @@ class Search:
         if given is not None:
             self._led(given)
         if given is None or (self.starts or 1) > 1:
-            for candidates in self._batches(near is not None):
-                self._lead(candidates)
-                if self._is_enough():
-                    return
+            self._start(near is not None)
+        if not self.met and has_relaxed(self.problem):
+            self.engine.relaxed, self._began = False, []
+            self._start(False)
+        if self._is_enough():
+            return
         if self.met or (self.tolerance is None and self.found.best is not None):
             return
         for count, c in enumerate(self._fallbacks()):
             if self.met or count >= self.settings.candidates:
                 return
             self._led(c)
+
+    def _start(self, known: bool) -> None:
+        """From all starts until that is enough; known : whether a plan is given as well."""
+        for candidates in self._batches(known):
+            self._lead(candidates)
+            if self._is_enough():
+                return
 
     def _lead(self, candidates: list[Candidate]) -> None:
         """To the end: of those that tie the earliest start first, and only what began better than
@@ -269,14 +278,14 @@ class Search:
 
     def _tasks(self, count: int) -> list[Task]:
         mesh = self.meshes.ladder[0]
-        program = smoothed_at(self.engine.program(mesh), self.place)
+        program = self.engine.smoothed(self.engine.program(mesh), self.place)
         return tasks(program.problem, mesh, count)
 
     def _solved(self, starts: list[Task], number: int) -> list[Candidate]:
         """Solutions from these starts on the first mesh; ``number`` of the first of them."""
         engine = self.engine
         own = engine.program(self.meshes.ladder[0])
-        program, solver = smoothed_at(own, self.place), engine.solver_of(own)
+        program, solver = engine.smoothed(own, self.place), engine.solver_of(own)
         with stage("starts", f"{len(starts)} more" if number else "the usual guess"):
             if isinstance(solver, Ipopt) and len(starts) > 1:
                 outcomes = solved_side_by_side(solver, program, starts, self._first_seconds)
@@ -402,7 +411,7 @@ class Search:
     def _guessed(self, mesh: Mesh, most: int | None = None) -> Iterator[Candidate]:
         """Solutions on a mesh from guesses that take longer to make; ``most``: from the first."""
         problem, usual = self.problem, wants_balance(self.problem)
-        wide = smoothed_at(self.engine.program(mesh), self.place).problem
+        wide = self.engine.smoothed(self.engine.program(mesh), self.place).problem
         guesses: list[Guess] = [
             ("a simulated motion along the stops", lambda: by_leading(wide, mesh), "near"),
             ("a small cost of the inputs", lambda: self._regularised(mesh), "near"),

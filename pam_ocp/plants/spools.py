@@ -22,6 +22,8 @@ REST_RATE = 1e-3
 """Rate of a spool [1/s] at which its absolute value is smoothed: a travel in a quarter hour."""
 WIDEST_RATE = 3.0
 """The same where planning a motion begins [1/s]."""
+WIDEST_TRAVEL = 0.5
+"""Travel over which a spool crosses its play where planning a motion begins."""
 
 
 class Spool(Protocol):
@@ -144,7 +146,8 @@ def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) 
     """s less the play's half width times z, |z| <= 1: z follows s until it is dragged along.
 
     z' = s'/half but where it would leave -1 .. 1; its last ``play_edge`` is smooth, and so is the
-    turn of s' within ``play_rest_rate``, as in MaxwellSlip: plans narrow both from wide ones.
+    turn of s' within ``play_rest_rate``, as in MaxwellSlip: plans narrow both from wide ones, and
+    first let z cross over a longer travel, ``play_stretch`` times its own.
     """
     if not width:
         return s
@@ -155,7 +158,7 @@ def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) 
         memory="held",
         description=f"where in its play the spool of {name} is: -1 going down, 1 going up",
     )
-    whole, edge, turn = (
+    whole, edge, turn, stretch = (
         plant.parameter(
             f"{name}.valve.{key}",
             value,
@@ -165,14 +168,16 @@ def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) 
             nominal=nominal,
             widest=widest,
             description=f"{words} of the spool of {name}",
+            relaxed=WIDEST_TRAVEL / width if key == "play_stretch" else 0.0,
         )
         for key, value, unit, largest, nominal, widest, words in (
             ("hysteresis", width, "1", 0.5, 0.01, 0.0, "hysteresis, part of the travel,"),
             ("play_edge", EDGE, "1", 1.0, 0.1, 1.0, "passage to being dragged along"),
             ("play_rest_rate", REST_RATE, "1/s", ca.inf, 1e-2, WIDEST_RATE, "rate at rest"),
+            ("play_stretch", 1.0, "1", ca.inf, 1.0, 0.0, "stretch of the play"),
         )
     )
     one = ca.SX(1)
     passing = Limits(one, one).passing(z, rate, ca.sqrt(rate**2 + turn**2), edge)
-    plant.der(z, 2 * passing / whole)
+    plant.der(z, 2 * passing / (whole * stretch))
     return ca.SX(s - whole / 2 * z)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.shown import shown
-from ...numerics.solvers import nlpsol
+from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..problem.problem import Budget, Condition
 from ..transcription.mesh import Collocation, Mesh
 from ..transcription.transcription import Program
@@ -90,7 +90,7 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
         "f": ca.sum1(above) + ca.sum1(below),
         "g": g + ca.mtimes(pick, below - above),
     }
-    ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": ENOUGH}
+    ipopt = {**DEFAULTS, "tol": 1e-7, "max_iter": ENOUGH}
     ipopt["max_cpu_time"] = limit(program)
     ipopt.update(options or {})
     zero = np.zeros(2 * len(chosen))
@@ -103,7 +103,7 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
         "lbg": lbg,
         "ubg": ubg,
     }
-    solver = nlpsol("elastic", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
+    solver = nlpsol("elastic", "ipopt", nlp, quiet_ipopt(**ipopt))
     result, stats = solver(**arguments), solver.stats()
     found = np.asarray(result["x"], float).ravel()
     slack = np.zeros(g.numel())

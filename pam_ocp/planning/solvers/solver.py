@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from ...core.registry import Registry
-from ...numerics.solvers import Nlp, nlpsol
+from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..stages import written
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
@@ -249,13 +249,12 @@ class Ipopt:
             own["max_iter"] = most_iterations(self.program, name)
         if self._acceptance_given:
             own = {n: v for n, v in own.items() if not n.startswith("acceptable")}
-        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **own, "max_cpu_time": time}
+        chosen = {**DEFAULTS, **own, "max_cpu_time": time}
         chosen |= self._given
         goal = self.program.problem.objective
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
             chosen["mu_init"] = BARRIER_OF_TIME * goal.time
-        # multipliers of the parameters: duals.py finds them when somebody asks
-        return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
+        return quiet_ipopt(**chosen)  # without multipliers of the parameters: duals.py finds them
 
     def _solver(self, name: Start) -> Nlp:
         """The solver of this name, made at its first use; all share the same functions."""

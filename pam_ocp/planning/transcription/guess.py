@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain, combinations, pairwise
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, PamError
 from ...judge.statement import subject
-from ...numerics.solvers import nlpsol
+from ...numerics.solvers import nlpsol, quiet_ipopt
 from ...operating.held import held_names
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows, totals
@@ -369,11 +369,7 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> P
             problem.conditions("path", leg.path)(state, given_input, *rest),
         ),
     }
-    options: dict[str, Any] = {
-        "print_time": False,
-        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200},
-    }
-    solver = nlpsol("balance", "ipopt", nlp, options)
+    solver = nlpsol("balance", "ipopt", nlp, quiet_ipopt(max_iter=200))
     found = solver(
         x0=given,
         lbx=box[:, 0],

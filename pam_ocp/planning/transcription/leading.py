@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.solvers import Nlp, nlpsol
+from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..problem.problem import Problem
 from .guess import path_of_rests, sampled_along
 from .mesh import Mesh
@@ -108,5 +108,4 @@ def _step(problem: Problem) -> Nlp:
         "f": ca.dot(ca.DM(weights), (z - wanted) ** 2),
         "g": z[:nx] - before - h * rates / x_nominal,
     }
-    ipopt = {"print_level": 0, "sb": "yes", "max_iter": 60, "tol": 1e-6, "mu_init": 1e-4}
-    return nlpsol("step", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
+    return nlpsol("step", "ipopt", nlp, quiet_ipopt(max_iter=60, tol=1e-6, mu_init=1e-4))
