@@ -19,27 +19,31 @@ from pam_ocp.planning.candidate import Engine
 from pam_ocp.planning.continuation import Continuation
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.settings import SETTINGS, Settings
+from pam_ocp.planning.smoothing import smoothed
 from pam_ocp.planning.transcription.mesh import Collocation
 
 MASS, LAG, RUB, SPEED = 2.0, 0.05, 3.0, 0.02
 
 
-def rubbing(widest: float = 0.3) -> pam.Plant:
-    """m v' = f - RUB tanh(v/SPEED), LAG f' = u - f, smoothed over ``widest`` [m/s] at first."""
+def rubbing(widest: float = 0.3, relaxed: float = 0.0) -> pam.Plant:
+    """m v' = f - RUB tanh(v/SPEED), LAG f' = u - f, smoothed over ``widest`` [m/s] at first, with
+    ``relaxed`` times the mass.
+    """
     plant = pam.Plant("rubbing")
+    heavier = plant.parameter("heavier", 1.0, min=0.0, relaxed=relaxed)
     speed = plant.parameter("speed", SPEED, min=0.0, unit="m/s", widest=widest)
     x, v = plant.state("x", nominal=0.1), plant.state("v", nominal=0.5)
     f = plant.state("f", nominal=10.0)
     u = plant.input("u", min=-20.0, max=20.0, nominal=10.0)
     plant.der(x, v)
-    plant.der(v, (f - RUB * ca.tanh(v / speed)) / MASS)
+    plant.der(v, (f - RUB * ca.tanh(v / speed)) / MASS / heavier)
     plant.der(f, (u - f) / LAG)
     return plant
 
 
-def planner(**wish: Any) -> Planner:
+def planner(relaxed: float = 0.0, **wish: Any) -> Planner:
     wish = {"duration": 0.6, "minimise": "effort", "method": Collocation(8, 3), **wish}
-    return Planner(rubbing(), [{"x": 0.0}, {"x": 0.1}], **wish)
+    return Planner(rubbing(relaxed=relaxed), [{"x": 0.0}, {"x": 0.1}], **wish)
 
 
 def places(plan: pam.planning.Plan) -> list[float]:
@@ -78,6 +82,30 @@ def test_the_path_leads_from_the_widest_smoothing_to_the_plants_own() -> None:
     assert plan._solved.program.problem.plant.variable("speed").start == SPEED
     scale = np.array([0.1, 0.5, 10.0])
     assert np.abs((ends_at(plan) - [0.1, 0.0, 0.0]) / scale).max() < 1.1e-3
+
+
+@pytest.mark.parametrize("relaxed", [0.25, 50.0])
+def test_what_is_relaxed_is_led_along_and_left_where_nothing_is_found_with_it(
+    relaxed: float,
+) -> None:
+    """50 times the mass would take 4 m s / t^2 = 111 N, and there are 20."""
+    plan, plain = planner(relaxed)(), planner()()
+    assert plan.verified
+    assert places(plan)[-1] == 1.0
+    assert plan._solved.program.problem.plant.variable("heavier").start == 1.0
+    assert plan.objective == pytest.approx(plain.objective, rel=1e-4)
+    starts = [s for s in plan.statistics["stages"] if s["name"] == "starts"]
+    assert starts[0]["solved"] is (relaxed < 1.0)
+    assert starts[-1]["solved"]
+
+
+def test_relaxed_values_go_to_their_own_evenly_in_their_logarithms() -> None:
+    plant = rubbing(widest=0.32, relaxed=16.0)
+    for relaxed, heavier in ((True, 4.0), (False, 1.0)):
+        half = smoothed(plant, 0.5, relaxed)
+        assert half.variable("heavier").start == pytest.approx(heavier)
+        assert half.variable("speed").start == pytest.approx(0.08)  # sqrt(0.32 * 0.02)
+        assert smoothed(plant, 1.0, relaxed).variable("heavier").start == 1.0
 
 
 def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch: Any) -> None:
