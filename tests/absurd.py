@@ -97,6 +97,30 @@ CALLS: dict[str, tuple[Call, str]] = {
     # ---- nouns: names, single components, numbers, classes --------------------------------------
     "HangingLoad('DMSP-20-300')": (lambda: pam.HangingLoad(NAME), WORKS),
     "HangingLoad('DMSP-20-30')": (lambda: pam.HangingLoad("DMSP-20-30"), "did you mean"),
+    "a function without the time": (
+        lambda: run(inputs={"muscle.command": lambda: 3e5}),
+        "the function has to take one argument, the time [s]",
+    ),
+    "bounds of three numbers": (
+        lambda: posed(bounds={"v": (1, 2, 3)}),
+        "(1, 2, 3): give a number, or (low, high)",
+    ),
+    "bounds of a phase = 3": (
+        lambda: posed(phases=[pam.Phase(bounds=3)]),  # type: ignore[arg-type]
+        "phases[0].bounds = 3: give {name: (low, high)}",
+    ),
+    "options={'max_itr': 3}": (
+        lambda: posed(options={"max_itr": 3})(),
+        "No such IPOPT option: max_itr; see IPOPT's list",
+    ),
+    "unit='furlong'": (
+        lambda: pam.Variable("x", "state", unit="furlong"),
+        "unknown unit 'furlong': known: 1, %, kg",
+    ),
+    "mode_map(plant, 'zz')": (
+        lambda: pam.control.mode_map(plant(), "zz"),  # type: ignore[arg-type]
+        "axes = 'zz': give a mapping {text: numbers}",
+    ),
     "HangingLoad(None)": (lambda: pam.HangingLoad(None), "muscle is None: give a Muscle"),
     "HangingLoad([muscle])": (lambda: pam.HangingLoad([muscle()]), "give a Muscle"),
     "HangingLoad(law)": (lambda: pam.HangingLoad(muscle().law), "give a Muscle"),

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Any, NoReturn
 
 from .. import __version__
 from ..core.errors import PamError
+from ..core.exceptions import nearest
 from ..core.interrupts import interruptible
 from ..core.stop import limited
 from ..export.cache import home_folder, usable_folder
@@ -89,7 +91,15 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """One whose help must be written: argparse swallows what goes wrong there."""
+    """One whose help must be written (argparse swallows what goes wrong there), and which names
+    the choice that was probably meant.
+    """
+
+    def error(self, message: str) -> NoReturn:
+        found = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)$", message)
+        near = nearest(found[1], re.findall(r"[\w-]+", found[2]), 0.6) if found else []
+        hint = f" did you mean {' or '.join(near)}?" if near else ""
+        super().error(f"{message}{hint}")
 
     def _print_message(self, message: str, file: Any = None) -> None:
         file = file or sys.stderr

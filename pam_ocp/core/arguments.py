@@ -29,7 +29,15 @@ MOST = 100
 """Items of a sequence that are looked at."""
 SHOWN = reprlib.Repr()
 SHOWN.maxstring = SHOWN.maxother = 60
-WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "True or False"}
+WORDS = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "True or False",
+    Any: "a value",
+}
+ARRAY_LIKE = {"_SupportsArray", "_Buffer", "_NestedSequence"}
+"""Parts of NumPy's hint for what makes an array."""
 SERIES = (Sequence, Iterable, Collection, list, tuple)
 
 
@@ -143,6 +151,8 @@ def _words(hint: Any) -> str:
     if hint is None or hint is type(None):
         return "None"
     if origin in (Union, types.UnionType):
+        if any(getattr(get_origin(one) or one, "__name__", "") in ARRAY_LIKE for one in of):
+            return "numbers"
         return " or ".join(dict.fromkeys(map(_words, of)))
     if origin is Literal:
         return " or ".join(map(repr, of))
@@ -155,4 +165,5 @@ def _words(hint: Any) -> str:
         return f"a sequence of {inner.removeprefix('a ')}{'s' if inner in WORDS.values() else ''}"
     if kind is Callable:
         return "a function"
-    return WORDS.get(kind) or f"a {getattr(kind, '__name__', str(kind))}"
+    name = getattr(kind, "__name__", str(kind))
+    return WORDS.get(kind) or f"a{'n' if name[0] in 'AEIO' else ''} {name}"

@@ -110,6 +110,8 @@ _WORDS = {
 
 MOST_LETTERS = 100
 """Of a name that are compared with known ones."""
+NEARLY = 0.85
+"""Likeness of a name to what was written, as part of that of the likest one, to be named, too."""
 _LONG = 4
 """Letters of a word that is looked for as the beginning or the end of a name."""
 
@@ -126,7 +128,11 @@ def nearest(name: object, known: Iterable[str], cutoff: float = 0.4) -> list[str
         found = [n for n in known if n.lower().startswith(word)]
         found = found or [n for n in known if n.lower().endswith(word)]
     spelled = str(name)[:MOST_LETTERS]
-    return found[:3] or difflib.get_close_matches(spelled, known, n=3, cutoff=cutoff)
+    if found:
+        return found[:3]
+    close = difflib.get_close_matches(spelled, known, n=3, cutoff=cutoff)
+    likeness = {n: difflib.SequenceMatcher(None, n, spelled).ratio() for n in close}
+    return [n for n in close if likeness[n] > NEARLY * likeness[close[0]]]
 
 
 class UnknownNameError(InputError):
@@ -144,10 +150,10 @@ class UnknownNameError(InputError):
         near = nearest(name, known)
         if near:
             hint = f"did you mean {' or '.join(repr(n) for n in near)}?"
-        elif len(known) <= 30:
-            hint = f"known: {', '.join(known) or 'none'}"
         else:
-            hint = f"{len(known)} names are known"
+            some = known[:30]
+            more = f", ... ({len(known)} in all)" if len(known) > len(some) else ""
+            hint = f"known: {', '.join(some) or 'none'}{more}"
         super().__init__(f"unknown {kind} {name!r}: {hint}")
         self.name = name
         self.nearest = near

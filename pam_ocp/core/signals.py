@@ -6,6 +6,7 @@ exact form, so that an integrator never steps over a jump.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import comb, isfinite
@@ -256,6 +257,14 @@ def _sampled(
     variable: Any, function: Callable[[float], float]
 ) -> Callable[[Array, Array, Array], Array]:
     """(begins, lengths, places in [0, 1]) -> values (pieces, places) of a user's function."""
+    try:
+        inspect.signature(function).bind(0.0)
+    except TypeError:
+        raise InputError(
+            f"input {variable.name}: the function has to take one argument, the time [s]"
+        ) from None
+    except ValueError:  # of C, without a signature
+        pass
 
     def checked(value: Any, time: float) -> float:
         if isinstance(value, float) and isfinite(value):

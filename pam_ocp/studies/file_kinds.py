@@ -212,9 +212,7 @@ def _required(path: Path, role: Role) -> FileKind:
     """The kind of a file that is taken as something. Raises InputError where it cannot be."""
     kind = kind_of(path)
     if role not in kind.roles:
-        raise InputError(
-            f"{path} is {kind.words}, not to be taken as a {role}; it is taken {kind.use}"
-        )
+        raise InputError(f"{path} is {kind.words}, no {role}; it is taken {kind.use}")
     return kind
 
 

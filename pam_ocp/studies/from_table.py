@@ -220,7 +220,9 @@ class _Work:
             comparison = compare_laws(table, named)
             best = comparison.best
             if best.fit is None:
-                raise FitError(f"no law could be fitted: {best.problem}")
+                whys = [each.problem for each in comparison.laws]
+                why = next((w for w in whys if not w.startswith("needs ")), whys[0])
+                raise FitError(f"no law could be fitted: {why}")
             self.doubts += [f"law: {said}" for said in (*best.fit.warnings, *_outliers(best.fit))]
         self.assumptions["law"] = (
             f"{best.name}, the best of {len(comparison.laws)} at lengths left out (law=)"

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 from ...core.errors import InputError, require_finite, require_positive
 from ...core.variables import Variable
@@ -73,6 +74,8 @@ def narrowed(
 ) -> Limits:
     """Limits with a user's bounds on top."""
     variables, path = dict(limits.variables), list(limits.path)
+    if not isinstance(bounds, Mapping):
+        raise InputError(f"{argument} = {bounds!r}: give {{name: (low, high)}}")
     for name, value in bounds.items():
         key = key_of(plant, name)
         variable, expression = subject(plant, key)
@@ -155,9 +158,9 @@ def range_of(argument: str, value: Any, variable: Variable) -> Range:
         low = -math.inf if value[0] is None else variable.number(value[0], argument)
         high = math.inf if value[1] is None else variable.number(value[1], argument)
     else:
-        if value is None:
+        if value is None or (np.ndim(value) and not isinstance(value, str)):
             raise InputError(
-                f"{argument} = None: give a number, or (low, high) with None for an open end"
+                f"{argument} = {value!r}: give a number, or (low, high) with None for an open end"
             )
         low = high = require_finite(argument, value, variable.unit)
     if math.isfinite(high):

@@ -276,7 +276,8 @@ class Ipopt:
                 solver = nlpsol(name, "ipopt", problem, options, sizes=sizes, report=report)
             except RuntimeError as error:
                 raise InputError(
-                    f"options = {self._given}: {str(error).splitlines()[-1]}"
+                    f"options = {self._given}: {str(error).splitlines()[-1].split(': ', 1)[-1]}; "
+                    "see IPOPT's list of options"
                 ) from None
             if not self._derivatives:  # CasADi's own, taken over from the first
                 functions = {"hess_lag": "nlp_hess_l", "jac_g": "nlp_jac_g", "grad_f": "nlp_grad_f"}
