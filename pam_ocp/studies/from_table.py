@@ -344,14 +344,18 @@ class _Work:
 
 
 def _outliers(fit: ForceFit) -> list[str]:
-    """Cells that stand apart from the law fitted to the others, by the median of the residuals."""
+    """Cells that stand apart from the law fitted to the others, in standard deviations by the
+    median and the 90 % quantile of the residuals.
+    """
     try:
         robust = fit_force(fit.table, type(fit.law), loss="bisquare")
     except PamError:
         return []
     size = np.abs(robust.residuals - np.median(robust.residuals))
-    apart = np.flatnonzero(size > APART * 1.4826 * np.median(size))
-    if not 0 < len(apart) <= MOST * fit.n:
+    # by the quantile, too: a law that is not quite right has more residuals beyond the median's
+    middle, high = np.median(size), np.quantile(size, 1 - MOST, method="lower")
+    apart = np.flatnonzero(size > APART * max(middle / 0.6745, high / 1.645))
+    if not len(apart):
         return []
     cells = fit.cells
     named = "; ".join(
