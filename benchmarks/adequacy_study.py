@@ -243,13 +243,14 @@ def told(found: list[dict[str, Any]]) -> None:
         by[f["fault"]].append(f)
     print(f"\n{'fault':<16}{'rigs':>5}{'inadequate':>12}{'cause named':>13}")
     for fault, rows in by.items():
-        said = sum(bool(r["cause"]) for r in rows)
+        said = sum(bool(r["cause"]) and r["tested"] for r in rows)
         right = sum(r["cause"] == FAULTS[fault] for r in rows)
         print(f"{fault:<16}{len(rows):>5}{said:>12}{right:>13}")
     faulty = [f for f in found if f["fault"] != "none"]
     clean = [f for f in found if f["fault"] == "none"]
     if faulty:
-        print(f"inadequacy found in {100 * np.mean([bool(f['cause']) for f in faulty]):.1f} %")
+        share = np.mean([bool(f["cause"]) and f["tested"] for f in faulty])
+        print(f"inadequacy found in {100 * share:.1f} %")
     if clean:
         print(f"false alarms {100 * np.mean([bool(f['cause']) for f in clean]):.1f} %")
     for label, rows in (

@@ -97,6 +97,18 @@ CALLS: dict[str, tuple[Call, str]] = {
     # ---- nouns: names, single components, numbers, classes --------------------------------------
     "HangingLoad('DMSP-20-300')": (lambda: pam.HangingLoad(NAME), WORKS),
     "HangingLoad('DMSP-20-30')": (lambda: pam.HangingLoad("DMSP-20-30"), "did you mean"),
+    "relaxed=-1": (
+        lambda: pam.Variable("a", "parameter", relaxed=-1.0),
+        "a: relaxed = -1: give a finite number > 0, of a parameter",
+    ),
+    "relaxed of a state": (
+        lambda: pam.Variable("a", "state", relaxed=2.0),
+        "a: relaxed = 2: give a finite number > 0, of a parameter",
+    ),
+    "PID(plant, 'x')": (
+        lambda: pam.control.PID(plant(), "x"),  # type: ignore[arg-type]
+        "is not a number",
+    ),
     "a function without the time": (
         lambda: run(inputs={"muscle.command": lambda: 3e5}),
         "the function has to take one argument, the time [s]",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.block import Block
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, require_finite, require_positive
 from ..core.stop import turns
 from ..core.variables import Variable
 from ..plants.inversion import Inversion
@@ -51,6 +51,11 @@ class PID:
     _integral: float = field(default=0.0, repr=False)
     _slope: float = field(default=0.0, repr=False)
     _last: float | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("kp", "ki", "kd"):
+            require_finite(f"PID.{name}", getattr(self, name))
+        require_positive("PID.filter_time", self.filter_time, "s", zero=True)
 
     @classmethod
     def placed(cls, frequency: float, damping: float = 1.0, filter_time: float = 2e-3) -> PID:

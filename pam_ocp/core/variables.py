@@ -98,6 +98,12 @@ class Variable:
         for argument in ("nominal", "min", "max", "widest", "relaxed"):
             number = self.number(getattr(self, argument), argument)
             object.__setattr__(self, argument, number)
+        for argument in ("widest", "relaxed"):
+            value = getattr(self, argument)
+            if value and not (0 < value < math.inf and self.causality == "parameter"):
+                raise InputError(
+                    f"{self.name}: {argument} = {value:g}: give a finite number > 0, of a parameter"
+                )
         if not (math.isfinite(self.nominal) and self.nominal > 0):
             raise InputError(f"{self.name}: nominal = {self.nominal} must be finite and > 0")
         if math.isnan(self.min) or math.isnan(self.max) or self.min > self.max:

@@ -145,7 +145,7 @@ class Search:
             self._led(given)
         if given is None or (self.starts or 1) > 1:
             self._start(near is not None)
-        if not self.met and has_relaxed(self.problem):
+        if not self.met and self.nonsmooth and has_relaxed(self.problem):
             self.engine.relaxed, self._began = False, []
             self._start(False)
         if self._is_enough():

@@ -38,7 +38,7 @@ def _widths(plant: Plant) -> list[Variable]:
     return [v for v in plant.parameters if v.widest > 0 and v.widest > (v.start or 0.0)]
 
 
-def smoothed(plant: Plant, place: float, relaxed: bool = True) -> Plant:
+def smoothed(plant: Plant, place: float, relaxed: bool = False) -> Plant:
     """The plant at a place of the path, 0 (widest smoothing) .. 1 (its own).
 
     relaxed : whether parameters that have such a value are led along.
@@ -54,7 +54,7 @@ def smoothed(plant: Plant, place: float, relaxed: bool = True) -> Plant:
     )
 
 
-def smoothed_at(program: Program, place: float, relaxed: bool = True) -> Program:
+def smoothed_at(program: Program, place: float, relaxed: bool = False) -> Program:
     """The program at a place of the path; itself at the end."""
     if place >= 1.0:
         return program

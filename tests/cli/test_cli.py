@@ -120,6 +120,13 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_misspelt_command_is_told_which_was_meant(capsys):
+    with pytest.raises(SystemExit) as ended:
+        run(capsys, "tur")
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.rstrip().endswith("did you mean tour?")
+
+
 def test_muscles_lists_the_catalogue(capsys):
     code, out, _ = run(capsys, "muscles")
     assert code == 0

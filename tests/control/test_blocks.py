@@ -324,8 +324,12 @@ def test_what_cannot_be_a_block_is_refused_in_one_sentence(slide, hanging):
         block(feedback, gain=3.0)
     with refused("guarded already"):
         block(block(feedback))
+    with refused("PID.kp = inf must be a finite number"):
+        PID(float("inf"))
+    changed = PID(1.0)
+    changed.kp = float("inf")
     with refused("must be finite"):
-        block(PID(float("inf")), limits={"command": (-1, 1)})
+        block(changed, limits={"command": (-1, 1)})
 
 
 def test_chains_that_do_not_fit_are_refused(slide):

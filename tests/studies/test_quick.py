@@ -93,6 +93,29 @@ def test_wrong_cells_and_the_zero_of_a_load_cell_are_doubted(tmp_path: Path) -> 
     assert any("zero of the load cell" in said for said in made.doubts)
 
 
+def test_wrong_cells_are_told_where_the_law_is_not_quite_right(tmp_path: Path) -> None:
+    """Polynomials miss this muscle's forces by up to a tenth: many cells lie beyond six standard
+    deviations by the median, two of them by the fault.
+    """
+    muscle = pam.muscle("Festo-three-element", rest_length=0.3)
+    levels = np.linspace(1.5e5, 5.5e5, 7), np.linspace(0.0, 0.24, 10)
+    p, k = (each.ravel() for each in np.meshgrid(*levels))
+    force = np.array([max(float(muscle.force(*at)), 0.0) for at in zip(p, k, strict=True)])
+    wrong = np.flatnonzero(force > 0.4 * force.max())[[1, 7]]
+    force[wrong] *= 2.5
+    columns = {"pressure": p, "contraction": k, "force": force}
+    made = quick(columns, tmp_path, rest_length=0.3, law="polynomial-1-3", stops=[-0.5, 0.5])
+    (said,) = (doubt for doubt in made.doubts if "stand apart from the law" in doubt)
+    assert "2 cell(s)" in said
+    assert all(f"{p[i] / 1e5:.3g} bar, {100 * k[i]:.3g} %" in said for i in wrong)
+
+
+def test_a_table_of_two_cells_is_refused_by_their_number(tmp_path: Path) -> None:
+    columns = {"pressure": [1e5, 2e5], "contraction": [0.0, 0.05], "force": [100.0, 200.0]}
+    with pytest.raises(pam.FitError, match="the table has 2 taut cells, fewer than"):
+        quick(columns, tmp_path, rest_length=LENGTH)
+
+
 def test_nothing_is_replaced_unasked_and_wrong_words_are_refused(tmp_path: Path) -> None:
     (tmp_path / "plant.fmu").write_text("mine")
     with pytest.raises(InputError, match=r"plant\.fmu stand there.*overwrite=True"):

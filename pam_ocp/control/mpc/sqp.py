@@ -17,7 +17,7 @@ from ...core.registry import Registry
 from ...export.machine import machine_function
 from ...numerics.buffered import Buffered
 from ...numerics.solvers import conic as qp_solver
-from ...numerics.solvers import nlpsol
+from ...numerics.solvers import nlpsol, quiet_ipopt
 from .riccati import ITERATIONS, RiccatiQp
 from .shooting import UNBOUNDED, TrackingPoint, TrackingProgram, bounds_of, sides_of
 from .stage_qp import StageQp, available
@@ -321,20 +321,9 @@ class TrackingIpopt:
             "f": ca.sum2(values[size - 1, :]) + end[end_size - 1],
             "g": results[at.tolist()] - everything[p.other_at.tolist()],
         }
-        options = {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-6,
-            "max_iter": 200,
-            "mu_init": 1e-2,
-            "max_cpu_time": LONGEST,
-        }
-        outer: dict[str, Any] = {
-            "print_time": False,
-            "expand": True,
-            "ipopt": options,
-        }
-        self._solver = nlpsol("mpc", "ipopt", nlp, outer)
+        ipopt: dict[str, Any] = {"tol": 1e-6, "max_iter": 200, "mu_init": 1e-2}
+        options = quiet_ipopt({"expand": True}, **ipopt, max_cpu_time=LONGEST)
+        self._solver = nlpsol("mpc", "ipopt", nlp, options)
         self._bounds = {
             "lbx": _infinite(p.w_low),
             "ubx": _infinite(p.w_high),

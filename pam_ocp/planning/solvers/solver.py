@@ -5,6 +5,7 @@ set of derivatives, log, live progress. Before a warm start Newton's method is t
 from __future__ import annotations
 
 import logging
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -275,9 +276,9 @@ class Ipopt:
             try:
                 solver = nlpsol(name, "ipopt", problem, options, sizes=sizes, report=report)
             except RuntimeError as error:
+                said = re.sub(r"^\S+\.[ch]pp:\d+: ", "", str(error).splitlines()[-1])
                 raise InputError(
-                    f"options = {self._given}: {str(error).splitlines()[-1].split(': ', 1)[-1]}; "
-                    "see IPOPT's list of options"
+                    f"options = {self._given}: {said}; see IPOPT's list of options"
                 ) from None
             if not self._derivatives:  # CasADi's own, taken over from the first
                 functions = {"hess_lag": "nlp_hess_l", "jac_g": "nlp_jac_g", "grad_f": "nlp_grad_f"}
