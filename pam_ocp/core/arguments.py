@@ -147,6 +147,8 @@ def _is_series(value: Any, of: tuple[Any, ...]) -> bool:
 
 def _words(hint: Any) -> str:
     """A kind in words: ``a text or None``."""
+    if getattr(hint, "__name__", "") == "ArrayLike":  # NumPy 2.5 gives the alias a name
+        return "numbers"
     origin, of = get_origin(hint), get_args(hint)
     if hint is None or hint is type(None):
         return "None"
