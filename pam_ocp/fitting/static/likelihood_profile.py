@@ -14,6 +14,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +86,7 @@ def profile_ends(
             (names[i], sides[j] * fit.coefficients[names[i]].stderr, float(limits[i]))
             for i, j in open_ends
         ]
-        answers = results_of(_Walk(fit), walks, executor=executor, chunk=1, what="profiles")
+        answers = results_of(partial(_end, fit), walks, executor=executor, chunk=1, what="profiles")
     reasons: dict[str, list[str]] = {name: [] for name in names}
     for (i, j), (end, why) in zip(open_ends, answers, strict=True):
         found[i, j] = end
@@ -96,14 +97,9 @@ def profile_ends(
     }
 
 
-@dataclass(frozen=True, eq=False)
-class _Walk:
-    """A fit; called with a coefficient, a first step and a limit it gives the end there."""
-
-    fit: Optimum
-
-    def __call__(self, walk: tuple[str, float, float]) -> tuple[float, str]:
-        return profile_end(self.fit, *walk)
+def _end(fit: Optimum, walk: tuple[str, float, float]) -> tuple[float, str]:
+    """Of a walk: a coefficient, a first step, and a limit."""
+    return profile_end(fit, *walk)
 
 
 def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:

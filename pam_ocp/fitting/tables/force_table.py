@@ -375,21 +375,11 @@ class TableArguments(ReadingArguments):
     ramp: bool | None = None
     floor: Any = "found"
 
-    @classmethod
-    def of(
-        cls,
-        *,
-        rest_length: float | None = None,
-        ramp: bool | None = None,
-        floor: Any = "found",
-        **common: Any,
-    ) -> TableArguments:
-        """Checked. Raises InputError."""
-        if rest_length is not None:
-            rest_length = require_positive("rest_length", rest_length, "m")
-        return cls(
-            **cls.checked(**common), rest_length=rest_length, ramp=ramp, floor=_floor_said(floor)
-        )
+    def __post_init__(self) -> None:
+        if self.rest_length is not None:
+            length = require_positive("rest_length", self.rest_length, "m")
+            object.__setattr__(self, "rest_length", length)
+        object.__setattr__(self, "floor", _floor_said(self.floor))
 
 
 def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:

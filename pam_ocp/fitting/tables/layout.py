@@ -16,7 +16,7 @@ from ...core.files import MOST_NAME, require_size
 from .cells import is_empty, is_number, is_stamp, parted, without_units
 from .dialect import Grid, Unsaid
 from .headers import is_unit
-from .pivot import periods, pivoted, side_by_side, stacked
+from .pivot import looks_pivoted, periods, pivoted, side_by_side, stacked
 from .raw import RawTable
 
 __all__ = ["has_table", "require_distinct", "tabulated"]
@@ -51,7 +51,7 @@ def tabulated(
     numeric = _numeric(grid, drop)
     start = _start(grid, numeric)
     head = start - 1
-    if pivot is not None or (names is None and _is_pivot(grid, start)):
+    if pivot is not None or (names is None and looks_pivoted(grid, start)):
         return pivoted(grid, start, pivot)
     stated: Sequence[Any] = ()
     if head >= 1 and (_is_units(grid, head) or _is_mostly_units(grid, head, numeric)):
@@ -230,12 +230,6 @@ def _is_mostly_units(grid: Grid, row: int, numeric: Sequence[bool]) -> bool:
         and _is_head(grid, row - 1, numeric)
         and not all(map(is_unit, above))
     )
-
-
-def _is_pivot(grid: Grid, start: int) -> bool:
-    from .pivot import looks_pivoted
-
-    return looks_pivoted(grid, start)
 
 
 # ---- names ---------------------------------------------------------------------------------------

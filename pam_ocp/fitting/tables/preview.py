@@ -31,15 +31,7 @@ __all__ = ["ColumnView", "Preview", "Previews", "look"]
 
 LONG = 200
 """Rows from which on what holds less than a force table, and no clock, is probably a record."""
-_TABLE_ONLY = ("rest_length", "ramp", "floor", "pivot")
-_RECORD_ONLY = (
-    "time",
-    "interpolation",
-    "inputs",
-    "max_gap",
-    "clock",
-    "sample_time",
-)
+_TABLE_ONLY, _RECORD_ONLY = (*TableArguments.own(), "pivot"), RecordArguments.own()
 
 
 @dataclass(frozen=True)
@@ -196,7 +188,7 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     general = {k: v for k, v in for_table.items() if k in for_record}
     if kind != "record" and "pivot" in options:
         general["pivot"] = options["pivot"]
-    how = ReadingArguments.checked(**general)["how"]
+    how = ReadingArguments.of(**general).how
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
