@@ -99,6 +99,7 @@ class Selection:
     """n chosen rows. efficiency : at least this, against the best design of the same candidates."""
 
     indices: NDArray[np.intp]
+    value: float
     efficiency: float
 
 
@@ -159,7 +160,16 @@ def exchange(
     gains = np.einsum("ij,jk,ik->i", rows, scaled.slope(covariance), rows)
     best = float(np.sum(np.sort(np.repeat(gains, min(repeats, n)))[-n:]))
     least = value - max(best - float(np.sum(gains[indices])), 0.0)
-    return Selection(np.sort(indices), scaled.efficiency(value, least))
+    return Selection(
+        np.sort(indices), criterion_value(value, criterion, sizes), scaled.efficiency(value, least)
+    )
+
+
+def criterion_value(value: float, criterion: Criterion, sizes: Array) -> float:
+    """Of scaled parameters back to the parameters' own units."""
+    if criterion.weight is not None:
+        return value
+    return value - 2 * float(np.sum(np.log(sizes[list(criterion.chosen)])))
 
 
 def _inverse(information: Array) -> Array | None:
