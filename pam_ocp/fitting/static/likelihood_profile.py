@@ -372,10 +372,8 @@ class Sweep:
         low, high = self.values[last], self.values[beyond]
         for _ in range(40):
             middle = (low + high) / 2
-            if _projected(self.problem, np.array([middle]))[0][0] <= limit:
-                low = middle
-            else:
-                high = middle
+            cost = _projected(self.problem, np.array([middle]))[0][0]
+            low, high = (middle, high) if cost <= limit else (low, middle)
             if abs(high - low) <= 1e-6 * abs(high - self.best):
                 break
         return float((low + high) / 2), ""

@@ -27,7 +27,16 @@ from ...core.errors import (
 )
 from ...core.quantities import quantity
 from ...core.shown import shown
-from .columns import assigned, read_labels, require_columns
+from .columns import (
+    Series,
+    assigned,
+    check_force,
+    check_mixed_pressure,
+    check_pressure,
+    contraction_of,
+    read_labels,
+    require_columns,
+)
 from .doubts import (
     Understood,
     checked_cells,
@@ -38,13 +47,6 @@ from .floor import DETECTED, Floor, find_floor, part_names
 from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, ReadingArguments, complete, say
 from .sources import is_source, load, naming, sources_of
-from .table_checks import (
-    Series,
-    check_force,
-    check_mixed_pressure,
-    check_pressure,
-    contraction_of,
-)
 
 __all__ = [
     "ForceTable",

@@ -13,10 +13,10 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
+from .blocks import looks_pivoted, periods, pivoted, side_by_side, stacked
 from .cells import is_empty, is_number, is_stamp, parted, without_units
 from .dialect import Grid, Unsaid
 from .headers import is_unit
-from .pivot import looks_pivoted, periods, pivoted, side_by_side, stacked
 from .raw import RawTable
 
 __all__ = ["has_table", "require_distinct", "tabulated"]
