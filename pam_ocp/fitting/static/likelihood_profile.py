@@ -34,8 +34,6 @@ __all__ = ["Ends", "Sweep", "profile_end", "profile_ends", "walked"]
 
 ROUNDS = 12
 """Secant steps along a profile; 3 or 4 are usual, for the root of its cost is nearly straight."""
-STEPS = 1
-"""Gauss-Newton steps of the other coefficients after each: the rounds go on together with them."""
 SETTLED = 1e-5
 """Relative error of the cost at which an end counts as found: 5e-6 of the interval's half width."""
 SAME_COST = 1e-9
@@ -146,27 +144,26 @@ def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
 def _follow(
     problem: LeastSquares, best: Array, free: list[int], z: Array, place: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Gauss-Newton steps of all unknowns but ``place`` in each row of z; costs that they come
-    to.
+    """A Gauss-Newton step of all unknowns but ``place`` in each row of z, and the costs that it
+    comes to; the rounds of secant steps go on together with it.
     """
-    for _ in range(STEPS):
-        sums = problem.sums(_rows(best, free, z))
-        right, normal = sums.right[:, free], sums.normal[:, free][:, :, free]
-        good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
-        normal[~good], right[~good] = 0.0, 0.0
-        norms = np.maximum(np.sqrt(np.einsum("mii->mi", normal)), 1e-300)
-        stays: Array = np.zeros_like(norms)
-        np.put_along_axis(stays, place[:, None], 1.0, axis=1)
-        normal = normal / norms[:, :, None] / norms[:, None, :]
-        normal = normal * (1 - stays)[:, :, None] * (1 - stays)[:, None, :]
-        normal += np.eye(len(free)) * np.maximum(stays, 1e-14)[:, :, None]
-        right = ((1 - stays) * right / norms)[:, :, None]
-        try:
-            step = np.linalg.solve(normal, right)[:, :, 0]
-        except np.linalg.LinAlgError:  # somewhere the others are not determined
-            step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is not good
-            z = z + step / norms
+    sums = problem.sums(_rows(best, free, z))
+    right, normal = sums.right[:, free], sums.normal[:, free][:, :, free]
+    good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
+    normal[~good], right[~good] = 0.0, 0.0
+    norms = np.maximum(np.sqrt(np.einsum("mii->mi", normal)), 1e-300)
+    stays: Array = np.zeros_like(norms)
+    np.put_along_axis(stays, place[:, None], 1.0, axis=1)
+    normal = normal / norms[:, :, None] / norms[:, None, :]
+    normal = normal * (1 - stays)[:, :, None] * (1 - stays)[:, None, :]
+    normal += np.eye(len(free)) * np.maximum(stays, 1e-14)[:, :, None]
+    right = ((1 - stays) * right / norms)[:, :, None]
+    try:
+        step = np.linalg.solve(normal, right)[:, :, 0]
+    except np.linalg.LinAlgError:  # somewhere the others are not determined
+        step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is not good
+        z = z + step / norms
     return z, problem.squares(_rows(best, free, z))
 
 

@@ -125,7 +125,7 @@ def _quantities(
     """Headers of what runs down, across, and stands in the cells."""
     if said is not None:
         given = [str(s) for s in said]
-        if isinstance(said, str) or not 2 <= len(given) <= 3:
+        if not 2 <= len(given) <= 3:
             raise InputError(
                 "pivot: say what runs down and across (and stands in the cells), as "
                 "pivot=('contraction [%]', 'pressure [bar]', 'force [N]')"
