@@ -30,8 +30,7 @@ def fit() -> ForceFit:
     return fit_force(read_table("DMSP-20-300_static.csv", rest_length=0.300))
 
 
-# ---- designs of theory
-# ----------------------------------------------------------------------------
+# ---- designs of theory ---------------------------------------------------------------------------
 def test_a_plane_is_measured_at_the_corners() -> None:
     grid = np.stack(np.meshgrid(LINE, LINE), -1).reshape(-1, 2)
     rows = np.concatenate([np.ones((len(grid), 1)), grid], axis=1)
@@ -108,8 +107,7 @@ def test_too_few_points_or_candidates_are_refused() -> None:
         exchange(QUADRATIC, 42, Criterion((0, 1, 2)), NONE, repeats=1)
 
 
-# ---- cells of a muscle
-# ----------------------------------------------------------------------------
+# ---- cells of a muscle ---------------------------------------------------------------------------
 def test_designed_cells_stay_within_the_bench_and_are_taut(fit: ForceFit) -> None:
     design = design_cells(fit, 8, pressure=(1e5, 5e5), contraction=(0.02, 0.20))
     cells = design.cells

@@ -138,10 +138,3 @@ def test_standard_errors_are_the_scatter_of_repeated_measurements(replicas: list
     # a standard deviation from 500 samples is itself known to 3 %; three of these
     np.testing.assert_allclose(stated, scatter, rtol=0.10)
     assert np.mean([f.sigma for f in replicas]) == pytest.approx(NOISE, rel=0.03)
-
-
-def test_three_levels_warn_that_six_coefficients_are_nearly_saturated() -> None:
-    some = np.isin(KAPPA[TAUT], np.unique(KAPPA)[[0, 2, 4]])
-    noise = NOISE * np.random.default_rng(3).standard_normal(some.sum())
-    few = fit_force(ForceTable(P[TAUT][some], KAPPA[TAUT][some], TENSION[TAUT][some] + noise))
-    assert any("nearly saturated" in text for text in few.warnings)

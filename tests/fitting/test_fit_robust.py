@@ -51,8 +51,7 @@ def moved(one: ForceFit, other: ForceFit) -> float:
     return float(np.max(np.abs(one.law.tension(p, kappa) - other.law.tension(p, kappa))))
 
 
-# ---- robust losses
-# ----------------------------------------------------------------------------------
+# ---- robust losses -------------------------------------------------------------------------------
 @pytest.mark.parametrize("loss", ["huber", "l1"])
 def test_cells_off_by_100_n_move_a_robust_fit_by_less_than_2_n(loss: Any) -> None:
     measured = read_table("DMSP-10-250_static.csv", rest_length=0.250)
@@ -180,8 +179,7 @@ def test_robust_standard_errors_of_normal_noise_are_those_of_their_efficiency() 
     assert errors["l1"] / errors["squares"] == pytest.approx((np.pi / 2) ** 0.5, rel=0.11)
 
 
-# ---- censored cells
-# ---------------------------------------------------------------------------------
+# ---- censored cells ------------------------------------------------------------------------------
 def test_censored_cells_keep_the_law_slack_there() -> None:
     table = table_20()
     plain, censored = fit_force(table), fit_force(table, censored=True)
@@ -276,8 +274,7 @@ def test_finite_ends_cost_the_limit_where_other_coefficients_have_none() -> None
         assert held.squares == pytest.approx(found.squares * (1 + reach**2 / found.dof), rel=1e-3)
 
 
-# ---- bounds and priors
-# --------------------------------------------------------------------------------
+# ---- bounds and priors ---------------------------------------------------------------------------
 def test_bounds_are_kept_and_said() -> None:
     found = fit_force(table_20(), bounds={"a3": (-30.0, -5.0)})
     held = fit_force(table_20(), fixed={"a3": -30.0})

@@ -269,8 +269,6 @@ def test_a_poor_table_borrows_from_a_rich_one() -> None:
 def test_bounds_of_a_shared_unknown_are_the_narrowest_of_its_tables() -> None:
     from types import SimpleNamespace
 
-    from pam_ocp.fitting.static.shared_problem import JointProblem
-
     def part(*bounds: tuple[float, float]) -> Any:
         variables = [SimpleNamespace(min=low, max=high) for low, high in ((-9.0, 9.0), *bounds)]
         return SimpleNamespace(free=(1, 2), variables=variables)

@@ -195,8 +195,7 @@ def test_a_law_with_two_nonlinear_coefficients_is_found_again() -> None:
     assert found.law.values == pytest.approx(truth.values, rel=1e-6)
 
 
-# ---- what the data say
-# ------------------------------------------------------------------------------
+# ---- what the data say ---------------------------------------------------------------------------
 def test_standard_errors_agree_with_a_finite_difference_jacobian(alone: ForceFit) -> None:
     p, kappa, force = alone.cells.pressure, alone.cells.contraction, alone.cells.force
     c = np.array([alone.law.values[n] for n in NAMES])
@@ -405,8 +404,7 @@ def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> No
         ForceFit.from_json(path)
 
 
-# ---- what is refused
-# ----------------------------------------------------------------------------------
+# ---- what is refused -----------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -119,14 +119,15 @@ def test_bounds_and_noise_that_cannot_be_are_named(arguments, words):
         fit_holds(plant, holds, "mass", **arguments)
 
 
-def test_bounds_and_noise_may_be_texts():
-    plant = pam.SpringOverMuscle("DMSP-20-300", mass=2.0)
-    holds = {"muscle_pressure [bar]": [1.0, 2.0, 3.0], "x [mm]": [10.0, 20.0, 28.0]}
+def test_bounds_and_noise_may_be_texts(spring):
+    x = positions(lambda x, _: 120.0 + 6000.0 * x) + 1e-4 * np.sin(np.arange(49))
+    holds = {"muscle_pressure": PRESSURE, "x": x}
     one, other = (
-        fit_holds(plant, holds, "preload", bounds={"preload": b}, noise={"x": n})
-        for b, n in ((("-1 kN", np.inf), "0.1 mm"), ((-1e3, np.inf), 1e-4))
+        fit_holds(spring, holds, "preload", bounds={"preload": b}, noise={"x": n})
+        for b, n in ((("-1 kN", "0.1 kN"), "0.1 mm"), ((-1e3, 100.0), 1e-4))
     )
     assert one.values == other.values
+    assert one.at_bound == ("preload",)  # 120 N lie beyond
 
 
 def test_what_holds_cannot_tell_is_refused_by_name(spring):

@@ -62,52 +62,25 @@ def test_a_file_in_the_working_folder_comes_before_the_bundled_one(
     assert len(read_table("DMSP-20-300_static.csv")) == 1
 
 
+LBF = 0.45359237 * 9.80665
+
+
 @pytest.mark.parametrize(
-    ("length", "pressure", "force"),
+    ("heads", "sizes"),
     [
-        ("length_m", "pressure_Pa", "force_N"),
-        ("length [mm]", "p [kPa]", "F [N]"),
-        ("l/mm", "p/bar", "F/N"),
-        ("Length (cm)", "pressure (bar)", "Force (kN)"),
-        ("muscle_length_mm", "gauge pressure [MPa]", "pulling force (N)"),
-        ("L in mm", "P in psi", "F in lbf"),
+        (("length_m", "pressure_Pa", "force_N"), (1.0, 1.0, 1.0)),
+        (("length [mm]", "p [kPa]", "F [N]"), (1e-3, 1e3, 1.0)),
+        (("l/mm", "p/bar", "F/N"), (1e-3, 1e5, 1.0)),
+        (("Length (cm)", "pressure (bar)", "Force (kN)"), (1e-2, 1e5, 1e3)),
+        (("muscle_length_mm", "gauge pressure [MPa]", "pulling force (N)"), (1e-3, 1e6, 1.0)),
+        (("L in mm", "P in psi", "F in lbf"), (1e-3, LBF / 0.0254**2, LBF)),
     ],
 )
 def test_headers_say_quantity_and_unit_in_the_usual_spellings(
-    length: str, pressure: str, force: str
+    heads: tuple[str, ...], sizes: tuple[float, ...]
 ) -> None:
-    factor = {
-        "m": 1.0,
-        "mm": 1e-3,
-        "cm": 1e-2,
-        "Pa": 1.0,
-        "kPa": 1e3,
-        "bar": 1e5,
-        "MPa": 1e6,
-        "psi": 0.45359237 * 9.80665 / 0.0254**2,
-        "N": 1.0,
-        "kN": 1e3,
-        "lbf": 0.45359237 * 9.80665,
-    }
-
-    def unit_of(header: str) -> float:
-        return factor[
-            header.rstrip("])")
-            .replace("[", " ")
-            .replace("(", " ")
-            .replace("/", " ")
-            .replace("_", " ")
-            .split()[-1]
-        ]
-
-    read = read_table(
-        {
-            length: scaled(LENGTHS, unit_of(length)),
-            pressure: scaled(PRESSURES, unit_of(pressure)),
-            force: scaled(FORCES, unit_of(force)),
-        },
-        rest_length=L0,
-    )
+    columns = map(scaled, (LENGTHS, PRESSURES, FORCES), sizes)
+    read = read_table(dict(zip(heads, columns, strict=True)), rest_length=L0)
     assert read.pressure == pytest.approx(PRESSURES, rel=1e-9)
     assert read.force == pytest.approx(FORCES, rel=1e-9)
     assert read.contraction == pytest.approx([0.0, 0.05, 0.1, 0.15], abs=1e-12)
@@ -180,8 +153,7 @@ def test_the_unit_of_the_pressure_does_not_change_the_table(
     np.testing.assert_allclose(read.contraction, 1 - lengths, atol=1e-12)
 
 
-# ---- what a table knows
-# -----------------------------------------------------------------------------
+# ---- what a table knows --------------------------------------------------------------------------
 def test_a_force_of_zero_or_less_is_slack() -> None:
     cells = ForceTable([2e5, 4e5, 6e5], [0.2, 0.1, 0.0], [-3.0, 0.0, 50.0])
     assert cells.slack.tolist() == [True, True, False]
@@ -199,8 +171,7 @@ def test_nearly_equal_contractions_are_one_level() -> None:
     assert cells.levels().tolist() == [1, 2, 1, 2, 0]
 
 
-# ---- what is refused
-# ----------------------------------------------------------------------------------
+# ---- what is refused -----------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("columns", "words"),
     [

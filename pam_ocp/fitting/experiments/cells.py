@@ -87,12 +87,10 @@ class CellDesign:
         """The cells and the standard errors before and after, as text."""
         t, length = self.cells, self.cells.rest_length
         head = f"{'':>5}{'p [bar]':>9}{'kappa [%]':>11}" + (f"{'l [mm]':>9}" if length else "")
+        of = "" if self.criterion == "I" else f" ({', '.join(self.parameters)})"
         lines = [
             f"{len(t)} further cells for the {self.law.name} law, {self.criterion}-optimal: least "
-            f"{_WORDS[self.criterion]} ({', '.join(self.parameters)})"
-            if self.criterion != "I"
-            else f"{len(t)} further cells for the {self.law.name} law, I-optimal: least "
-            f"{_WORDS['I']}",
+            f"{_WORDS[self.criterion]}{of}",
             f"at least {100 * self.efficiency:.0f} % as good as any choice of {len(t)} candidates; "
             f"noise of a measurement {self.noise:.3g} N",
             head + f"{'F expected [N]':>16}",
@@ -233,7 +231,7 @@ def design_cells(
         gradient if predict_at is None else state.gradient(*_points("predict_at", predict_at).T)[1]
     )
     aim = _criterion(state, criterion, places, where)
-    most = _repeats(repeats, n)
+    most = n if repeats is None else require_count("repeats", repeats)
     selection = exchange(
         gradient / state.noise, n, aim, state.information, repeats=most, executor=executor
     )
@@ -345,13 +343,6 @@ def _root(covariance: Array, k: int) -> Array:
     except np.linalg.LinAlgError:
         raise InputError("covariance is not positive definite") from None
     return np.asarray(np.linalg.inv(factor) / sizes)
-
-
-def _repeats(repeats: int | None, n: int) -> int:
-    if repeats is None:
-        return n
-    require_count("repeats", repeats)
-    return repeats
 
 
 def _points(argument: str, given: tuple[ArrayLike, ArrayLike]) -> Array:

@@ -263,8 +263,7 @@ def design_signal(
     )
 
 
-# ---- what is optimised
-# -----------------------------------------------------------------------------
+# ---- what is optimised ---------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Judged:
     value: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -84,7 +85,7 @@ def bootstrap(
     tables = (_resampled(fit, problem, random, method) for _ in range(n))
     try:
         for i, result in ending(
-            _Refit(start), tables, executor=executor, what="bootstrap", count=n
+            partial(_refitted, start), tables, executor=executor, what="bootstrap", count=n
         ):
             if isinstance(result, FitError):
                 failed += 1
@@ -102,15 +103,10 @@ def bootstrap(
     return Bootstrap(fit.free, np.array(samples), failed, ended)
 
 
-@dataclass(frozen=True, eq=False)
-class _Refit:
-    """Fits a resampled table, from the fit to the measured one."""
-
-    start: Array | None
-
-    def __call__(self, problem: LeastSquares) -> Array:
-        coefficients = minimise(problem, self.start, effort=NEAR).coefficients
-        return np.asarray(coefficients[list(problem.free)])
+def _refitted(start: Array | None, problem: LeastSquares) -> Array:
+    """The fit of a resampled table, from that to the measured one."""
+    coefficients = minimise(problem, start, effort=NEAR).coefficients
+    return np.asarray(coefficients[list(problem.free)])
 
 
 def _resampled(

@@ -14,6 +14,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,6 @@ __all__ = ["Ends", "Sweep", "profile_end", "profile_ends", "walked"]
 
 ROUNDS = 12
 """Secant steps along a profile; 3 or 4 are usual, for the root of its cost is nearly straight."""
-STEPS = 1
-"""Gauss-Newton steps of the other coefficients after each: the rounds go on together with them."""
 SETTLED = 1e-5
 """Relative error of the cost at which an end counts as found: 5e-6 of the interval's half width."""
 SAME_COST = 1e-9
@@ -85,7 +84,7 @@ def profile_ends(
             (names[i], sides[j] * fit.coefficients[names[i]].stderr, float(limits[i]))
             for i, j in open_ends
         ]
-        answers = results_of(_Walk(fit), walks, executor=executor, chunk=1, what="profiles")
+        answers = results_of(partial(_end, fit), walks, executor=executor, chunk=1, what="profiles")
     reasons: dict[str, list[str]] = {name: [] for name in names}
     for (i, j), (end, why) in zip(open_ends, answers, strict=True):
         found[i, j] = end
@@ -96,14 +95,9 @@ def profile_ends(
     }
 
 
-@dataclass(frozen=True, eq=False)
-class _Walk:
-    """A fit; called with a coefficient, a first step and a limit it gives the end there."""
-
-    fit: Optimum
-
-    def __call__(self, walk: tuple[str, float, float]) -> tuple[float, str]:
-        return profile_end(self.fit, *walk)
+def _end(fit: Optimum, walk: tuple[str, float, float]) -> tuple[float, str]:
+    """Of a walk: a coefficient, a first step, and a limit."""
+    return profile_end(fit, *walk)
 
 
 def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
@@ -150,27 +144,26 @@ def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
 def _follow(
     problem: LeastSquares, best: Array, free: list[int], z: Array, place: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Gauss-Newton steps of all unknowns but ``place`` in each row of z; costs that they come
-    to.
+    """A Gauss-Newton step of all unknowns but ``place`` in each row of z, and the costs that it
+    comes to; the rounds of secant steps go on together with it.
     """
-    for _ in range(STEPS):
-        sums = problem.sums(_rows(best, free, z))
-        right, normal = sums.right[:, free], sums.normal[:, free][:, :, free]
-        good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
-        normal[~good], right[~good] = 0.0, 0.0
-        norms = np.maximum(np.sqrt(np.einsum("mii->mi", normal)), 1e-300)
-        stays: Array = np.zeros_like(norms)
-        np.put_along_axis(stays, place[:, None], 1.0, axis=1)
-        normal = normal / norms[:, :, None] / norms[:, None, :]
-        normal = normal * (1 - stays)[:, :, None] * (1 - stays)[:, None, :]
-        normal += np.eye(len(free)) * np.maximum(stays, 1e-14)[:, :, None]
-        right = ((1 - stays) * right / norms)[:, :, None]
-        try:
-            step = np.linalg.solve(normal, right)[:, :, 0]
-        except np.linalg.LinAlgError:  # somewhere the others are not determined
-            step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is not good
-            z = z + step / norms
+    sums = problem.sums(_rows(best, free, z))
+    right, normal = sums.right[:, free], sums.normal[:, free][:, :, free]
+    good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
+    normal[~good], right[~good] = 0.0, 0.0
+    norms = np.maximum(np.sqrt(np.einsum("mii->mi", normal)), 1e-300)
+    stays: Array = np.zeros_like(norms)
+    np.put_along_axis(stays, place[:, None], 1.0, axis=1)
+    normal = normal / norms[:, :, None] / norms[:, None, :]
+    normal = normal * (1 - stays)[:, :, None] * (1 - stays)[:, None, :]
+    normal += np.eye(len(free)) * np.maximum(stays, 1e-14)[:, :, None]
+    right = ((1 - stays) * right / norms)[:, :, None]
+    try:
+        step = np.linalg.solve(normal, right)[:, :, 0]
+    except np.linalg.LinAlgError:  # somewhere the others are not determined
+        step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is not good
+        z = z + step / norms
     return z, problem.squares(_rows(best, free, z))
 
 
@@ -376,10 +369,8 @@ class Sweep:
         low, high = self.values[last], self.values[beyond]
         for _ in range(40):
             middle = (low + high) / 2
-            if _projected(self.problem, np.array([middle]))[0][0] <= limit:
-                low = middle
-            else:
-                high = middle
+            cost = _projected(self.problem, np.array([middle]))[0][0]
+            low, high = (middle, high) if cost <= limit else (low, middle)
             if abs(high - low) <= 1e-6 * abs(high - self.best):
                 break
         return float((low + high) / 2), ""

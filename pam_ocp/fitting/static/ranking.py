@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
@@ -198,7 +199,7 @@ def compare_laws(
         if name not in constants:
             raise UnknownNameError("constant in fixed of any of these laws", name, constants)
     independent(errors)
-    work = _Compared(table, fixed or {}, errors)
+    work = partial(_compared, table, fixed or {}, errors)
     ended: dict[int, ComparedLaw] = {}
     with suppress(TimeIsUp):
         for i, law in ending(work, kinds, executor=executor, chunk=1, what="laws"):
@@ -210,23 +211,11 @@ def compare_laws(
     return LawComparison(tuple(sorted(found, key=lambda law: law.rank)), table.source)
 
 
-@dataclass(frozen=True, eq=False)
-class _Compared:
-    """A table, by which laws are compared."""
-
-    table: ForceTable
-    fixed: Mapping[str, float]
-    errors: Literal["as found", "independent"]
-
-    def __call__(self, kind: type[ForceLaw]) -> ComparedLaw:
-        return _compared(self.table, kind, self.fixed, self.errors)
-
-
 def _compared(
     table: ForceTable,
-    kind: type[ForceLaw],
     fixed: Mapping[str, float],
     errors: Literal["as found", "independent"],
+    kind: type[ForceLaw],
 ) -> ComparedLaw:
     own = {n: v for n, v in fixed.items() if n in kind.fixed_coefficients()}
     missing = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...core.errors import InputError, UnknownNameError, require_ends, require_positive
 from ...core.stop import verb
+from ...core.variables import Variable
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ..statistics import Array
@@ -132,11 +133,17 @@ def law_class(law: Any) -> type[ForceLaw]:
     raise InputError(f"law = {law!r} must be a name ({', '.join(LAWS)}) or a class of force laws")
 
 
-def _checked(kind: type[ForceLaw], argument: str, values: Mapping[str, Any]) -> dict[str, float]:
+def _known(kind: type[ForceLaw], argument: str, names: Iterable[str]) -> dict[str, Variable]:
+    """The coefficients of a law; an UnknownNameError where ``names`` holds another."""
     known = {v.name: v for v in kind.coefficient_variables()}
-    for name in values:
+    for name in names:
         if name not in known:
             raise UnknownNameError(f"coefficient of the {kind.name} law in {argument}", name, known)
+    return known
+
+
+def _checked(kind: type[ForceLaw], argument: str, values: Mapping[str, Any]) -> dict[str, float]:
+    known = _known(kind, argument, values)
     return {n: known[n].check(v, argument) for n, v in values.items()}
 
 
@@ -213,11 +220,8 @@ def checked_pairs(
     kind: type[ForceLaw], argument: str, given: Mapping[str, Any] | None, held: Mapping[str, float]
 ) -> tuple[tuple[str, float, float], ...]:
     """(name, first, second) of bounds or priors, checked."""
-    known = {v.name: v for v in kind.coefficient_variables()}
-    pairs = []
+    known, pairs = _known(kind, argument, given or {}), []
     for name, value in (given or {}).items():
-        if name not in known:
-            raise UnknownNameError(f"coefficient of the {kind.name} law in {argument}", name, known)
         if name in held:
             raise InputError(f"{argument}: {name} is held; take it out of {argument} or of fixed")
         where, unit = f"{argument}[{name!r}]", known[name].unit

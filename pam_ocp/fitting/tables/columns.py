@@ -1,5 +1,5 @@
-"""Which column holds which quantity of a force table, or which variable of a record, and in which
-unit.
+"""Which column holds which quantity of a force table, or which variable of a record, in which unit,
+and whether its numbers can be what its header says.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from ...core.calibration import AMBIENT, COUNTS, Scale, scale_of, spelled
 from ...core.errors import InputError, UnknownNameError
-from ...core.plausible import inside_by, units_of
+from ...core.plausible import MEASURED, inside_by, units_of
 from ...core.units import Unit, unit
 from ...core.variables import Variable
 from .cells import is_empty, is_number, is_stamp
@@ -22,7 +22,6 @@ from .doubts import Column
 from .headers import (
     COMMANDS,
     LABELS,
-    MEASURED,
     NAMES,
     PLACES,
     QUANTITIES,
@@ -31,6 +30,7 @@ from .headers import (
     parse_header,
     words_of,
 )
+from .headers import MEASURED as SAID_MEASURED
 from .raw import RawTable
 
 if TYPE_CHECKING:
@@ -38,8 +38,13 @@ if TYPE_CHECKING:
     from ..statistics import Array
 
 __all__ = [
+    "Series",
     "assigned",
+    "check_force",
+    "check_mixed_pressure",
+    "check_pressure",
     "check_size",
+    "contraction_of",
     "display_of",
     "read_labels",
     "record_scale",
@@ -51,6 +56,12 @@ BEYOND = 20.0
 """A value this many times beyond a variable's bounds was read in a wrong unit."""
 LEAST_PRESSURE = 1e3
 """A record whose pressures stay below this [Pa] was read in a wrong unit."""
+LARGEST_PRESSURE = (1e3, 5e6)
+"""Where the largest gauge pressure of a table may lie [Pa]; beyond, its unit is in doubt."""
+LARGEST_FORCE = 1e5
+"""Beyond any fluidic muscle [N]."""
+CONTRACTION_RANGE = (-0.10, 0.60)
+"""10 % beyond the rest length; the braid locks at 35-40 %."""
 _SI = (
     *("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s"),
     *("V", "A"),
@@ -215,6 +226,149 @@ def _branches(texts: list[str]) -> list[str]:
     return ["inflation" if signs and text == "1" else named_branch(text) for text in texts]
 
 
+class Series:
+    """A column as numbers: ``values`` as they stand, ``si`` converted."""
+
+    def __init__(self, column: Column, raw: RawTable) -> None:
+        self.column, self.raw = column, raw
+        self.values = raw.numbers(column.header)
+        self.si: Array = column.si(self.values)
+        # what messages call the numbers that stand in the file
+        self.unit = column.unit if column.plain else raw.unit(column.header) or "1"
+
+    def shown(self, index: int) -> str:
+        """``pressure 0.35 bar in row 3``."""
+        name = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.column.kind} {self.values[index]:g}{name} in {self.raw.row(index)}"
+
+    @property
+    def reading(self) -> str:
+        return self.column.reading
+
+
+def check_pressure(pressure: Series) -> None:
+    top = int(np.argmax(pressure.si))
+    low = int(np.argmin(pressure.si))
+    largest, smallest = pressure.si[top], pressure.si[low]
+    if smallest < -max(0.02 * largest, 2e3):
+        raise InputError(
+            f"{pressure.shown(low)} is negative beyond noise{_from_ambient(pressure, low)}; "
+            "pressures are gauge pressures >= 0"
+        )
+    low_end, high_end = LARGEST_PRESSURE
+    if not low_end <= largest <= high_end:
+        fitting = inside_by({"pressure": float(pressure.values[top])}, pressure.unit)[:2]
+        guess = f"it looks like {' or '.join(fitting)}" if fitting else "that cannot be"
+        remedy = fitting[0] if fitting else "bar"
+        usual = float(np.median(pressure.si))
+        mark = f"{pressure.values[top]:g}"
+        mixed = (
+            f" (half of the rows stay below {usual / 1e5:.3g} bar: where the column mixes units, "
+            f"mend it; where {mark} marks a missing value, give missing=[{mark}])"
+            if largest > high_end and MEASURED["pressure"].least < usual < high_end / 10
+            else ""
+        )
+        raise InputError(
+            f"the largest {pressure.shown(top)} ({pressure.reading}) is {largest / 1e5:g} bar, "
+            f"outside {low_end / 1e5:g} .. {high_end / 1e5:g} bar: {guess}; "
+            f"correct the header or give units={{'pressure': {remedy!r}}}{mixed}"
+        )
+
+
+def _from_ambient(pressure: Series, low: int) -> str:
+    if not pressure.column.shift:
+        return ""
+    least = pressure.si[low] + pressure.column.shift
+    return (
+        f" (absolute, {pressure.column.shift:g} Pa taken off: give ambient_pressure={least:.0f} if "
+        "that was the weather, or the unit without 'abs')"
+    )
+
+
+def check_mixed_pressure(pressure: Series, p: Array, force: Array, contraction: Array) -> None:
+    """A muscle at its rest length or shorter cannot pull hard with next to no pressure."""
+    doubtful = (p < p.max() / 500) & (force > 0.2 * force.max()) & (contraction >= 0)
+    if np.any(doubtful):
+        i = int(np.argmax(doubtful))
+        raise InputError(
+            f"{pressure.shown(i)} goes with a force of {force[i]:g} N, while other rows reach "
+            f"{pressure.values.max():g} {pressure.unit}: the column mixes units"
+        )
+
+
+def check_force(force: Series) -> None:
+    top = int(np.argmax(np.abs(force.si)))
+    if abs(force.si[top]) > LARGEST_FORCE:
+        fitting = inside_by({"force": float(abs(force.values[top]))}, force.unit)[:2]
+        guess = f"it looks like {' or '.join(fitting)}; " if fitting else ""
+        raise InputError(
+            f"{force.shown(top)} ({force.reading}) is beyond any fluidic muscle "
+            f"({LARGEST_FORCE:g} N): {guess}correct the header or give "
+            f"units={{'force': {fitting[0] if fitting else '...'!r}}}"
+        )
+
+
+def contraction_of(series: Mapping[str, Series], rest_length: float | None) -> Array:
+    """kappa from whichever column there is; both must agree where both are."""
+    low, high = CONTRACTION_RANGE
+    direct = series.get("contraction")
+    if direct is not None:
+        _check_contraction(direct)
+    if "length" not in series:
+        assert direct is not None
+        return direct.si
+    if rest_length is None:
+        if direct is not None:
+            return direct.si
+        raise InputError(
+            f"column {series['length'].column.header!r} holds lengths: give rest_length in metres, "
+            "as in read_table(..., rest_length=0.300)"
+        )
+    length = series["length"]
+    shortest = int(np.argmin(length.si))
+    if length.si[shortest] <= 0:
+        raise InputError(f"{length.shown(shortest)} must be > 0")
+    kappa: Array = 1.0 - length.si / rest_length
+    for i in (int(np.argmin(kappa)), int(np.argmax(kappa))):
+        if not low <= kappa[i] <= high:
+            side = "more than 10 % beyond" if kappa[i] < low else "far too short for"
+            raise InputError(
+                f"{length.shown(i)} ({length.reading}) is {side} the rest length {rest_length:g} "
+                "m; check rest_length (in metres) and the unit of the lengths (mm?)"
+            )
+    if direct is not None:
+        gap = np.abs(kappa - direct.si)
+        i = int(np.argmax(gap))
+        if gap[i] > 0.01:
+            raise InputError(
+                f"{direct.shown(i)} contradicts {length.shown(i)}, which is a contraction of "
+                f"{kappa[i]:.4g} at rest_length = {rest_length:g} m; correct one of them"
+            )
+    return kappa
+
+
+def _check_contraction(contraction: Series) -> None:
+    low, high = CONTRACTION_RANGE
+    size = np.abs(contraction.si)
+    worst = int(np.argmax(size))
+    if size[worst] > 1:
+        raise InputError(
+            f"{contraction.shown(worst)} ({contraction.reading}) is beyond 1: it looks like "
+            "percent; give units={'contraction': '%'}"
+        )
+    if 0 < size[worst] < 0.006 and contraction.unit == "%":
+        raise InputError(
+            f"the largest {contraction.shown(worst)} is next to nothing: it looks like a fraction; "
+            "correct the header or give units={'contraction': '1'}"
+        )
+    for i in (int(np.argmin(contraction.si)), int(np.argmax(contraction.si))):
+        if not low <= contraction.si[i] <= high:
+            raise InputError(
+                f"{contraction.shown(i)} is outside {low * 100:g} .. {high * 100:g} %; "
+                "contraction is (rest length - length)/rest length, positive when shorter"
+            )
+
+
 # ---- records ------------------------------------------------------------------------------------
 def record_scale(
     raw: RawTable,
@@ -346,7 +500,7 @@ def _has_numbers(raw: RawTable, header: str) -> bool:
 
 def _meant(plant: Plant, name: str) -> str | None:
     """The one variable of a plant that words such as ``druck 1`` or ``p2 ist`` mean."""
-    words = [w for w in name.split() if w not in MEASURED]
+    words = [w for w in name.split() if w not in SAID_MEASURED]
     match = re.match(r"(?P<kind>\D*?)[\s.]*(?P<number>\d*)\s*(?P<rest>\D*)$", " ".join(words))
     if match is None:
         return None

@@ -27,7 +27,16 @@ from ...core.errors import InputError
 from ...core.files import MOST_COLUMNS, MOST_LINE, MOST_SHEET_CELLS, require_size
 from .cells import decimal_of, is_empty, is_number, is_stamp, number, parted
 
-__all__ = ["Grid", "Unsaid", "grid_of_text", "is_lvm", "is_markup", "segments_of", "tables_of"]
+__all__ = [
+    "Grid",
+    "Unsaid",
+    "grid_of_text",
+    "is_lvm",
+    "is_markup",
+    "nothing_in",
+    "segments_of",
+    "tables_of",
+]
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
@@ -47,6 +56,11 @@ SAMPLE = 120
 
 class Unsaid(InputError):
     """A file can be read once a keyword says what it does not say itself."""
+
+
+def nothing_in(label: str, of: str = "") -> InputError:
+    """The error of a source without rows. of : what they must hold."""
+    return InputError(f"{label} is empty: it needs a header and at least one row{of}")
 
 
 @dataclass
@@ -89,7 +103,7 @@ def grid_of_text(
         else:
             lines.append((i, line))
     if not lines:
-        raise InputError(f"{label} is empty: it needs a header and at least one row")
+        raise nothing_in(label)
     longest, length = max(((i, len(line)) for i, line in lines), key=lambda found: found[1])
     if length > MOST_LINE:
         raise InputError(

@@ -104,26 +104,16 @@ class FolderRead(Sequence[FileRead]):
 
     def rows(self) -> list[dict[str, Any]]:
         """What was read how, a row for each file."""
-        made = []
-        for one in self:
-            view = one.view
-            made.append(
-                {
-                    "file": one.path.name,
-                    **one.labels,
-                    "kind": "" if view is None else view.kind,
-                    "rows": 0 if view is None else view.rows,
-                    "how": "" if view is None else ", ".join(view.dialect),
-                    "columns": ""
-                    if view is None
-                    else ", ".join(f"{c.meaning}={c.header!r}" for c in view.columns if c.meaning),
-                    "said": ""
-                    if view is None
-                    else "; ".join((*view.notes, *(f"doubt: {d}" for d in view.doubts))),
-                    "problem": one.problem,
-                }
-            )
-        return made
+        empty = {"kind": "", "rows": 0, "how": "", "columns": "", "said": ""}
+        return [
+            {
+                "file": one.path.name,
+                **one.labels,
+                **(empty if one.view is None else _understood(one.view)),
+                "problem": one.problem,
+            }
+            for one in self
+        ]
 
     def to_pandas(self) -> pd.DataFrame:
         """:meth:`rows` as a DataFrame. Raises InputError where pandas is missing."""
@@ -153,6 +143,17 @@ class FolderRead(Sequence[FileRead]):
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(str(self))}</pre>"
+
+
+def _understood(view: Preview) -> dict[str, Any]:
+    used = (f"{c.meaning}={c.header!r}" for c in view.columns if c.meaning)
+    return {
+        "kind": view.kind,
+        "rows": view.rows,
+        "how": ", ".join(view.dialect),
+        "columns": ", ".join(used),
+        "said": "; ".join((*view.notes, *(f"doubt: {d}" for d in view.doubts))),
+    }
 
 
 def read_folder(

@@ -27,7 +27,16 @@ from ...core.errors import (
 )
 from ...core.quantities import quantity
 from ...core.shown import shown
-from .columns import assigned, read_labels, require_columns
+from .columns import (
+    Series,
+    assigned,
+    check_force,
+    check_mixed_pressure,
+    check_pressure,
+    contraction_of,
+    read_labels,
+    require_columns,
+)
 from .doubts import (
     Understood,
     checked_cells,
@@ -38,13 +47,6 @@ from .floor import DETECTED, Floor, find_floor, part_names
 from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, ReadingArguments, complete, say
 from .sources import is_source, load, naming, sources_of
-from .table_checks import (
-    Series,
-    check_force,
-    check_mixed_pressure,
-    check_pressure,
-    contraction_of,
-)
 
 __all__ = [
     "ForceTable",
@@ -375,21 +377,11 @@ class TableArguments(ReadingArguments):
     ramp: bool | None = None
     floor: Any = "found"
 
-    @classmethod
-    def of(
-        cls,
-        *,
-        rest_length: float | None = None,
-        ramp: bool | None = None,
-        floor: Any = "found",
-        **common: Any,
-    ) -> TableArguments:
-        """Checked. Raises InputError."""
-        if rest_length is not None:
-            rest_length = require_positive("rest_length", rest_length, "m")
-        return cls(
-            **cls.checked(**common), rest_length=rest_length, ramp=ramp, floor=_floor_said(floor)
-        )
+    def __post_init__(self) -> None:
+        if self.rest_length is not None:
+            length = require_positive("rest_length", self.rest_length, "m")
+            object.__setattr__(self, "rest_length", length)
+        object.__setattr__(self, "floor", _floor_said(self.floor))
 
 
 def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:

@@ -13,13 +13,13 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
+from .blocks import looks_pivoted, periods, pivoted, side_by_side, stacked
 from .cells import is_empty, is_number, is_stamp, parted, without_units
-from .dialect import Grid, Unsaid
+from .dialect import Grid, Unsaid, nothing_in
 from .headers import is_unit
-from .pivot import periods, pivoted, side_by_side, stacked
 from .raw import RawTable
 
-__all__ = ["has_table", "require_distinct", "tabulated"]
+__all__ = ["given_names", "has_table", "require_distinct", "tabulated"]
 
 LOOKED_AT = 400
 """Rows at the end of a grid whose cells say what its columns hold."""
@@ -51,7 +51,7 @@ def tabulated(
     numeric = _numeric(grid, drop)
     start = _start(grid, numeric)
     head = start - 1
-    if pivot is not None or (names is None and _is_pivot(grid, start)):
+    if pivot is not None or (names is None and looks_pivoted(grid, start)):
         return pivoted(grid, start, pivot)
     stated: Sequence[Any] = ()
     if head >= 1 and (_is_units(grid, head) or _is_mostly_units(grid, head, numeric)):
@@ -114,7 +114,7 @@ def _trimmed(grid: Grid) -> Grid:
     filled = [any(c is not None and c != "" for c in row) for row in grid.rows]
     rows = [row for row, keep in zip(grid.rows, filled, strict=True) if keep]
     if not rows:
-        raise InputError(f"{grid.label} is empty: it needs a header and at least one row")
+        raise nothing_in(grid.label)
     width = max(map(len, rows))
     used = [False] * width
     for row in rows:
@@ -186,16 +186,14 @@ def _start(grid: Grid, numeric: Sequence[bool]) -> int:
     """The first row of numbers."""
     columns = [i for i, n in enumerate(numeric) if n]
     if not columns:
-        raise InputError(
-            f"{grid.label} is empty: it needs a header and at least one row of numbers"
-        )
+        raise nothing_in(grid.label, " of numbers")
     for start, row in enumerate(grid.rows):
         cells = [row[i] for i in columns if i < len(row) and not is_empty(row[i])]
         fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
         whole = fitting == len(cells) and fitting >= min(2, len(columns))
         if whole or fitting > len(columns) / 2:
             return start + _properties(grid, start, columns)
-    raise InputError(f"{grid.label} is empty: it needs a header and at least one row of numbers")
+    raise nothing_in(grid.label, " of numbers")
 
 
 def _properties(grid: Grid, start: int, columns: Sequence[int]) -> int:
@@ -232,12 +230,6 @@ def _is_mostly_units(grid: Grid, row: int, numeric: Sequence[bool]) -> bool:
     )
 
 
-def _is_pivot(grid: Grid, start: int) -> bool:
-    from .pivot import looks_pivoted
-
-    return looks_pivoted(grid, start)
-
-
 # ---- names ---------------------------------------------------------------------------------------
 def _names(
     grid: Grid,
@@ -251,12 +243,7 @@ def _names(
     """
     width = len(numeric)
     if given is not None:
-        if len(given) != width:
-            raise InputError(
-                f"{grid.label} has {width} columns, columns= names {len(given)}; name each, from "
-                "the left (None leaves one out)"
-            )
-        return [str(name) if name else "" for name in given]
+        return given_names(grid.label, given, width)
     if head >= 0 and _is_head(grid, head, numeric):
         cells = [*grid.rows[head], *[None] * width][: max(width, len(grid.rows[head]))]
         if head >= 1:
@@ -272,6 +259,16 @@ def _names(
         f"{first!r}); say what they are, from the left, with their units, as "
         f"columns={_example(width)} (of a record 'time [s]', ...)"
     )
+
+
+def given_names(label: str, given: Sequence[str | None], width: int) -> list[str]:
+    """The user's names of columns, "" for those left out. Raises InputError for another number."""
+    if len(given) != width:
+        raise InputError(
+            f"{label} has {width} columns, columns= names {len(given)}; name each, from the left "
+            "(None leaves one out)"
+        )
+    return [str(name) if name else "" for name in given]
 
 
 def _above(grid: Grid, head: int, column: int) -> Any:

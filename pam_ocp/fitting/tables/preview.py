@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
@@ -31,15 +31,7 @@ __all__ = ["ColumnView", "Preview", "Previews", "look"]
 
 LONG = 200
 """Rows from which on what holds less than a force table, and no clock, is probably a record."""
-_TABLE_ONLY = ("rest_length", "ramp", "floor", "pivot")
-_RECORD_ONLY = (
-    "time",
-    "interpolation",
-    "inputs",
-    "max_gap",
-    "clock",
-    "sample_time",
-)
+_TABLE_ONLY, _RECORD_ONLY = (*TableArguments.own(), "pivot"), RecordArguments.own()
 
 
 @dataclass(frozen=True)
@@ -196,23 +188,19 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     general = {k: v for k, v in for_table.items() if k in for_record}
     if kind != "record" and "pivot" in options:
         general["pivot"] = options["pivot"]
-    how = ReadingArguments.checked(**general)["how"]
+    how = ReadingArguments.of(**general).how
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            raw = loaded(source, how)
-        except Unsaid as error:
-            return _unsaid(source, kind, str(error), options)
-        kind = kind or _kind(raw, options)
+            seen = Understood(loaded(source, how))
+        except Unsaid as error:  # columns are not known before a keyword says more
+            label = Path(source).name if isinstance(source, str | Path) else "source"
+            nothing = Understood(RawTable(label, {}))
+            return _preview(source, kind or "table", nothing, {}, None, (), str(error), options)
+        kind = kind or _kind(seen.raw, options)
         if kind == "table":
-            return _table(source, raw, TableArguments.of(**for_table), options)
-        return _record(source, raw, plant, RecordArguments.of(**for_record), options)
-
-
-def _unsaid(source: Any, kind: str | None, problem: str, options: Mapping[str, Any]) -> Preview:
-    """Of a file whose columns are not known before a keyword says more."""
-    nothing = RawTable(Path(source).name if isinstance(source, str | Path) else "source", {})
-    return _preview(source, kind or "table", nothing, (), None, problem, options, ())
+            return _table(source, seen, TableArguments.of(**for_table), options)
+        return _record(source, seen, plant, RecordArguments.of(**for_record), options)
 
 
 def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
@@ -233,19 +221,21 @@ def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
 
 
 # ---- tables --------------------------------------------------------------------------------------
-def _table(source: Any, raw: RawTable, words: TableArguments, options: dict[str, Any]) -> Preview:
-    seen, problem, table = Understood(raw), "", None
+def _table(
+    source: Any, seen: Understood, words: TableArguments, options: dict[str, Any]
+) -> Preview:
+    problem, table = "", None
     try:
-        table = table_of(raw, words, seen)
+        table = table_of(seen.raw, words, seen)
     except InputError as error:
         problem = str(error)
-    raw, meanings = seen.raw, seen.meanings or _named(raw, words)
+    seen.meanings = seen.meanings or _named(seen.raw, words)
     for label, names in LABELS.items():
-        header = raw.header(label, names, words.columns)
+        header = seen.raw.header(label, names, words.columns)
         if header:
-            meanings[header] = (label, None)
-    columns = tuple(_column(raw, h, *meanings.get(h, ("", None)), QUANTITIES) for h in raw.columns)
-    return _preview(source, "table", raw, columns, table, problem, options, table and table.notes)
+            seen.meanings[header] = (label, None)
+    notes = table.notes if table else ()
+    return _preview(source, "table", seen, QUANTITIES, table, notes, problem, options)
 
 
 def _named(raw: RawTable, words: TableArguments) -> dict[str, tuple[str, Scale | None]]:
@@ -303,53 +293,57 @@ def _saturated(header: str, values: Any) -> list[str]:
 
 # ---- records -------------------------------------------------------------------------------------
 def _record(
-    source: Any, raw: RawTable, plant: Plant | None, words: RecordArguments, options: dict[str, Any]
+    source: Any,
+    seen: Understood,
+    plant: Plant | None,
+    words: RecordArguments,
+    options: dict[str, Any],
 ) -> Preview:
-    seen, problem, records = Understood(raw), "", None
-    notes: list[str] = []
+    problem, records = "", None
+    notes: Sequence[str] = ()
     try:
-        records, notes = record_parts(raw, plant, words, seen)
+        records, notes = record_parts(seen.raw, plant, words, seen)
     except InputError as error:
         problem = str(error)
-    raw, meanings = seen.raw, seen.meanings
     known = {v.name: (v.unit,) for v in plant.variables} if plant is not None else {}
-    columns = tuple(_column(raw, h, *meanings.get(h, ("", None)), known) for h in raw.columns)
-    return _preview(
-        source, "record", raw, columns, records, problem, options, notes, seen.clock, plant
-    )
+    return _preview(source, "record", seen, known, records, notes, problem, options, plant)
 
 
 def _preview(
     source: Any,
     kind: str,
-    raw: RawTable,
-    columns: tuple[ColumnView, ...],
-    result: Any,
+    seen: Understood,
+    known: Mapping[str, Any],
+    result: ForceTable | list[Trajectory] | None,
+    notes: Sequence[str],
     problem: str,
     options: Mapping[str, Any],
-    notes: Any,
-    clock: str = "",
     plant: Plant | None = None,
 ) -> Preview:
-    told = tuple(notes if notes else raw.notes)
-    name = repr(str(source)) if isinstance(source, str | Path) else "source"
+    """known : {quantity or variable: (SI unit, ...)}."""
+    raw, named = seen.raw, isinstance(source, str | Path)
+    columns = tuple(_column(raw, h, *seen.meanings.get(h, ("", None)), known) for h in raw.columns)
+    told = notes or raw.notes
     several = isinstance(result, list) and len(result) > 1
     function = "read_table" if kind == "table" else "read_records" if several else "read_record"
-    arguments = [name, *(["plant"] if plant is not None else [])]
+    arguments = [
+        repr(str(source)) if named else "source",
+        *(["plant"] if plant is not None else []),
+    ]
     arguments += [f"{k}={v!r}" for k, v in options.items() if v is not None]
     return Preview(
-        str(source) if isinstance(source, str | Path) else raw.label,
-        kind,
-        raw.dialect,
-        len(raw),
-        columns,
-        clock,
-        tuple(note for note in told if not isinstance(note, Doubt)),
-        (
+        source=str(source) if named else raw.label,
+        kind=kind,
+        dialect=raw.dialect,
+        rows=len(raw),
+        columns=columns,
+        clock=seen.clock,
+        notes=tuple(note for note in told if not isinstance(note, Doubt)),
+        doubts=(
             *(note for note in told if isinstance(note, Doubt)),
             *(doubt for c in columns for doubt in c.doubts),
         ),
-        result,
-        problem,
-        f"pam.{function}({', '.join(arguments)})",
+        result=result,
+        problem=problem,
+        call=f"pam.{function}({', '.join(arguments)})",
     )

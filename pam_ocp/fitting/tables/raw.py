@@ -12,9 +12,9 @@ import codecs
 import re
 import warnings
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -274,6 +274,9 @@ def _pivot(said: Any) -> tuple[str, ...]:
     return tuple(str(s) for s in said)
 
 
+Arguments = TypeVar("Arguments", bound="ReadingArguments")
+
+
 @dataclass(frozen=True)
 class ReadingArguments:
     """What the user says of a source, whatever it holds: how it is read, its columns and rows."""
@@ -285,27 +288,35 @@ class ReadingArguments:
     empty: str
     missing: Any
 
-    @staticmethod
-    def checked(
+    @classmethod
+    def of(
+        cls: type[Arguments],
         columns: Mapping[str, str] | Sequence[str | None] | None = None,
         units: Mapping[str, str] | None = None,
         ambient_pressure: float = AMBIENT,
         empty: str = "drop",
         missing: Any = "found",
-        **layout: Any,
-    ) -> dict[str, Any]:
-        """The fields, of arguments as ``read_table`` and ``read_record`` have them.
+        **more: Any,
+    ) -> Arguments:
+        """Checked, of arguments as ``read_table`` and ``read_record`` have them.
 
         Raises InputError.
         """
-        return {
-            "how": Reading.of(columns, **layout),
-            "columns": dict(columns) if isinstance(columns, Mapping) else {},
-            "units": dict(units or {}),
-            "ambient": require_ambient(ambient_pressure),
-            "empty": empty,
-            "missing": require_missing(missing),
-        }
+        own = {name: more.pop(name) for name in cls.own() if name in more}
+        return cls(
+            how=Reading.of(columns, **more),
+            columns=dict(columns) if isinstance(columns, Mapping) else {},
+            units=dict(units or {}),
+            ambient=require_ambient(ambient_pressure),
+            empty=empty,
+            missing=require_missing(missing),
+            **own,
+        )
+
+    @classmethod
+    def own(cls) -> tuple[str, ...]:
+        """Names of the arguments that sources of another kind do not have."""
+        return tuple(f.name for f in fields(cls)[len(fields(ReadingArguments)) :])
 
 
 def require_missing(missing: Any) -> Any:

@@ -57,36 +57,19 @@ class RecordArguments(ReadingArguments):
     """What the user says of a record; see :func:`read_record`."""
 
     time: str | None = None
-    between: Interpolation | None = None
+    interpolation: Interpolation | None = None
+    inputs: Literal["held", "linear"] | None = None
     max_gap: float | None = None
     clock: str = "mend"
     sample_time: float | str | None = None
 
-    @classmethod
-    def of(
-        cls,
-        *,
-        time: str | None = None,
-        interpolation: Interpolation | None = None,
-        inputs: Literal["held", "linear"] | None = None,
-        max_gap: float | None = None,
-        clock: Literal["mend", "cut", "refuse"] = "mend",
-        sample_time: float | str | None = None,
-        **common: Any,
-    ) -> RecordArguments:
-        """Checked. Raises InputError."""
-        if clock not in ("mend", "cut", "refuse"):
-            raise InputError(f"clock = {clock!r}: choose 'mend', 'cut' or 'refuse'")
-        if sample_time is not None and sample_time != "even":
-            sample_time = require_positive("sample_time", sample_time, "s")
-        return cls(
-            **cls.checked(**common),
-            time=time,
-            between=_between(inputs, interpolation),
-            max_gap=max_gap,
-            clock=clock,
-            sample_time=sample_time,
-        )
+    def __post_init__(self) -> None:
+        if self.clock not in ("mend", "cut", "refuse"):
+            raise InputError(f"clock = {self.clock!r}: choose 'mend', 'cut' or 'refuse'")
+        if self.sample_time is not None and self.sample_time != "even":
+            step = require_positive("sample_time", self.sample_time, "s")
+            object.__setattr__(self, "sample_time", step)
+        object.__setattr__(self, "interpolation", _between(self.inputs, self.interpolation))
 
 
 @with_kinds
@@ -254,7 +237,7 @@ def record_parts(
     """(records between the cuts, what was left out or mended); ``seen`` is told what was understood
     until an error. Raises InputError.
     """
-    seen, between = seen or Understood(raw), words.between
+    seen, between = seen or Understood(raw), words.interpolation
     if HELD in raw.columns:
         between = between or interpolation_of(raw.numbers(HELD), raw.label)
         raw = replace(raw, columns={n: c for n, c in raw.columns.items() if n != HELD})

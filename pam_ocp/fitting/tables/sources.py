@@ -38,9 +38,18 @@ from ...core.foreign import (
 )
 from ...core.recorders import is_bag, read_bag, read_calamine, read_mcap, read_tdms
 from .cells import decimal_of, is_empty, parted, without_units
-from .dialect import Grid, Unsaid, grid_of_text, is_lvm, is_markup, segments_of, tables_of
+from .dialect import (
+    Grid,
+    Unsaid,
+    grid_of_text,
+    is_lvm,
+    is_markup,
+    nothing_in,
+    segments_of,
+    tables_of,
+)
 from .headers import NAMES, TIME_NAMES, is_unit, parse_header
-from .layout import has_table, require_distinct, tabulated
+from .layout import given_names, has_table, require_distinct, tabulated
 from .raw import RawTable, Reading, labels_of, with_constants
 from .trees import chosen_table, flat, left_out
 
@@ -73,7 +82,7 @@ def _loaded(source: Any, how: Reading) -> RawTable:
     require_size(raw.label, len(raw), len(raw.columns))
     counts = {name: len(values) for name, values in raw.columns.items()}
     if not counts or not max(counts.values()):
-        raise InputError(f"{raw.label} is empty: it needs a header and at least one row")
+        raise nothing_in(raw.label)
     if len(set(counts.values())) > 1:
         raise InputError(f"{raw.label}: the columns differ in length: {counts}")
     return replace(raw, decimal_given=how.decimal is not None)
@@ -200,12 +209,8 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
         return replace(raw, dialect=(*said, *raw.dialect))
     names = list(found)
     if how.columns is not None:
-        if len(how.columns) != len(names):
-            raise InputError(
-                f"{label} has {len(names)} columns, columns= names {len(how.columns)}; name each, "
-                "from the left (None leaves one out)"
-            )
-        found = {n: found[old] for n, old in zip(how.columns, names, strict=True) if n}
+        given = given_names(label, how.columns, len(names))
+        found = {n: found[old] for n, old in zip(given, names, strict=True) if n}
     require_distinct(list(found), label)
     columns = {n: list(c)[how.skip :] for n, c in found.items()}
     return _bare(RawTable(label, columns, dialect=said, notes=notes))
@@ -389,7 +394,7 @@ def _of_sheets(sheets: Mapping[str, Sequence[Any]], label: str, how: Reading) ->
             f"sheet={found[0]!r}"
         )
     if not found:
-        raise InputError(f"{label} is empty: it needs a header and at least one row")
+        raise nothing_in(label)
     return _table_of((tables or filled)[found[0]], how)
 
 
