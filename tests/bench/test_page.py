@@ -11,7 +11,7 @@ from browser_tools import Hand, Server
 
 import pam_ocp as pam
 from pam_ocp.bench.jobs.plant import equilibrium_map
-from pam_ocp.bench.made import muscle_of, plant_of, table_of
+from pam_ocp.bench.made import World, muscle_of, plant_of, table_of
 
 pytest_plugins = ["page_fixtures"]
 
@@ -56,7 +56,7 @@ def test_data_a_dropped_file_is_understood_coloured_and_nothing_in_it_is_run(
     assert hand.driver.title == "pam_ocp bench"
     (item,) = server.state(hand.session)["data"]
     assert item["said"] == {"rest_length": 0.3}
-    own = table_of(server.folder / hand.session, item)
+    own = table_of(World(server.folder / hand.session), item)
     assert own.pressure.max() == pytest.approx(6e5)
 
 
@@ -138,7 +138,7 @@ def test_muscle_a_fit_is_that_of_the_verb_and_sliders_move_the_curve(hand, serve
     hand.sees("moved by hand")
     moved = server.state(hand.session)
     assert moved["muscle"]["coefficients"]["a1"] > said["coefficients"]["a1"]
-    muscle = muscle_of(server.folder / hand.session, moved)
+    muscle = muscle_of(World(server.folder / hand.session, moved))
     curve = hand.traces("Force over contraction")[6]
     expected = muscle.force(float(curve["name"].split()[0]) * 1e5, np.array(curve["x"]) / 100)
     assert curve["y"] == pytest.approx(expected, rel=1e-9, abs=1e-9)
@@ -178,7 +178,7 @@ def test_plant_a_click_into_the_map_sets_the_operating_point_and_it_swings(hand,
     hand.press("Compute the map")
     hand.sees("stiffness in N/mm")
     folder, state = server.folder / hand.session, server.state(hand.session)
-    found = equilibrium_map(lambda *said: None, folder, state, False)
+    found = equilibrium_map(lambda *said: None, World(folder, state))
     p, x = found["pressures"][0], found["position"]
     drawn = hand.traces("Equilibrium map")[1]
     finite = np.isfinite(x)
@@ -188,7 +188,7 @@ def test_plant_a_click_into_the_map_sets_the_operating_point_and_it_swings(hand,
     hand.sees("swings at")
     point = server.state(hand.session)["point"]
     assert point["muscle.pressure"] == pytest.approx(p[i], abs=51.0)
-    own = pam.equilibrium(plant_of(folder, state), point)
+    own = pam.equilibrium(plant_of(World(folder, state)), point)
     assert f"{1e3 * own['x']:.6g}" in hand.text
     hand.press("Free response")
     swing = hand.until(lambda: hand.traces("Free vibration over time")[0])
@@ -212,7 +212,7 @@ def test_plant_components_are_chosen_with_units_and_undone(hand, server):
     hand.type("constant", "25")
     losses = [{"kind": "CoulombFriction", "constant": 25.0}]
     hand.until(lambda: server.state(hand.session)["plant"].get("losses") == losses)
-    plant = plant_of(server.folder / hand.session, server.state(hand.session))
+    plant = plant_of(World(server.folder / hand.session, server.state(hand.session)))
     assert plant.name == "antagonistic_slide"
     hand.type("mass", "-1")
     hand.sees("mass = -1 kg must be > 0")

@@ -1,4 +1,4 @@
-"""Words and pictures of the tab Motion, and its lines of the script."""
+"""Words and pictures of the tab Motion."""
 
 from __future__ import annotations
 
@@ -7,51 +7,23 @@ from typing import Any
 
 from ...plants.plant import Plant
 from .. import look
-from ..jobs import motion as jobs
-from ..script import call, figure_lines, literal
 
-__all__ = ["also", "conflict", "curves", "motion_lines", "with_unit"]
+__all__ = ["also", "conflict", "curves", "with_unit"]
 
 
 def curves(told: Mapping[str, Any]) -> dict[str, Any]:
     """All panels below each other, their units at the axes."""
-    scale = 1e3 if told["duration"] < 2 else 1.0
-    t = [scale * v for v in told["t"]]
-    panels, data = told["panels"], []
-    layout: dict[str, Any] = {}
-    gap = 0.05
-    each = (1 - gap * (len(panels) - 1)) / len(panels)
-    for i, panel in enumerate(panels):
-        axis = "" if i == 0 else str(i + 1)
-        top = 1 - i * (each + gap)
-        layout[f"yaxis{axis}"] = {
-            **look.axis(look.quantity(panel["unit"])),
-            "domain": [max(0.0, top - each), top],
-        }
+    scale, unit = (1e3, "ms") if told["duration"] < 2 else (1.0, "s")
+    t, rows = [scale * v for v in told["t"]], []
+    for panel in told["panels"]:
+        hover = f": %{{y:.4g}} {panel['unit']}<extra></extra>"
+        drawn = []
         for k, name in enumerate(panel["names"]):
             colour, dash = style(name, k)
-            data.append(
-                look.line(
-                    t,
-                    told["columns"][name],
-                    name,
-                    colour,
-                    yaxis=f"y{axis}",
-                    line={"dash": dash},
-                    hovertemplate=f"{name}: %{{y:.4g}} {panel['unit']}<extra></extra>",
-                )
-            )
-    unit = "ms" if scale > 1 else "s"
-    figure = look.figure(
-        data,
-        f"time [{unit}]",
-        height=130 * len(panels) + 90,
-        hovermode="x",
-        **layout,
-        **look.ABOVE,
-    )
-    figure["layout"]["xaxis"]["anchor"] = f"y{len(panels)}" if len(panels) > 1 else "y"
-    return figure
+            more = {"line": {"dash": dash}, "hovertemplate": name + hover}
+            drawn.append(look.line(t, told["columns"][name], name, colour, **more))
+        rows.append((look.quantity(panel["unit"]), drawn))
+    return look.panels(rows, f"time [{unit}]", each=130, hovermode="x")
 
 
 # ---- words ---------------------------------------------------------------------------------------
@@ -86,41 +58,3 @@ def with_unit(plant: Plant, name: str, value: float) -> str:
     if name.startswith("max("):
         return plant.variable(name[4:-1]).shown(value)
     return f"{value:.4g}"
-
-
-# ---- the script ----------------------------------------------------------------------------------
-def motion_lines(state: Mapping[str, Any]) -> list[str]:
-    """Each motion as a call of pam.plan, with its figures."""
-    lines: list[str] = []
-    if state["muscle"] is None:
-        return lines
-    for motion in state["motions"]:
-        said = jobs.arguments(motion)
-        stops = ", ".join(
-            literal(s) if isinstance(s, dict) else _stop_code(s) for s in said["stops"]
-        )
-        method = jobs.METHODS[motion["method"]][1]
-        shown = {k: v for k, v in said.items() if k != "stops"}
-        code = call("pam.plan", "plant", f"[{stops}]", **shown, time_limit=jobs.TIME_LIMIT)
-        if method is not None:
-            code = f"{code[:-1]}, method=pam.{method!r})"
-        id = motion["id"]
-        lines += [f"{id} = {code}", f"print({id})"]
-        lines += figure_lines(
-            id,
-            {
-                "duration": f"{id}.duration",
-                "objective": f"{id}.objective",
-                "replay_error": f"{id}.replay_error",
-            },
-        )
-        lines += [
-            "for v in (*plant.states, *plant.inputs):",
-            f'    figures[f"{id}.max({{v.name}})"] = float({id}.trajectory[v.name].max())',
-        ]
-    return lines
-
-
-def _stop_code(stop: Any) -> str:
-    said = call("pam.Stop", literal(dict(stop.values)), rest=stop.rest)
-    return f"{said[:-1]}, dwell={stop.dwell!r})" if stop.dwell else said
