@@ -64,11 +64,9 @@ def rank_laws(
 
 
 @job("Fitting {}", warm="muscle")
-def fit_law(
-    say: Say, world: World, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
-) -> dict[str, Any]:
+def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
     """A fit as plain values: coefficients with intervals, curves with bands, residuals, words."""
-    fit = _fit(world, item, law, fixed)
+    fit = _fit(world, said)
     table, cells = fit.table, fit.cells
     say(0.5, "intervals")
     try:
@@ -82,7 +80,7 @@ def fit_law(
         bands = [fit.predict(np.full_like(kappa, p), kappa, LEVEL) for p in levels]
         report = fit.report()
     return {
-        "law": law,
+        "law": said["law"],
         "title": type(fit.law).title,
         "coefficients": [
             {
@@ -115,23 +113,17 @@ def fit_law(
         "rest_length": table.rest_length,
         "pressure_range": [float(max(table.pressure.min(), 0.0)), float(table.pressure.max())],
         "contraction_range": [float(table.contraction.min()), float(table.contraction.max())],
-        "source": f"{type(fit.law).title} fitted to {item['name']}",
+        "source": f"{type(fit.law).title} fitted to {said['table']['name']}",
         "workbook": hasattr(fit, "to_excel"),
     }
 
 
 @job("What to measure next", warm="muscle")
 def design(
-    say: Say,
-    world: World,
-    item: Mapping[str, Any],
-    law: str,
-    fixed: Mapping[str, float],
-    count: int,
-    criterion: str,
+    say: Say, world: World, said: Mapping[str, Any], count: int, criterion: str
 ) -> dict[str, Any]:
     """Cells to measure next, and the standard errors that they promise."""
-    found = design_cells(_fit(world, item, law, fixed), count, criterion=criterion)  # type: ignore[arg-type]
+    found = design_cells(_fit(world, said), count, criterion=criterion)  # type: ignore[arg-type]
     length = found.cells.rest_length
     return {
         "pressure": found.cells.pressure,
@@ -159,11 +151,9 @@ def muscle_file(say: Say, world: World) -> bytes:
 
 
 @job("Writing the workbook", warm="muscle")
-def workbook(
-    say: Say, world: World, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
-) -> bytes:
+def workbook(say: Say, world: World, said: Mapping[str, Any]) -> bytes:
     """The fit as a workbook (XLSX)."""
-    fit: Any = _fit(world, item, law, fixed)
+    fit: Any = _fit(world, said)
     with tempfile.TemporaryDirectory() as temporary:
         path = Path(temporary) / "fit.xlsx"
         fit.to_excel(path)
@@ -188,9 +178,10 @@ def fitted_kappa(contraction: Any) -> Any:
     return np.linspace(min(low, 0.0), high + margin, CURVE)
 
 
-def _fit(world: World, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]) -> ForceFit:
-    said = {k: item[k] for k in ("bundled", "file", "name", "said", "off") if k in item}
-    return _kept_fit(world, said, law, dict(fixed))
+def _fit(world: World, said: Mapping[str, Any]) -> ForceFit:
+    read = ("bundled", "file", "name", "said", "off")
+    item = {k: v for k, v in said["table"].items() if k in read}
+    return _kept_fit(world, item, said["law"], dict(said["fixed"]))
 
 
 @kept(most=6)

@@ -21,8 +21,7 @@ from ..guard import MOST_UPLOAD
 from ..jobs import motion as jobs
 from ..pictures import Plot, Scene, Stops
 from ..script import METHODS
-from .motion_beside import Beside, Said
-from .motion_shown import also, conflict, curves
+from .motion_beside import Beside, Said, also, conflict, curves
 
 __all__ = ["Motion"]
 

@@ -116,7 +116,7 @@ class MuscleTab(Tab):
 
     def update(self, changed: frozenset[str]) -> None:
         said = self._said
-        of = said and [said["table"], said["law"], said["fixed"]]
+        of = said and _fit_of(said)
         if of != self._fit_of:
             self._fit, self._fit_of, self._next = None, of, None
             if said:
@@ -197,7 +197,8 @@ class MuscleTab(Tab):
         item = chosen_item(self.state)
         kind = law_named(name)
         fixed = {n: v for n, v in self._known.items() if n in kind.fixed_coefficients()}
-        found = await self.work(jobs.fit_law, item, name, fixed, of=name)
+        fit = {"table": item, "law": name, "fixed": fixed}
+        found = await self.work(jobs.fit_law, fit, of=name)
         values = {c["name"]: c["value"] for c in found["coefficients"]}
         before = self._said or {}
         length = found["rest_length"]
@@ -209,9 +210,7 @@ class MuscleTab(Tab):
             )
         said = {
             "kind": "fit",
-            "table": item,
-            "law": name,
-            "fixed": fixed,
+            **fit,
             "coefficients": values,
             "fitted": values,
             "moved": False,
@@ -220,15 +219,15 @@ class MuscleTab(Tab):
             "name": before.get("name", "fitted muscle"),
             **{k: found[k] for k in ("pressure_range", "contraction_range", "source")},
         }
-        self._fit, self._fit_of, self._next = found, [item, name, fixed], None
+        self._fit, self._fit_of, self._next = found, fit, None
         self.session.change(f"fit {name}", muscle=said)
 
     async def _refit(self) -> None:
         """The figures of a fit that the state tells of: after resuming, or undo."""
         said = self._said
         if said is not None:
-            fit = [said["table"], said["law"], said["fixed"]]
-            found = await self.work(jobs.fit_law, *fit, of=said["law"])
+            fit = _fit_of(said)
+            found = await self.work(jobs.fit_law, fit, of=said["law"])
             if self._fit_of == fit:
                 self._fit = found
                 self._show()
@@ -457,8 +456,7 @@ class MuscleTab(Tab):
         said = self._said
         if said is not None:
             how = int(self.view("count", 6)), self.view("criterion", "D")
-            fit = said["table"], said["law"], said["fixed"]
-            self._next = await self.work(jobs.design, *fit, *how)
+            self._next = await self.work(jobs.design, _fit_of(said), *how)
             self._show()
 
     # ---- other muscles, and out of it -----------------------------------------------------------
@@ -492,8 +490,12 @@ class MuscleTab(Tab):
     async def _save_workbook(self) -> None:
         said = self._said
         if said is not None:
-            fit = said["table"], said["law"], said["fixed"]
-            self.bench.download(await self.work(jobs.workbook, *fit), "fit.xlsx")
+            self.bench.download(await self.work(jobs.workbook, _fit_of(said)), "fit.xlsx")
+
+
+def _fit_of(said: Mapping[str, Any]) -> dict[str, Any]:
+    """What a fit is made of."""
+    return {k: said[k] for k in ("table", "law", "fixed")}
 
 
 def _same(table: Mapping[str, Any], item: Mapping[str, Any]) -> bool:

@@ -105,7 +105,8 @@ class PlantTab(Tab):
     def _show_form(self) -> None:
         said, name, muscle = self.state["plant"], self._arrangement, self.state["muscle"]
         own = own_plants(self.session.folder) if self.bench.allow_code else {}
-        known = {name: name, **{n: n for n in PLANTS}, **own}
+        known = {**{n: n for n in PLANTS}, **own}
+        known.setdefault(name, name)
         rows = [
             el.words("No muscle yet: fit or choose one in the tab Muscle.", "bench-bad")
             if muscle is None
