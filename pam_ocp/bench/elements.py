@@ -197,11 +197,11 @@ class Text:
     kind = "text"
     options: ClassVar[list[str]] = []
 
-    def text(self, value: Any, unit: str) -> str:
+    def text(self, value: Any, unit: str) -> Any:
         """As it stands in the field."""
         return str(value)
 
-    def read(self, said: Any, unit: str) -> str:
+    def read(self, said: Any, unit: str) -> Any:
         """What was typed."""
         return str(said)
 
@@ -232,21 +232,16 @@ class Menu:
         return str(said)
 
 
-@dataclass(frozen=True)
-class Tick:
+class Tick(Text):
     """Yes or no."""
 
-    label: str
-    hint: str = ""
-
     kind = "tick"
-    options: ClassVar[list[str]] = []
 
-    def text(self, value: bool, unit: str) -> bool:
+    def text(self, value: Any, unit: str) -> Any:
         """As it stands in the field."""
         return bool(value)
 
-    def read(self, said: Any, unit: str) -> bool:
+    def read(self, said: Any, unit: str) -> Any:
         """What was said."""
         return bool(said)
 
@@ -254,7 +249,7 @@ class Tick:
 class Field(Element, component=STATIC / "field.js"):
     """A field as it is described, on one line with its label."""
 
-    def __init__(self, described: Number | Text | Menu | Tick) -> None:
+    def __init__(self, described: Number | Text | Menu) -> None:
         super().__init__()
         self._described = described
         options = described.options

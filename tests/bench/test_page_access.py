@@ -209,15 +209,21 @@ def test_a_refused_file_gets_no_tick_and_is_named_as_it_was_dropped(hand, server
 
 LONG = ("Make one page", "Run it and compare")
 """Of these there are tests of their own."""
+NAMELESS = """
+return [...document.querySelectorAll('input, select, button, [role=tab], [role=slider]')]
+  .filter(e => e.checkVisibility() && e.type !== 'file' && !(e.labels && e.labels.length)
+    && !e.getAttribute('aria-label') && !e.textContent.trim()).map(e => e.outerHTML)"""
 
 
 @pytest.mark.slow
-def test_every_button_does_something_and_none_complains(hand, server):
+def test_every_field_has_a_name_and_every_button_does_something_without_complaint(hand, server):
+    assert hand.driver.execute_script("return document.documentElement.lang")
     filled(hand)
     words = f"{SHOWN} return shown('[role=tabpanel] button').map(b => b.innerText.trim())"
     all_pressed = set()
     for name in TABS:
         tab(hand, name)
+        assert hand.driver.execute_script(NAMELESS) == [], name
         pressed = {*LONG, "", "+"}
         while fresh := [
             one

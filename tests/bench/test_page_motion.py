@@ -277,19 +277,3 @@ def test_export_writes_what_is_asked_for_and_removes_it(hand, server):
     assert 'kind = "check"' in study
     hand.press("Remove")
     hand.sees("Nothing yet")
-
-
-def test_every_field_and_button_of_these_tabs_has_a_name(hand, server):
-    begin(hand)
-    nameless = """return [...document.querySelectorAll('input, select, button, [role=slider]')]
-      .filter(e => e.checkVisibility() && e.type !== 'file' && !(e.labels && e.labels.length)
-        && !e.getAttribute('aria-label') && !e.textContent.trim()).map(e => e.outerHTML)"""
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: duration_shown(hand), "a plan")
-    assert hand.driver.execute_script(nameless) == []
-    controlled(hand)
-    assert hand.driver.execute_script(nameless) == []
-    tab(hand, "Export")
-    hand.sees("Python script")
-    assert hand.driver.execute_script(nameless) == []
