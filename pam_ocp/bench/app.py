@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -14,12 +15,12 @@ from fastapi.responses import RedirectResponse
 from nicegui import app as nicegui_app
 from nicegui import ui
 
-from ..core.errors import InputError
+from ..core.errors import InputError, PamError
 from .frame import Bench
 from .guard import Guard
-from .jobs.prepare import prepare
+from .jobs import prepare
 from .session import Session, safe_name, saved_sessions
-from .work import Workshop
+from .work import JobStopped, Workshop
 
 __all__ = ["application"]
 
@@ -120,6 +121,8 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
         bench.build()
         return None
 
+    # what is raised on purpose stands on the page; the log is for faults
+    logging.getLogger("nicegui").addFilter(_is_fault)
     nicegui_app.timer(60.0, sessions.forget)
     ui.run_with(
         outer,
@@ -136,6 +139,10 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
         favicon=STATIC / "bench.svg",
     )
     return Guard(outer, **guard)
+
+
+def _is_fault(record: logging.LogRecord) -> bool:
+    return not isinstance(record.msg, PamError | JobStopped)
 
 
 def _start_page(known: list[tuple[str, float]]) -> None:

@@ -1,18 +1,21 @@
-"""Parts that tabs are made of: sections, fields with units, sliders, tables, plots.
+"""Parts that tabs are made of: sections, forms of fields with units and sliders, tables, uploads.
 
 All are plain HTML with labels, so that keyboards and screen readers know them; bench.css aligns
-them. Values go in and out in SI; a field shows them in the unit that its menu says. Texts of files
-and users go in as text only, never as HTML.
+them. A form is a list of rows (description of a field, value, what another value does): values go
+in and out in SI, a field shows them in the unit that its menu says. Texts of files and users go in
+as text only, never as HTML.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from nicegui import ui
 from nicegui.element import Element
@@ -22,16 +25,20 @@ from ..core.errors import InputError, PamError
 from ..core.quantities import quantity
 from ..core.units import display_unit
 from ..core.units import unit as unit_of
-from . import look
 
 __all__ = [
-    "Field",
-    "Plot",
-    "Scene",
-    "Slider",
+    "Buttons",
+    "Form",
+    "Menu",
+    "Number",
+    "Part",
+    "Row",
+    "Slide",
+    "Text",
+    "Tick",
     "button",
-    "check",
-    "choice",
+    "buttons",
+    "fields",
     "note",
     "plots",
     "section",
@@ -39,11 +46,14 @@ __all__ = [
     "split",
     "table",
     "tag",
-    "text_field",
     "units_like",
     "upload",
+    "words",
 ]
 
+STATIC = Path(__file__).with_name("static")
+Row = tuple[Any, Any, Any]
+"""Description, value, what another value does."""
 UNITS: tuple[tuple[str, ...], ...] = (
     ("bar", "kPa", "MPa", "psi", "Pa"),
     ("mm", "cm", "m", "in"),
@@ -135,214 +145,305 @@ def units_like(unit: str) -> list[str]:
     return [unit]
 
 
-class Field:
-    """Label, number and unit on one line.
+# ---- fields --------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Number:
+    """A number with a unit; value and range in SI, None is "not given" (``optional``).
 
-    value : in SI, or None (empty: "not given"). unit : in SI. act : called with the new value in
-    SI; what it raises stays with it. low, high : allowed, in SI. shown : unit at first, by default
-    the usual one. chosen : is told the unit that the menu is set to.
+    shown : unit at first, by default the usual one.
     """
 
-    def __init__(
-        self,
-        label: str,
-        value: float | None,
-        unit: str,
-        act: Callable[[Any], Any],
-        *,
-        low: float = -math.inf,
-        high: float = math.inf,
-        optional: bool = False,
-        shown: str | None = None,
-        chosen: Callable[[str], Any] | None = None,
-        hint: str = "",
-    ) -> None:
-        self.value, self.unit = value, unit
-        self._act, self._low, self._high = act, low, high
-        self._optional, self._label, self._chosen = optional, label, chosen
-        units = units_like(unit)
-        self.shown = shown if shown in units else units[0]
-        name = f"field-{next(_ids)}"
-        with ui.element("div").classes("bench-field") as self.element:
-            tag("label", label, for_=name, title=hint or label)
-            self._input = tag(
-                "input", id=name, type="text", inputmode="decimal", autocomplete="off"
-            )
-            self._input.on("change", self._typed, js_handler="(e) => emit(e.target.value)")
-            if len(units) > 1:
-                with tag("select", aria_label=f"unit of {label}") as menu:
-                    for one in units:
-                        tag(
-                            "option",
-                            one,
-                            value=one,
-                            selected=one == self.shown,
-                        )
-                menu.on("change", self._turned, js_handler="(e) => emit(e.target.value)")
-            else:
-                tag("span", "" if self.shown == "1" else self.shown, "bench-unit")
-        self._show()
+    label: str
+    unit: str = "1"
+    low: float = -math.inf
+    high: float = math.inf
+    optional: bool = False
+    shown: str = ""
+    hint: str = ""
 
-    def set(self, value: float | None) -> None:
-        """Show another value."""
-        self.value = value
-        self._show()
+    kind = "number"
 
-    def _show(self, wrong: bool = False) -> None:
-        if not wrong:
-            factor = unit_of(self.shown).factor
-            text = "" if self.value is None else f"{self.value / factor:.8g}"
-            self._input._props["value"] = text
-        self._input._props["aria-invalid"] = "true" if wrong else "false"
-        self._input.update()
+    @property
+    def options(self) -> list[str]:
+        """Units."""
+        return units_like(self.unit)
 
-    def _typed(self, event: Any) -> Any:
-        text = str(event.args).strip().replace(",", ".")
-        try:
-            if not text and self._optional:
-                value = None
-            else:
-                try:
-                    value = float(text) * unit_of(self.shown).factor
-                except ValueError:
-                    value = quantity(self._label, text, self.unit)
-                if not (math.isfinite(value) and self._low <= value <= self._high):
-                    raise InputError(self._range(value))
-        except PamError as error:
-            self._input._props["value"] = str(event.args)
-            self._input._props["title"] = str(error)
-            self._show(wrong=True)
+    def text(self, value: float | None, unit: str) -> str:
+        """As it stands in the field."""
+        return "" if value is None else f"{value / unit_of(unit).factor:.8g}"
+
+    def read(self, said: Any, unit: str) -> float | None:
+        """Of what was typed. Raises InputError."""
+        text, factor = str(said).strip().replace(",", "."), unit_of(unit).factor
+        if not text and self.optional:
             return None
-        self._input._props.pop("title", None)
-        self.value = value
-        self._show()
+        try:
+            value = float(text) * factor
+        except ValueError:
+            value = quantity(self.label, text, self.unit)
+        if not (math.isfinite(value) and self.low <= value <= self.high):
+            low, high = (f"{end / factor:.6g} {unit}" for end in (self.low, self.high))
+            raise InputError(f"{self.label} = {value / factor:.6g} {unit}: give {low} .. {high}")
+        return value
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text."""
+
+    label: str
+    hint: str = ""
+
+    kind = "text"
+    options: ClassVar[list[str]] = []
+
+    def text(self, value: Any, unit: str) -> Any:
+        """As it stands in the field."""
+        return str(value)
+
+    def read(self, said: Any, unit: str) -> Any:
+        """What was typed."""
+        return str(said)
+
+
+@dataclass(frozen=True)
+class Menu:
+    """One of several. words : {value: its words}."""
+
+    label: str
+    words: Mapping[str, str]
+    hint: str = ""
+
+    kind = "menu"
+
+    @property
+    def options(self) -> list[tuple[str, str]]:
+        """Values with their words."""
+        return [*self.words.items()]
+
+    def text(self, value: str | None, unit: str) -> str:
+        """Which one is chosen."""
+        return value or ""
+
+    def read(self, said: Any, unit: str) -> str:
+        """What was chosen. Raises InputError for what the menu does not hold."""
+        if said not in self.words:
+            raise InputError(f"{self.label}: {str(said)[:60]!r} is not in the menu")
+        return str(said)
+
+
+class Tick(Text):
+    """Yes or no."""
+
+    kind = "tick"
+
+    def text(self, value: Any, unit: str) -> Any:
+        """As it stands in the field."""
+        return bool(value)
+
+    def read(self, said: Any, unit: str) -> Any:
+        """What was said."""
+        return bool(said)
+
+
+class Field(Element, component=STATIC / "field.js"):
+    """A field as it is described, on one line with its label."""
+
+    def __init__(self, described: Number | Text | Menu) -> None:
+        super().__init__()
+        self._described = described
+        options = described.options
+        self._unit = getattr(described, "shown", "")
+        if isinstance(described, Number) and self._unit not in options:
+            self._unit = str(options[0])
+        self._props.update(kind=described.kind, label=described.label, hint=described.hint)
+        self._props.update(options=options, unit=self._unit, heard=0, wrong="")
+        self.on("say", self._heard)
+        self.on("unit", self._turned)
+
+    def show(self, value: Any, act: Callable[[Any], Any]) -> None:
+        """Show a value; ``act`` is called with another one, what it raises stays with it."""
+        self._value, self._act = value, act
+        self._update(value=self._described.text(value, self._unit), wrong="")
+
+    def _update(self, **props: Any) -> None:
+        if any(self._props.get(k) != v for k, v in props.items()):
+            self._props.update(props)
+            self.update()
+
+    def _heard(self, event: Any) -> Any:
+        said = event.args["value"]
+        self._update(heard=int(event.args["number"]))
+        try:
+            value = self._described.read(said, self._unit)
+        except PamError as error:
+            self._update(value=said, wrong=str(error))
+            return None
+        self.show(value, self._act)
         return self._act(value)
 
-    def _range(self, value: float) -> str:
-        factor = unit_of(self.shown).factor
-        low, high = (f"{end / factor:.6g} {self.shown}" for end in (self._low, self._high))
-        return f"{self._label} = {value / factor:.6g} {self.shown}: give {low} .. {high}"
-
     def _turned(self, event: Any) -> None:
-        if event.args in units_like(self.unit):
-            self.shown = event.args
-            self._show()
-            if self._chosen is not None:
-                self._chosen(self.shown)
+        if event.args in self._described.options and isinstance(self._described, Number):
+            self._unit = event.args
+            self._update(unit=self._unit, value=self._described.text(self._value, self._unit))
 
 
-def text_field(label: str, value: str, act: Callable[[str], Any], hint: str = "") -> TextElement:
-    """Label and text on one line."""
-    name = f"field-{next(_ids)}"
-    with ui.element("div").classes("bench-field is-wide"):
-        tag("label", label, for_=name, title=hint or label)
-        made = tag("input", id=name, type="text", value=value, autocomplete="off")
-        made.props("style='text-align:left'")
-        made.on("change", lambda e: act(str(e.args)), js_handler="(e) => emit(e.target.value)")
-    return made
+@dataclass(frozen=True)
+class Slide:
+    """A number on a slider, in the unit that is shown. act : (while it moves, when it is let go),
+    of which the first must be quick. log : even in the logarithm; its lower end is 0, then.
 
-
-def choice(
-    label: str,
-    options: Sequence[str] | Mapping[str, str],
-    value: str | None,
-    act: Callable[[str], Any],
-    hint: str = "",
-) -> TextElement:
-    """Label and menu on one line. options : values, or {value: its words}."""
-    words = options if isinstance(options, Mapping) else {one: one for one in options}
-    name = f"field-{next(_ids)}"
-    with ui.element("div").classes("bench-field is-wide"):
-        tag("label", label, for_=name, title=hint or label)
-        with tag("select", id=name) as made:
-            for one, text in words.items():
-                tag("option", text, value=one, selected=one == value)
-
-    def chosen(event: Any) -> Any:
-        return act(str(event.args)) if event.args in words else None
-
-    made.on("change", chosen, js_handler="(e) => emit(e.target.value)")
-    return made
-
-
-def check(label: str, value: bool, act: Callable[[bool], Any], hint: str = "") -> TextElement:
-    """Label and tick on one line."""
-    name = f"field-{next(_ids)}"
-    with ui.element("div").classes("bench-field is-wide"):
-        tag("label", label, for_=name, title=hint or label)
-        made = tag("input", id=name, type="checkbox", checked=value)
-        made.on("change", lambda e: act(bool(e.args)), js_handler="(e) => emit(e.target.checked)")
-    return made
-
-
-class Slider(Element, component=Path(__file__).with_name("static") / "slider.js"):
-    """A coefficient on a slider and in a number, in its own unit.
-
-    slide : called with each value while it moves, and must be quick; settle : when it is let go.
-    log : even in the logarithm; its lower end is 0, then.
+    of : whose it is; the range stays while that does.
     """
 
-    def __init__(
-        self,
-        label: str,
-        value: float,
-        low: float,
-        high: float,
-        unit: str,
-        slide: Callable[[float], Any],
-        settle: Callable[[float], Any],
-        *,
-        log: bool = False,
-    ) -> None:
+    label: str
+    low: float = field(compare=False)
+    high: float = field(compare=False)
+    unit: str = ""
+    log: bool = False
+    hint: str = ""
+    of: Any = None
+
+
+class Slider(Element, component=STATIC / "slider.js"):
+    """A :class:`Slide` and its number."""
+
+    def __init__(self, said: Slide) -> None:
         super().__init__()
-        self._props.update(label=label, value=value, low=low, high=high, unit=unit, seen=0, log=log)
+        self._props.update(label=said.label, low=said.low, high=said.high, unit=said.unit)
+        self._props.update(log=said.log, seen=0, title=said.hint or said.label)
 
         def moved(event: Any) -> None:
-            slide(float(event.args))
+            self._slide(float(event.args))
             self._props["seen"] += 1  # the next may come
             self.update()
 
         self.on("slide", moved)
-        self.on("settle", lambda event: settle(float(event.args)))
+        self.on("settle", lambda event: self._settle(float(event.args)))
 
-    def set(self, value: float) -> None:
-        """Show another value."""
-        self._props["value"] = value
-        self.update()
+    def show(
+        self, value: float, act: tuple[Callable[[float], Any], Callable[[float], Any]]
+    ) -> None:
+        """Show a value."""
+        self._slide, self._settle = act
+        if self._props.get("value") != value:
+            self._props["value"] = value
+            self.update()
 
 
-class Scene(Element, component=Path(__file__).with_name("static") / "scene.js"):
-    """A plant drawn to scale and moving. scene : of figures.scene.scene_of, or None for nothing.
+# ---- what stands between fields ------------------------------------------------------------------
+@dataclass(frozen=True)
+class Words:
+    """Small words, or a heading ("h3")."""
 
-    label : for who cannot see it. words, unit : of what its slider moves along ("time", "s").
-    seconds : that playing it takes. A scene's ``still`` is the moment that is shown first.
-    pull : called with {"x", "y"} [pixels, right and up] while a pointer pulls it.
+    text: str
+    classes: str = "bench-note"
+    tag: str = "p"
+
+
+@dataclass(frozen=True)
+class Buttons:
+    """Buttons beside each other. names : {text: what a screen reader says instead}."""
+
+    texts: tuple[str, ...]
+    main: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+    strong: str = ""
+    """Before them."""
+    hint: str = ""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a form; its value is its rows."""
+
+    name: str
+    classes: str = "bench-component"
+
+
+class _Buttons:
+    def __init__(self, said: Buttons) -> None:
+        with ui.element("div").classes("bench-row").style("margin-top: 6px") as self.element:
+            if said.strong:
+                tag("strong", said.strong, title=said.hint)
+            for text in said.texts:
+                name = {"aria_label": said.names[text]} if text in said.names else {}
+                button(text, partial(self._press, text), main=text == said.main, **name)
+
+    def _press(self, text: str) -> Any:
+        return self._acts[text]()
+
+    def show(self, value: Any, act: Mapping[str, Callable[[], Any]]) -> None:
+        self._acts = act
+
+
+class _Words:
+    def __init__(self, said: Words) -> None:
+        style = "margin: 2px 0" if said.tag == "p" else None
+        self.element = tag(said.tag, said.text, said.classes, style=style)
+
+    def show(self, value: Any, act: Any) -> None:
+        """They stay as they are."""
+
+
+class Form:
+    """Fields and what stands between them, below each other, as rows (description, value, act).
+
+    One whose description is still there keeps its place, the cursor in it and what is being typed.
     """
 
-    def __init__(
-        self,
-        label: str,
-        scene: Mapping[str, Any] | None = None,
-        *,
-        height: int = 300,
-        words: str = "time",
-        unit: str = "s",
-        seconds: float = 4.0,
-        pull: Callable[[dict[str, Any]], Any] | None = None,
-    ) -> None:
-        super().__init__()
-        self._props.update(label=label, height=height, words=words, unit=unit, seconds=seconds)
-        self._props.update(scene=scene, held=pull is not None)
-        if pull is not None:
-            self.on("pull", lambda e: pull(e.args) if isinstance(e.args, dict) else None)
+    def __init__(self, classes: str = "") -> None:
+        self.element = ui.element("div").classes(classes)
+        self._rows: list[tuple[Any, Any]] = []
 
-    def show(self, scene: Mapping[str, Any] | None, **said: Any) -> None:
-        """Another scene; further arguments as at first."""
-        self._props.update(said)
-        self._props["scene"] = scene
-        self.update()
+    def show(self, rows: Iterable[Row], act: Any = None) -> None:
+        """Show these rows, and no others."""
+        left, fresh = self._rows, []
+        for described, value, acts in rows:
+            there = next((row for row in left if row[0] == described), None)
+            if there is None:
+                with self.element:
+                    there = described, _DRAWN[type(described)](described)
+            else:
+                left.remove(there)
+            there[1].show(value, acts)
+            fresh.append(there)
+        self._rows = fresh
+        for _, gone in left:
+            getattr(gone, "element", gone).delete()
+        parts = [getattr(part, "element", part) for _, part in fresh]
+        if parts != self.element.default_slot.children:
+            self.element.default_slot.children[:] = parts
+            self.element.update()
 
 
+_DRAWN: dict[type, Callable[[Any], Any]] = {
+    **dict.fromkeys((Number, Text, Menu, Tick), Field),
+    Slide: Slider,
+    Words: _Words,
+    Buttons: _Buttons,
+    Part: lambda said: Form(said.classes),
+}
+
+
+def fields(
+    described: Mapping[str, Any], values: Mapping[str, Any], act: Callable[[str, Any], Any]
+) -> list[Row]:
+    """Rows of a table {name: description}; act(name, value)."""
+    return [(one, values[name], partial(act, name)) for name, one in described.items()]
+
+
+def words(text: str, classes: str = "bench-note") -> Row:
+    """A row of small words."""
+    return Words(text, classes), None, None
+
+
+def buttons(acts: Mapping[str, Callable[[], Any]], main: str = "", **more: Any) -> Row:
+    """A row of buttons {text: what it does}."""
+    return Buttons(tuple(acts), main, **more), None, acts
+
+
+# ---- tables and uploads --------------------------------------------------------------------------
 def table(
     heads: Sequence[str],
     rows: Sequence[Sequence[Any]],
@@ -377,67 +478,6 @@ def _cell(cell: Any, pressed: Any) -> None:
             tag("button", str(cell), type="button")
     else:
         tag("td", str(cell), "is-number" if number else "")
-
-
-class Plot:
-    """A picture (look.figure), named ``label``; a sentence says to the blind what it shows.
-
-    on_click : with the point that is clicked. empty : what will be there, where there is nothing.
-    """
-
-    def __init__(
-        self,
-        figure: dict[str, Any],
-        label: str,
-        on_click: Callable[[dict[str, Any]], Any] | None = None,
-        *,
-        empty: str,
-    ) -> None:
-        name = f"plot-{next(_ids)}"
-        self.element = ui.plotly({})
-        self._empty = empty
-        # no "img": that would hide the picture's own buttons from a screen reader
-        self.element._props.update({"role": "figure", "aria-label": label})
-        self.element._props["aria-describedby"] = name
-        self._words = tag("p", "", "bench-unseen", id=name)
-        self.draw(figure)
-        if on_click is not None:
-            self.element.on("plotly_click", lambda e: self._clicked(e, on_click), js_handler=_PICK)
-
-    @staticmethod
-    def _clicked(event: Any, act: Callable[[dict[str, Any]], Any]) -> Any:
-        return act(event.args) if isinstance(event.args, dict) and event.args else None
-
-    def draw(self, figure: dict[str, Any], label: str = "") -> None:
-        """Show another figure; zoom stays while ``keep`` of it does. label : another name."""
-        self._words.set_text(look.described(figure) if figure["data"] else self._empty)
-        if label:
-            self.element._props["aria-label"] = label
-        self.element.update_figure(figure if figure["data"] else look.blank(figure, self._empty))
-
-    def curves(self, traces: Sequence[int], **values: Sequence[Any]) -> None:
-        """New values of some lines or markers: ``curves([3, 4], y=[..., ...])``. Quick: axes stay
-        as they are, and nothing else is drawn anew (a quarter of the time of ``restyle``).
-        """
-        figure: Any = self.element.figure
-        for name, each in values.items():
-            for i, one in zip(traces, each, strict=True):
-                figure["data"][i][name] = one
-        fresh = [
-            dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)
-        ]
-        frame = {"data": fresh, "traces": list(traces)}
-        self.element.run_plot_method("animate", frame, _AT_ONCE)
-
-
-_AT_ONCE = {
-    "mode": "immediate",
-    "transition": {"duration": 0},
-    "frame": {"duration": 0, "redraw": False},
-}
-_PICK = """(e) => { const p = e.points && e.points[0];
-  if (p) emit({curve: p.curveNumber, point: p.pointNumber ?? p.pointIndex, x: p.x, y: p.y, z: p.z,
-    data: p.customdata}); }"""
 
 
 def upload(

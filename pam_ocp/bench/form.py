@@ -1,4 +1,4 @@
-"""Fields for what a registry knows: a plant's arguments and components, read off their signatures.
+"""Rows of a form for what a registry knows: a plant's arguments and components, as signatures say.
 
 Nothing is listed here: a new plant, feed, loss or load shows its own arguments with their units.
 A component is a mapping with its ``kind``, as a [plant] table has it.
@@ -11,16 +11,14 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from nicegui import ui
-
 from ..core.errors import InputError
 from ..core.quantities import quantity
 from ..core.registry import Argument, Registry, registry_of
 from ..core.units import display_unit
 from ..core.units import unit as unit_of
-from . import elements as el
+from .elements import Menu, Number, Part, Row, Text, Tick, buttons
 
-__all__ = ["argument_fields"]
+__all__ = ["argument_rows"]
 
 Change = Callable[[str, Any], None]
 SEVERAL = ("losses", "loads")
@@ -29,54 +27,48 @@ LEFT_OUT = ("muscle", "muscle2", "name", "totals", "moment_arm2", "limits")
 """Arguments of plants that have a place of their own on the page, or none."""
 
 
-def argument_fields(
+def argument_rows(
     registry: Registry[Any], kind: str, content: Mapping[str, Any], change: Change, *, turning: bool
-) -> None:
-    """A field for each argument of ``kind``; change(name, value) with None for "not given".
+) -> list[Row]:
+    """Rows for each argument of ``kind``; change(name, value) with None for "not given".
 
     turning : of two units that an argument may have, take that of a rotation.
     """
-    for name, argument in registry.arguments(kind).items():
-        if name in LEFT_OUT and registry.noun == "plant":
-            continue
-        if name == "name":
-            continue
-        _field(name, argument, content.get(name), partial(change, name), turning)
+    left_out = LEFT_OUT if registry.noun == "plant" else ("name",)
+    return [
+        row
+        for name, argument in registry.arguments(kind).items()
+        if name not in left_out
+        for row in _rows(name, argument, content.get(name), partial(change, name), turning)
+    ]
 
 
-def _field(
+def _rows(
     name: str, argument: Argument, value: Any, act: Callable[[Any], None], turning: bool
-) -> None:
-    kinds = registry_of(name)
-    words = name.replace("_", " ")
+) -> list[Row]:
+    kinds, default = registry_of(name), argument.default
+    label = name.replace("_", " ")
     if kinds is not None and name in SEVERAL:
-        _components(words, kinds, list(value or ()), act, turning)
-    elif kinds is not None:
-        _component(words, kinds, value, act, turning)
-    elif isinstance(argument.default, bool):
-        el.check(words, bool(argument.default if value is None else value), act)
-    elif argument.units:
+        return _components(label, kinds, list(value or ()), act, turning)
+    if kinds is not None:
+        return _component(label, kinds, value, act, turning)
+    shown = default if value is None else value
+    if isinstance(default, bool):
+        return [(Tick(label), bool(shown), act)]
+    if argument.units:
         unit = argument.units[-1 if turning and len(argument.units) > 1 else 0]
-        _quantity(words, argument, value, unit, act)
-    elif isinstance(argument.default, int | str):
-        shown = argument.default if value is None else value
-        el.text_field(words, str(shown), lambda text: act(_like(argument.default, text)))
+        if isinstance(default, tuple):
+            return [_list(label, shown, unit, act)]
+        given = isinstance(default, int | float)
+        if isinstance(shown, int | float):
+            return [(Number(label, unit, optional=not given), shown, act)]
+        return [(Number(label, unit, optional=not given), None, act)] if value is None else []
+    if isinstance(default, int | str):
+        return [(Text(label), shown, lambda text: act(_like(default, text)))]
+    return []
 
 
-def _quantity(
-    words: str, argument: Argument, value: Any, unit: str, act: Callable[[Any], None]
-) -> None:
-    default = argument.default
-    if isinstance(default, tuple):
-        _list(words, default if value is None else value, unit, act)
-        return
-    usual = default if isinstance(default, int | float) and not isinstance(default, bool) else None
-    shown = usual if value is None else value
-    if isinstance(shown, int | float) or shown is None:
-        el.Field(words, shown, unit, act, optional=usual is None)
-
-
-def _list(words: str, values: Sequence[float], unit: str, act: Callable[[Any], None]) -> None:
+def _list(words: str, values: Sequence[float], unit: str, act: Callable[[Any], None]) -> Row:
     """Several numbers of one unit, between commas."""
     shown = display_unit(unit)
     factor = unit_of(shown).factor
@@ -88,7 +80,7 @@ def _list(words: str, values: Sequence[float], unit: str, act: Callable[[Any], N
             raise InputError(f"{words} is empty; give numbers between commas")
         act([quantity(words, f"{p} {shown}" if _plain(p) else p, unit) for p in parts])
 
-    el.text_field(f"{words} [{shown}]" if shown != "1" else words, text, said, "between commas")
+    return Text(f"{words} [{shown}]" if shown != "1" else words, "between commas"), text, said
 
 
 def _plain(text: str) -> bool:
@@ -111,7 +103,7 @@ def _like(default: Any, text: str) -> Any:
 # ---- components ----------------------------------------------------------------------------------
 def _component(
     words: str, kinds: Registry[Any], value: Any, act: Callable[[Any], None], turning: bool
-) -> None:
+) -> list[Row]:
     """One component: its kind in a menu, and its fields below."""
     now = value.get("kind") if isinstance(value, Mapping) else None
     options = {"": "default"} | {k: k for k in kinds}
@@ -119,10 +111,11 @@ def _component(
     def chosen(kind: str) -> None:
         act(_begun(kinds, kind, turning) if kind else None)
 
-    el.choice(words, options, now or "", chosen, kinds.words(now) if now else "")
-    if now:
-        with ui.element("div").classes("bench-component"):
-            argument_fields(kinds, now, value, partial(_changed, value, act), turning=turning)
+    menu = (Menu(words, options), now, chosen)
+    if not now:
+        return [menu]
+    inside = argument_rows(kinds, now, value, partial(_changed, value, act), turning=turning)
+    return [menu, (Part(words), inside, None)]
 
 
 def _components(
@@ -131,7 +124,7 @@ def _components(
     values: list[Any],
     act: Callable[[Any], None],
     turning: bool,
-) -> None:
+) -> list[Row]:
     """Several components, each with a button that takes it out, and a menu that adds one."""
 
     def replaced(i: int, fresh: Any) -> None:
@@ -142,16 +135,19 @@ def _components(
         if kind:
             act([*values, _begun(kinds, kind, turning)])
 
+    rows: list[Row] = []
     for i, value in enumerate(values):
-        with ui.element("div").classes("bench-component"):
-            with ui.element("div").classes("bench-row"):
-                el.tag("strong", value["kind"], title=kinds.words(value["kind"]))
-                el.button(
-                    "Remove", partial(replaced, i, None), aria_label=f"Remove {value['kind']}"
-                )
-            change = partial(_changed, value, partial(replaced, i))
-            argument_fields(kinds, value["kind"], value, change, turning=turning)
-    el.choice(f"{words}: add", {"": "choose ..."} | {k: k for k in kinds}, "", added)
+        kind = value["kind"]
+        out = buttons(
+            {"Remove": partial(replaced, i, None)},
+            names={"Remove": f"Remove {kind}"},
+            strong=kind,
+            hint=kinds.words(kind),
+        )
+        change = partial(_changed, value, partial(replaced, i))
+        inside = argument_rows(kinds, kind, value, change, turning=turning)
+        rows.append((Part(f"{words} {i}"), [out, *inside], None))
+    return [*rows, (Menu(f"{words}: add", {"": "choose ..."} | {k: k for k in kinds}), "", added)]
 
 
 def _changed(content: Mapping[str, Any], act: Callable[[Any], None], name: str, value: Any) -> None:

@@ -2,130 +2,60 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
-from nicegui import background_tasks, ui
+from nicegui import ui
 from nicegui.events import KeyEventArguments
 
-from ..core.errors import PamError
 from .elements import tag
-from .script import script_of
 from .session import Session
-from .tab import Tab
+from .tab import Page, Tab
 from .tabs.control import Control
 from .tabs.data import Data
 from .tabs.export import Export
 from .tabs.motion import Motion
 from .tabs.muscle import MuscleTab
 from .tabs.plant import PlantTab
-from .words import page_words
-from .work import Job, JobFailed, JobStopped, Workshop
+from .work import Job, Workshop
 
 __all__ = ["TABS", "Bench"]
 
 TABS: tuple[type[Tab], ...] = (Data, MuscleTab, PlantTab, Motion, Control, Export)
 
-log = logging.getLogger(__name__)
 
-
-class Bench:
-    """The page in one browser: its session, its work and its tabs.
-
-    session : state, undo, files. allow_code : whether files may name code to be run (as the start
-    of the page said). dark : None as the system has it.
-    """
+class Bench(Page):
+    """The page in one browser: its session, its work and its tabs."""
 
     def __init__(self, session: Session, shop: Workshop, *, allow_code: bool) -> None:
-        self.session, self.shop, self.allow_code = session, shop, allow_code
-        self.client = ui.context.client
+        super().__init__(session, shop, allow_code=allow_code)
         self.tabs = [kind(self) for kind in TABS]
         self._built: set[str] = set()
         self._jobs: dict[Job, _JobLine] = {}
         self._end = session.listen(self._changed)
 
-    @property
-    def folder(self) -> Path:
-        """Of the session."""
-        return self.session.folder
-
     # ---- for tabs ------------------------------------------------------------------------------
-    @contextmanager
-    def shown_errors(self) -> Iterator[None]:
-        """Errors in words on the page; what was not raised on purpose in the log as well."""
-        try:
-            yield
-        except JobStopped as stopped:
-            if "overtaken" not in str(stopped):
-                self.say(str(stopped))
-        except PamError as error:
-            trace = error.trace if isinstance(error, JobFailed) else ""
-            if trace:
-                log.error("%s", trace)
-            self.say(str(error), "error")
-        except Exception as error:
-            log.exception("in the page")
-            self.say(f"{type(error).__name__}: {error}; please report it", "error")
-
-    async def work(
-        self,
-        title: str,
-        function: Callable[..., Any],
-        *args: Any,
-        time_limit: float | None = 600.0,
-        quiet: bool = False,
-        **kwargs: Any,
-    ) -> Any:
-        """The result of ``function(say, *args, **kwargs)``, done in another process (work.py).
-
-        quiet : not shown in the footer (what takes a blink, again and again). ``warm``, ``latest``
-        as of :meth:`Workshop.start`. Raises JobFailed, JobStopped.
-        """
-        told = (lambda job: None) if quiet else self._told
-        return await self.shop.start(
-            self.session.id,
-            title,
-            function,
-            *args,
-            time_limit=time_limit,
-            changed=told,
-            **kwargs,
-        )
-
-    def soon(self, handler: Callable[[], Any]) -> None:
-        """Start a coroutine of a tab from where nothing can be awaited; its errors are shown."""
-
-        async def run() -> None:
-            with self.client, self.shown_errors():  # a task has a stack of slots of its own
-                await handler()
-
-        background_tasks.create(run())
-
-    def script(self) -> str:
-        """What was done in this session, as a script."""
-        return script_of([tab.lines(self.session.state) for tab in TABS])
-
-    def words(self, text: str) -> str:
-        """What the library says in the words of the page (words.py)."""
-        known = {d["file"]: d["name"] for d in self.session.state["data"] if "file" in d}
-        return page_words(text, self.folder, {**known, **self.session.names})
-
-    def say(self, text: str, kind: str = "info") -> None:
-        """A line below the header, read out to the blind; an error stays until it is closed."""
-        with suppress(Exception), self.client:
-            self._message.say(self.words(text), kind)
-
-    def download(self, content: bytes | str, name: str) -> None:
-        """Hand a file to the browser; what was pressed may be drawn anew, or gone, meanwhile."""
-        with self.client:
-            ui.download.content(content, name)
-
     def open(self, title: str) -> None:
         """Show a tab."""
         self._tabs.set_value(title)
+
+    def told(self, job: Job) -> None:
+        """A line in the footer for a job on its way."""
+        with suppress(Exception), self.client:
+            line = self._jobs.get(job)
+            if line is None and not job.over:
+                with self._work:
+                    line = self._jobs[job] = _JobLine(job)
+            if line is not None:
+                line.show()
+                if job.over:
+                    del self._jobs[job]
+                    line.remove()
+
+    def message(self, text: str, kind: str) -> None:
+        """Show a line below the header."""
+        self._message.say(text, kind)
 
     # ---- the page ------------------------------------------------------------------------------
     def build(self) -> None:
@@ -138,8 +68,8 @@ class Bench:
                 for tab in self.tabs:
                     ui.tab(tab.title).props(f"aria-label={tab.title}")
             ui.space()
-            self._undo = _icon("undo", "Undo", self._go_back)
-            self._redo = _icon("redo", "Redo", self._go_on)
+            self._undo = _icon("undo", "Undo", self.session.undo)
+            self._redo = _icon("redo", "Redo", self.session.redo)
 
             def turn() -> None:
                 dark.value = {None: True, True: False, False: None}[dark.value]
@@ -213,35 +143,14 @@ class Bench:
             button.props(f'aria-label="{word}: {_quoted(what)}"' if what else f"aria-label={word}")
         self._status.set_text(f"session {self.session.id}, saved")
 
-    def _go_back(self) -> None:
-        with self.shown_errors():
-            self.session.undo()
-
-    def _go_on(self) -> None:
-        with self.shown_errors():
-            self.session.redo()
-
     def _key(self, event: KeyEventArguments) -> None:
         if not event.action.keydown or not (event.modifiers.ctrl or event.modifiers.meta):
             return
         name = str(event.key).lower()
         if name == "y" or (name == "z" and event.modifiers.shift):
-            self._go_on()
+            self.session.redo()
         elif name == "z":
-            self._go_back()
-
-    def _told(self, job: Job) -> None:
-        """A line in the footer for a job on its way."""
-        with suppress(Exception), self.client:
-            line = self._jobs.get(job)
-            if line is None and not job.over:
-                with self._work:
-                    line = self._jobs[job] = _JobLine(job)
-            if line is not None:
-                line.show()
-                if job.over:
-                    del self._jobs[job]
-                    line.remove()
+            self.session.undo()
 
 
 class _Message:

@@ -1,6 +1,7 @@
-"""Who may ask the page for anything: one wall in front of every request and every websocket.
+"""Who may ask the page for anything: one wall in front of every request and every websocket, and
+how long a request's head is awaited (:class:`Patient`).
 
-No framework is needed: an ASGI application around another. It refuses, in this order,
+An ASGI application around another. It refuses, in this order,
 
 1. a Host that this page does not have (a name that was made to lead here: DNS rebinding);
 2. an Origin that is not this page's own, a websocket or a change (POST, ...) without one, and what
@@ -25,12 +26,16 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Awaitable, Callable, MutableMapping, Sequence
-from http.cookies import CookieError, SimpleCookie
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequence
 from typing import Any, TypeAlias
 from urllib.parse import parse_qs, quote, urlencode
 
-__all__ = ["HEADERS", "Guard", "allowed_hosts"]
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
+from starlette.responses import Response
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
+
+__all__ = ["HEADERS", "MOST_UPLOAD", "Guard", "Patient", "allowed_hosts"]
 
 Scope: TypeAlias = MutableMapping[str, Any]
 Message: TypeAlias = MutableMapping[str, Any]
@@ -50,6 +55,12 @@ TRIES = 5
 """Wrong passwords before the next must wait, and so on."""
 WAIT = 30.0
 """Seconds to wait then."""
+LONGEST_HEAD = 10.0
+"""Seconds for a request's head to arrive."""
+MOST_HEAD = 256 * 1024
+"""Bytes of it."""
+MOST_CONNECTIONS = 200
+"""At once."""
 
 # Vue compiles templates in the browser, and the framework's page holds scripts of its own: both are
 # allowed, scripts from elsewhere are not.
@@ -70,7 +81,6 @@ HEADERS = {
 }
 """Of every answer, besides the content security policy."""
 
-CLOSE = (b"connection", b"close")
 _LOCAL = ("127.0.0.1", "localhost")
 
 
@@ -101,7 +111,7 @@ class Guard:
         self._app, self._hosts, self._name, self._most = app, hosts, name, most
         self._longest, self._password = longest, password
         self._tickets: dict[str, Callable[[], None]] = {}
-        self._keys = frozenset((secrets.token_urlsafe(32),))
+        self._key = secrets.token_urlsafe(32)
         self._origins = frozenset(f"http://{host}" for host in hosts)
         self._wrong, self._open_at = 0, 0.0
 
@@ -115,7 +125,7 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        headers = _headers(scope)
+        headers = Headers(scope=scope)
         refusal = self._refusal(scope, headers)
         if scope["type"] == "websocket":
             if refusal or not self._known(headers):
@@ -134,9 +144,9 @@ class Guard:
             await self._pass(scope, headers, receive, send)
 
     # ---- who asks ------------------------------------------------------------------------------
-    def _refusal(self, scope: Scope, headers: dict[str, list[str]]) -> str:
+    def _refusal(self, scope: Scope, headers: Headers) -> str:
         """Why not, by the headers alone; "" where nothing is wrong."""
-        hosts, origins = headers.get("host", []), headers.get("origin", [])
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
             return "this page does not answer to that host"
         if any(origin.lower() not in self._origins for origin in origins) or len(origins) > 1:
@@ -144,20 +154,16 @@ class Guard:
         changing = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         if changing and not origins:
             return "this asks for a change and does not say from where"
-        site = headers.get("sec-fetch-site", ["none"])[-1]
+        site = headers.get("sec-fetch-site", "none")
         if site not in ("same-origin", "none") and (
-            changing or headers.get("sec-fetch-mode", [""])[-1] != "navigate"
+            changing or headers.get("sec-fetch-mode", "") != "navigate"
         ):
             return "this page answers to itself only"
         return ""
 
-    def _known(self, headers: dict[str, list[str]]) -> bool:
-        try:
-            cookies = SimpleCookie("; ".join(headers.get("cookie", [])))
-        except CookieError:
-            return False
-        there = cookies.get(self._name)
-        return there is not None and any(_same(there.value, key) for key in self._keys)
+    def _known(self, headers: Headers) -> bool:
+        there = cookie_parser("; ".join(headers.getlist("cookie"))).get(self._name, "")
+        return _same(there, self._key)
 
     async def _entered(self, scope: Scope, send: Send) -> bool:
         """The cookie for a token, if there is one: it is used up."""
@@ -170,8 +176,7 @@ class Guard:
             return False
         self._tickets.pop(there[0])()
         # no redirection: behind one that a file led to, browsers keep the cookie back
-        on = (b"refresh", f"0;url={path}".encode())
-        await self._say(send, 200, "one moment", [self._cookie, on])
+        await self._say(send, 200, "one moment", {**self._cookie, "refresh": f"0;url={path}"})
         return True
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -201,7 +206,7 @@ class Guard:
         given = parse_qs((body or b"").decode("utf-8", "replace"), max_num_fields=5)
         if _same(given.get("password", [""])[0], self._password):
             self._wrong = 0
-            await self._say(send, 303, "", [self._cookie, (b"location", b"/")])
+            await self._say(send, 303, "", {**self._cookie, "location": "/"})
             return
         self._wrong += 1
         if self._wrong % TRIES == 0:
@@ -210,17 +215,13 @@ class Guard:
         await self._form(send, 401, "that is not the password")
 
     @property
-    def _cookie(self) -> tuple[bytes, bytes]:
-        key = next(iter(self._keys))
-        cookie = f"{self._name}={key}; Path=/; HttpOnly; SameSite=Strict"
-        return b"set-cookie", cookie.encode()
+    def _cookie(self) -> dict[str, str]:
+        return {"set-cookie": f"{self._name}={self._key}; Path=/; HttpOnly; SameSite=Strict"}
 
     # ---- what comes and goes -------------------------------------------------------------------
-    async def _pass(
-        self, scope: Scope, headers: dict[str, list[str]], receive: Receive, send: Send
-    ) -> None:
+    async def _pass(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
         """The application's answer, with headers; its body stopped where it is too long."""
-        said = headers.get("content-length", ["0"])[-1]
+        said = headers.get("content-length", "0")
         if not said.isdigit() or int(said) > self._most:
             await self._say(send, 413, self._too_long)
             return
@@ -252,11 +253,12 @@ class Guard:
                 return  # what the application makes of the broken body
             if message["type"] == "http.response.start":
                 begun = True
-                message["headers"] = [*message.get("headers", ()), *self._headers(nonce)]
+                message.setdefault("headers", [])
+                answered = MutableHeaders(scope=message)
+                answered.update(self._headers(nonce))
                 if scope["method"] not in ("GET", "HEAD"):
-                    message["headers"].append(CLOSE)  # what is still to come is not read
-                kinds = [v for k, v in message["headers"] if k.lower() == b"content-type"]
-                if kinds and kinds[0].startswith(b"text/html"):
+                    answered["connection"] = "close"  # what is still to come is not read
+                if answered.get("content-type", "").startswith("text/html"):
                     page = message
                     return
             if page is None:
@@ -265,8 +267,7 @@ class Guard:
             parts.append(message.get("body", b""))
             if not message.get("more_body"):
                 body = _with_nonce(b"".join(parts), nonce)
-                kept = [(k, v) for k, v in page["headers"] if k.lower() != b"content-length"]
-                page["headers"] = [*kept, (b"content-length", str(len(body)).encode())]
+                MutableHeaders(scope=page)["content-length"] = str(len(body))
                 await send(page)
                 await send({"type": "http.response.body", "body": body})
 
@@ -285,11 +286,10 @@ class Guard:
     def _too_long(self) -> str:
         return f"that is more than the {self._most / 2**20:g} MiB allowed at once"
 
-    def _headers(self, nonce: str) -> list[tuple[bytes, bytes]]:
+    def _headers(self, nonce: str) -> dict[str, str]:
         sockets = " ".join(sorted(f"ws://{host}" for host in self._hosts))
         policy = POLICY.format(nonce=nonce, sockets=sockets)
-        every = {**HEADERS, "content-security-policy": policy}
-        return [(k.encode(), v.encode()) for k, v in every.items()]
+        return {**HEADERS, "content-security-policy": policy}
 
     async def _form(self, send: Send, status: int, words: str) -> None:
         text = (
@@ -299,38 +299,29 @@ class Guard:
             "<label>Password <input type=password name=password autofocus required "
             "autocomplete=current-password></label> <button>Open</button></form>"
         )
-        await self._say(send, status, text, kind=b"text/html; charset=utf-8")
+        await self._say(send, status, text, kind="text/html")
 
     async def _say(
         self,
         send: Send,
         status: int,
         text: str,
-        extra: Sequence[tuple[bytes, bytes]] = (),
-        kind: bytes = b"text/plain; charset=utf-8",
+        extra: Mapping[str, str] | None = None,
+        kind: str = "text/plain",
     ) -> None:
-        body = text.encode()
-        headers = [
-            (b"content-type", kind),
-            (b"content-length", str(len(body)).encode()),
-            (b"cache-control", b"no-store"),
-            CLOSE,
-            *self._headers(secrets.token_urlsafe(16)),
-            *extra,
-        ]
-        await send({"type": "http.response.start", "status": status, "headers": headers})
-        await send({"type": "http.response.body", "body": body})
+        own = {"cache-control": "no-store", "connection": "close"}
+        headers = {**own, **self._headers(secrets.token_urlsafe(16)), **(extra or {})}
+        answer = Response(text, status, headers, media_type=kind)
+        await answer({"type": "http"}, _nothing, send)
+
+
+async def _nothing() -> Message:
+    """What a plain answer has to receive."""
+    return {"type": "http.disconnect"}
 
 
 class _Broken(Exception):
     """A body that is longer than allowed, or does not end."""
-
-
-def _headers(scope: Scope) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
-    for name, value in scope["headers"]:
-        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    return found
 
 
 def _same(given: str, right: str) -> bool:
@@ -360,3 +351,45 @@ async def _body(receive: Receive, most: int) -> bytes | None:
             return None
         if not message.get("more_body"):
             return b"".join(parts)
+
+
+class Patient(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+    """uvicorn's connection, closed where a request's head is too long in coming or too long, or too
+    many are open: uvicorn limits neither, and who never ends a head would hold them for ever.
+    """
+
+    _late: asyncio.TimerHandle | None = None
+    _size = 0
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        if len(self.connections) > MOST_CONNECTIONS:
+            transport.abort()
+        else:
+            self._awaited(0)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._said()
+        super().connection_lost(error)
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        upgraded = self.transport.get_protocol() is not self  # a websocket's from here on
+        if upgraded or not (self.cycle is None or self.cycle.response_complete):
+            self._said()
+        else:
+            self._awaited(len(data))
+
+    def _awaited(self, size: int) -> None:
+        self._size += size
+        if self._late is None:
+            loop = asyncio.get_running_loop()
+            self._late = loop.call_later(LONGEST_HEAD, self.transport.abort)
+        if self._size > MOST_HEAD:
+            self.transport.abort()
+
+    def _said(self) -> None:
+        self._size = 0
+        if self._late is not None:
+            self._late.cancel()
+            self._late = None

@@ -28,6 +28,7 @@ __all__ = [
     "figure",
     "line",
     "numbers",
+    "panels",
     "points",
     "quantity",
     "rgba",
@@ -157,34 +158,38 @@ def axis(title: str = "", **more: Any) -> dict[str, Any]:
     return {**_AXIS, "title": {"text": title, "standoff": 6}, **more}
 
 
+def panels(
+    rows: Sequence[tuple[str, Sequence[Mapping[str, Any]]]], x: str, *, each: int = 150, **more: Any
+) -> dict[str, Any]:
+    """Rows (title of the axis, curves) below each other, ``each`` of so many pixels."""
+    gap, count = 0.05, len(rows)
+    high = (1 - gap * (count - 1)) / count
+    data: list[Mapping[str, Any]] = []
+    layout: dict[str, Any] = {}
+    for i, (title, curves) in enumerate(rows):
+        number, top = "" if i == 0 else str(i + 1), 1 - i * (high + gap)
+        layout[f"yaxis{number}"] = axis(title, domain=[max(0.0, top - high), top])
+        data += [{**curve, "yaxis": f"y{number}"} for curve in curves]
+    made = figure(data, x, height=each * count + 90, **layout, **ABOVE, **more)
+    made["layout"]["xaxis"]["anchor"] = f"y{count}" if count > 1 else "y"
+    return made
+
+
 def line(x: Any, y: Any, name: str = "", colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:
     """A curve."""
-    style = {"color": colour, "width": 1.8, **more.pop("line", {})}
-    shown = {"name": name, "showlegend": bool(name)}
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": numbers(x),
-        "y": numbers(y),
-        "line": style,
-        **shown,
-        **more,
-    }
+    return _trace("line", {"color": colour, "width": 1.8}, x, y, name, more)
 
 
 def points(x: Any, y: Any, name: str = "", colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:
     """Markers."""
-    style = {"color": colour, "size": 7, **more.pop("marker", {})}
-    shown = {"name": name, "showlegend": bool(name)}
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "x": numbers(x),
-        "y": numbers(y),
-        "marker": style,
-        **shown,
-        **more,
-    }
+    return _trace("marker", {"color": colour, "size": 7}, x, y, name, more)
+
+
+def _trace(
+    kind: str, style: Mapping[str, Any], x: Any, y: Any, name: str, more: dict[str, Any]
+) -> dict[str, Any]:
+    shown = {"type": "scatter", "mode": f"{kind}s", "x": numbers(x), "y": numbers(y), "name": name}
+    return {**shown, "showlegend": bool(name), kind: {**style, **more.pop(kind, {})}, **more}
 
 
 def band(x: Any, low: Any, high: Any, colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Nouns out of what a session says: tables, records, muscles, plants. No page is needed.
 
 Both sides use it: the page for quick looks, other processes (work.py) for the rest; there the last
-few of each are kept. ``state`` is a session's state, ``folder`` its folder.
+few of each are kept. All are made of a :class:`World`, which is plain enough to be sent to them.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ import ast
 import json
 import warnings
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,15 +25,19 @@ from ..muscles.catalogue import muscle as catalogued
 from ..muscles.laws.user_defined import law_named
 from ..muscles.muscle_file import load_muscle
 from ..muscles.pneumatic_muscle import Muscle
+from ..operating.linear import OperatingPoint, equilibrium
 from ..plants.plant import Plant
 from ..plants.plant_file import plant_of as described
-from .session import safe_name, stored_file
+from .session import EMPTY, safe_name, stored_file
 
 __all__ = [
+    "World",
     "chosen_item",
+    "kept",
     "muscle_of",
     "own_plants",
     "plant_of",
+    "point_of",
     "preview_of",
     "records_of",
     "source_of",
@@ -40,14 +45,63 @@ __all__ = [
 ]
 
 State = Mapping[str, Any]
-KEPT = 8
+Made = TypeVar("Made")
 
 
-def source_of(folder: Path, item: Mapping[str, Any]) -> str:
+@dataclass(frozen=True)
+class World:
+    """What nouns are made of: folder and state of a session, and whether its files may name code
+    to be run.
+    """
+
+    folder: Path
+    state: State = field(default_factory=lambda: EMPTY)
+    allow_code: bool = False
+
+    def but(self, **parts: Any) -> World:
+        """The same with other parts of the state."""
+        return replace(self, state={**self.state, **parts})
+
+    def member(self, part: str, id: str) -> dict[str, Any]:
+        """A motion, a controller, ... by its id. Raises InputError where there is none."""
+        found = next((m for m in self.state[part] if m["id"] == id), None)
+        if found is None:
+            raise InputError(f"{id!r} is not among the {part} of this session")
+        return dict(found)
+
+    def exported(self, name: str) -> Path:
+        """Where something lies that leaves the session."""
+        there = self.folder / "exports"
+        there.mkdir(exist_ok=True)
+        return there / name
+
+
+def kept(*parts: str, most: int = 8) -> Callable[[Callable[..., Made]], Callable[..., Made]]:
+    """Makes once of a world's ``parts`` and further plain arguments; the last ``most`` are kept,
+    errors are not.
+    """
+
+    def decorated(make: Callable[..., Made]) -> Callable[..., Made]:
+        @lru_cache(most)
+        def made(folder: Path, allow_code: bool, content: str) -> Made:
+            state, args = json.loads(content)
+            return make(World(folder, state, allow_code), *args)
+
+        @wraps(make)
+        def found(world: World, *args: Any) -> Made:
+            content = [{n: world.state[n] for n in parts}, args]
+            return made(world.folder, world.allow_code, json.dumps(content, sort_keys=True))
+
+        return found
+
+    return decorated
+
+
+def source_of(world: World, item: Mapping[str, Any]) -> str:
     """What a reader is given for an item of ``data``: a bundled table's name, or a file."""
     if "bundled" in item:
         return str(item["bundled"])
-    return str(stored_file(folder, safe_name(str(item["file"]))))
+    return str(stored_file(world.folder, safe_name(str(item["file"]))))
 
 
 def chosen_item(state: State) -> dict[str, Any]:
@@ -58,75 +112,58 @@ def chosen_item(state: State) -> dict[str, Any]:
     raise InputError("no data are chosen; choose a table in the tab Data")
 
 
-def _kept(make: Callable[[str, str], Any]) -> Callable[[Path, Any], Any]:
-    """Makes by (folder, JSON) once; errors are not kept."""
-    cached = lru_cache(KEPT)(make)
-    return lambda folder, content: cached(str(folder), json.dumps(content, sort_keys=True))
-
-
-@_kept
-def _preview(folder: str, content: str) -> Preview:
-    item = json.loads(content)
-    seen = look(source_of(Path(folder), item), **_options(item["said"]))
+@kept()
+def _preview(world: World, item: Mapping[str, Any]) -> Preview:
+    said: dict[str, Any] = {k: tuple(v) if k == "pivot" else v for k, v in item["said"].items()}
+    seen = look(source_of(world, item), **said)
     if isinstance(seen, Previews):  # a pattern cannot be meant here
         raise InputError(f"{item['name']} holds several sources; give one file at a time")
     return seen
 
 
-def _options(said: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: tuple(v) if k == "pivot" else v for k, v in said.items()}
-
-
-def preview_of(folder: Path, item: Mapping[str, Any]) -> Preview:
+def preview_of(world: World, item: Mapping[str, Any]) -> Preview:
     """What is understood of an item of ``data``. Raises InputError for a damaged file."""
-    kept = {k: item[k] for k in ("bundled", "file", "name", "said") if k in item}
-    found: Preview = _preview(folder, kept)
-    return found
+    return _preview(world, {k: item[k] for k in ("bundled", "file", "name", "said") if k in item})
 
 
-def table_of(folder: Path, item: Mapping[str, Any], *, whole: bool = False) -> ForceTable:
-    """The table of an item, without its cells that are switched off (``whole``: with them)."""
-    seen = preview_of(folder, item)
+def table_of(world: World, item: Mapping[str, Any]) -> ForceTable:
+    """The table of an item, without its cells that are switched off."""
+    seen = preview_of(world, item)
     if not seen.ok:
         raise InputError(seen.problem)
     if not isinstance(seen.result, ForceTable):
         raise InputError(f"{item['name']} is a record in time, no force table")
     table = seen.result
     off = [i for i in item.get("off", ()) if isinstance(i, int) and 0 <= i < len(table)]
-    if whole or not off:
+    if not off:
         return table
     chosen = np.ones(len(table), bool)
     chosen[off] = False
     return table.subset(chosen)
 
 
-def records_of(folder: Path, item: Mapping[str, Any]) -> list[Trajectory]:
+def records_of(world: World, item: Mapping[str, Any]) -> list[Trajectory]:
     """The records of an item."""
-    seen = preview_of(folder, item)
+    seen = preview_of(world, item)
     if not isinstance(seen.result, list):
         raise InputError(seen.problem or f"{item['name']} is a force table, no record in time")
     return seen.result
 
 
-# ---- muscles -------------------------------------------------------------------------------------
-def muscle_of(folder: Path, state: State) -> Muscle:
-    """The muscle of the session. Raises InputError where none is chosen or fitted."""
-    said = state["muscle"]
+@kept("muscle")
+def muscle_of(world: World) -> Muscle:
+    """The muscle of the session. Raises InputError where none is chosen or fitted.
+
+    kind "catalogue": name, rest_length; "file": file; "fit": law, coefficients, rest_length,
+    diameter, pressure_range, contraction_range, name, source.
+    """
+    said = world.state["muscle"]
     if said is None:
         raise InputError("no muscle yet; choose or fit one in the tab Muscle")
-    found: Muscle = _muscle(folder, said)
-    return found
-
-
-@_kept
-def _muscle(folder: str, content: str) -> Muscle:
-    """kind "catalogue": name, rest_length; "file": file; "fit": law, coefficients, rest_length,
-    diameter, pressure_range, contraction_range, name, source."""
-    said = json.loads(content)
     if said["kind"] == "catalogue":
         return catalogued(said["name"], rest_length=said.get("rest_length"))
     if said["kind"] == "file":
-        return load_muscle(stored_file(Path(folder), safe_name(said["file"])))
+        return load_muscle(stored_file(world.folder, safe_name(said["file"])))
     if said["kind"] != "fit":
         raise InputError(f"muscle = {said['kind']!r} is no kind of muscle that the bench knows")
     return Muscle(
@@ -140,26 +177,22 @@ def _muscle(folder: str, content: str) -> Muscle:
     )
 
 
-def plant_of(folder: Path, state: State, *, allow_code: bool = False) -> Plant:
-    """The plant of the session, with its muscle.
-
-    allow_code : it may be one of the user's own, FILE.py:NAME among the session's files.
+@kept("plant", "muscle")
+def plant_of(world: World) -> Plant:
+    """The plant of the session, with its muscle; one of the user's own, FILE.py:NAME among the
+    session's files, where code is allowed.
     """
-    if state["muscle"] is None:
-        muscle_of(folder, state)
-    content = [state["plant"], state["muscle"], allow_code]
-    made: Plant = _described(folder, content)
-    return made
-
-
-@_kept
-def _described(folder: str, content: str) -> Plant:
-    table, muscle, allow_code = json.loads(content)
-    part: Muscle = _muscle(Path(folder), muscle)
+    table = {**world.state["plant"], "muscle": muscle_of(world)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        files = Path(folder) / "files"
-        return described({**table, "muscle": part}, "plant", files, allow_code=allow_code)
+        return described(table, "plant", world.folder / "files", allow_code=world.allow_code)
+
+
+def point_of(world: World, plant: Plant) -> OperatingPoint:
+    """The operating point of the session's plant. Raises InputError where none is chosen."""
+    if not world.state["point"]:
+        raise InputError("no operating point yet; choose one in the tab Plant or Control")
+    return equilibrium(plant, world.state["point"])
 
 
 def own_plants(folder: Path) -> dict[str, str]:

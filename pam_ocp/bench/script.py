@@ -1,8 +1,7 @@
 """What was done on the page as a Python script of public verbs: made of the state alone.
 
 Whoever runs it in the session's folder gets the figures of the page: numbers are written with all
-their digits. Each tab says its own lines (``Tab.lines``); those of data, muscle and plant are here,
-so that they can be tested without a page. No text of a user or a file stands in the script but as a
+their digits. No text of a user or a file stands in the script but as a
 quoted literal, or as a comment on one line.
 """
 
@@ -10,32 +9,28 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..core.errors import InputError
 from ..core.registry import Registry, registry_of
+from ..judge.statement import Stop
 from ..muscles.laws.user_defined import law_named
+from ..planning.transcription.mesh import Collocation, Method, Shooting
 from ..plants.kinds import PLANTS
 
 __all__ = [
-    "HEAD",
+    "METHODS",
     "PLATFORMS",
     "PUSH",
-    "call",
+    "TIME_LIMIT",
+    "arguments",
     "can_be_pushed",
-    "control_lines",
-    "data_lines",
-    "export_lines",
-    "figure_lines",
     "figures_said",
     "is_followed",
-    "literal",
-    "muscle_lines",
-    "plant_code",
-    "plant_lines",
     "platforms_of",
+    "pushed",
     "script_of",
-    "wrapped",
 ]
 
 HEAD = '''"""Repeats a session of pam-ocp bench; run it in the folder that holds "files"."""
@@ -60,9 +55,10 @@ ROOMS = ("feeds", "losses", "loads", "plants", "gas", "muscles")
 """Where the script looks for components: pam.feeds.Regulator."""
 
 
-def script_of(parts: Iterable[Sequence[str]]) -> str:
-    """The script: what each tab has to say, in the order of the tabs."""
-    blocks = ["\n".join(map(wrapped, lines)) for lines in parts if lines]
+def script_of(state: Mapping[str, Any]) -> str:
+    """The script: what there is to say of each tab, in the order of the tabs."""
+    parts = (data_lines, muscle_lines, plant_lines, motion_lines, control_lines, export_lines)
+    blocks = ["\n".join(map(wrapped, lines)) for part in parts if (lines := part(state))]
     text = "\n\n".join(blocks)
     imports = {"dataclasses": "dataclasses.", "runpy": "runpy.", "numpy as np": "np."}
     head = HEAD
@@ -91,14 +87,9 @@ def figures_said(printed: str) -> dict[str, float]:
     return found
 
 
-def literal(value: Any) -> str:
-    """A value as Python; lists of numbers as they are."""
-    return repr(value)
-
-
 def call(function: str, *args: str, **keywords: Any) -> str:
     """``pam.verb(table, name=value)``; arguments are code, keywords values. None is left out."""
-    said = [*args, *(f"{k}={literal(v)}" for k, v in keywords.items() if v is not None)]
+    said = [*args, *(f"{k}={v!r}" for k, v in keywords.items() if v is not None)]
     return f"{function}({', '.join(said)})"
 
 
@@ -138,14 +129,14 @@ def data_lines(state: Mapping[str, Any]) -> list[str]:
         if item.get("is") == "record":
             lines += [
                 f"# {_comment(item['name'])}",
-                f"{item['id']} = {call('pam.read_records', literal(source), **said)}",
+                f"{item['id']} = {call('pam.read_records', repr(source), **said)}",
             ]
         else:
             lines += [f"# {_comment(item['name'])}"]
-            lines += [f"table = {call('pam.read_table', literal(source), **said)}"]
+            lines += [f"table = {call('pam.read_table', repr(source), **said)}"]
             if item.get("off"):
                 lines += [
-                    f"off = {literal(sorted(item['off']))}  # cells that are switched off",
+                    f"off = {sorted(item['off'])!r}  # cells that are switched off",
                     "table = table.subset([i not in off for i in range(len(table))])",
                 ]
     return lines
@@ -163,14 +154,14 @@ def muscle_lines(state: Mapping[str, Any]) -> list[str]:
     if said is None:
         return []
     if said["kind"] == "catalogue":
-        made = call("pam.muscle", literal(said["name"]), rest_length=said.get("rest_length"))
+        made = call("pam.muscle", repr(said["name"]), rest_length=said.get("rest_length"))
         return [f"muscle = {made}"]
     if said["kind"] == "file":
-        return [f"muscle = pam.load_muscle({literal('files/' + said['file'])})"]
+        return [f"muscle = pam.load_muscle({'files/' + said['file']!r})"]
     law, fixed = said["law"], said.get("fixed") or None
     kept = {n: said[n] for n in ("rest_length", "diameter", "name", "source")}
     lines = [
-        f"fit = {call('pam.fit_force', 'table', literal(law), fixed=fixed)}",
+        f"fit = {call('pam.fit_force', 'table', repr(law), fixed=fixed)}",
         "print(fit.report())",
         f"muscle = {call('fit.muscle', **kept)}",
     ]
@@ -192,9 +183,9 @@ def plant_lines(state: Mapping[str, Any]) -> list[str]:
     own = ":" in state["plant"]["arrangement"]
     lines = _own_plant(state["plant"]) if own else [f"plant = {plant_code(state['plant'])}"]
     for sensed, sensor in state["plant"].get("sensors", {}).items():
-        lines += [f"plant.add_sensor({literal(sensed)}, {_component('sensors', sensor)})"]
+        lines += [f"plant.add_sensor({sensed!r}, {_component('sensors', sensor)})"]
     if state["point"]:
-        lines += [f"point = pam.equilibrium(plant, {literal(state['point'])})", "print(point)"]
+        lines += [f"point = pam.equilibrium(plant, {state['point']!r})", "print(point)"]
         lines += [
             "for v in (*plant.states, *plant.inputs):",
             '    figures[f"point.{v.name}"] = point[v.name]',
@@ -207,10 +198,10 @@ def _own_plant(said: Mapping[str, Any]) -> list[str]:
     file, _, member = said["arrangement"].rpartition(":")
     values = said.get("set", {})
     lines = [
-        f"made = runpy.run_path({literal(f'files/{file}')})[{literal(member)}]  # code of your own",
+        f"made = runpy.run_path({f'files/{file}'!r})[{member!r}]  # code of your own",
         "plant = made if isinstance(made, pam.Plant) else made(muscle)",
     ]
-    return [*lines, *([f"plant = plant.with_values({literal(values)})"] if values else [])]
+    return [*lines, *([f"plant = plant.with_values({values!r})"] if values else [])]
 
 
 def plant_code(said: Mapping[str, Any]) -> str:
@@ -221,7 +212,7 @@ def plant_code(said: Mapping[str, Any]) -> str:
     content.pop("sensors", None)
     arguments = {k: _argument(k, v, PLANTS, name) for k, v in content.items()}
     made = _written(f"pam.{name}", ["muscle"], arguments)
-    return f"{made}.with_values({literal(values)})" if values else made
+    return f"{made}.with_values({values!r})" if values else made
 
 
 def _written(function: str, first: Sequence[str], said: Mapping[str, str]) -> str:
@@ -235,7 +226,7 @@ def _argument(name: str, value: Any, registry: Registry[Any], owner: str) -> str
     if isinstance(value, list) and registry_of(name) is not None:
         inside = ", ".join(_component(name, one) for one in value)
         return f"({inside}{',' if len(value) == 1 else ''})"
-    return literal(tuple(value) if isinstance(value, list) else value)
+    return repr(tuple(value) if isinstance(value, list) else value)
 
 
 def _component(argument: str, content: Mapping[str, Any]) -> str:
@@ -250,11 +241,99 @@ def _component(argument: str, content: Mapping[str, Any]) -> str:
     return _written(f"pam.{room}.{kind}", [], said)
 
 
+# ---- motions -------------------------------------------------------------------------------------
+METHODS: dict[str, tuple[str, Method | None]] = {
+    "usual": ("50 intervals per leg", None),
+    "coarse": ("20 intervals per leg", Collocation(20, 3)),
+    "fine": ("100 intervals per leg", Collocation(100, 3)),
+    "shooting": ("multiple shooting", Shooting(50)),
+}
+"""{key: (its words, the mesh of a plan; None: the usual one)}."""
+TIME_LIMIT = 120.0
+"""[s] of a plan."""
+
+
+def arguments(motion: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords of :func:`pam_ocp.plan` that a motion stands for; stops as plain mappings where
+    they say no more. Raises InputError where nothing is to be minimised.
+    """
+    minimise = {n: float(w) for n, w in motion["minimise"].items() if w}
+    if not minimise:
+        raise InputError("minimise: all weights are 0; give one of them a weight")
+    said: dict[str, Any] = {"stops": [_stop(motion, stop) for stop in motion["stops"]]}
+    legs = _legs(motion)
+    durations = [*motion["durations"], *[None] * legs][:legs]
+    if any(d is not None for d in durations):
+        said["duration"] = durations
+    if motion["cyclic"]:
+        said["cyclic"] = True
+    said["minimise"] = next(iter(minimise)) if list(minimise.values()) == [1.0] else minimise
+    bounds = {b["name"]: (b["low"], b["high"]) for b in motion["bounds"]}
+    if bounds:
+        said["bounds"] = bounds
+    return said
+
+
+def _legs(motion: Mapping[str, Any]) -> int:
+    return len(motion["stops"]) - (0 if motion["cyclic"] else 1)
+
+
+def _stop(motion: Mapping[str, Any], stop: Mapping[str, Any]) -> dict[str, float] | Stop:
+    values = {motion["variable"]: stop["at"]}
+    if motion["second"] and stop["second"] is not None:
+        values[motion["second"]] = stop["second"]
+    if stop["rest"] and not stop["dwell"]:
+        return values
+    return Stop(values, rest=None if stop["rest"] else False, dwell=stop["dwell"])
+
+
+def motion_lines(state: Mapping[str, Any]) -> list[str]:
+    """Each motion as a call of pam.plan, with its figures."""
+    lines: list[str] = []
+    if state["muscle"] is None:
+        return lines
+    for motion in state["motions"]:
+        said = arguments(motion)
+        stops = ", ".join(repr(s) if isinstance(s, dict) else _stop_code(s) for s in said["stops"])
+        method = METHODS[motion["method"]][1]
+        shown = {k: v for k, v in said.items() if k != "stops"}
+        code = call("pam.plan", "plant", f"[{stops}]", **shown, time_limit=TIME_LIMIT)
+        if method is not None:
+            code = f"{code[:-1]}, method=pam.{method!r})"
+        id = motion["id"]
+        lines += [f"{id} = {code}", f"print({id})"]
+        lines += figure_lines(
+            id,
+            {
+                "duration": f"{id}.duration",
+                "objective": f"{id}.objective",
+                "replay_error": f"{id}.replay_error",
+            },
+        )
+        lines += [
+            "for v in (*plant.states, *plant.inputs):",
+            f'    figures[f"{id}.max({{v.name}})"] = float({id}.trajectory[v.name].max())',
+        ]
+    return lines
+
+
+def _stop_code(stop: Any) -> str:
+    said = call("pam.Stop", repr(dict(stop.values)), rest=stop.rest)
+    return f"{said[:-1]}, dwell={stop.dwell!r})" if stop.dwell else said
+
+
 # ---- controllers ---------------------------------------------------------------------------------
 def can_be_pushed(plant: Mapping[str, Any]) -> bool:
     """Whether an arrangement takes a force from outside among its loads; one's own are as said."""
     name = str(plant["arrangement"])
     return ":" not in name and "loads" in PLANTS.arguments(PLANTS.name("arrangement", name))
+
+
+def pushed(plant: Mapping[str, Any]) -> dict[str, Any]:
+    """The real side of a loop: the plant with a force from outside, where it takes one."""
+    if not can_be_pushed(plant):
+        return dict(plant)
+    return {**plant, "loads": [*plant.get("loads", ()), {"kind": "ExternalForce", "name": PUSH}]}
 
 
 def is_followed(said: Mapping[str, Any]) -> bool:
@@ -267,11 +346,8 @@ def control_lines(state: Mapping[str, Any]) -> list[str]:
     if state["muscle"] is None or not state["point"] or not state["controllers"]:
         return []
     lines = []
-    side = "plant"
-    if can_be_pushed(state["plant"]):
-        loads = [*state["plant"].get("loads", ()), {"kind": "ExternalForce", "name": PUSH}]
-        side = plant_code({**state["plant"], "loads": loads})
-    lines += [f"side = {side}"]
+    side = pushed(state["plant"])
+    lines += [f"side = {plant_code(side) if can_be_pushed(side) else 'plant'}"]
     lines += ["position = next(iter(plant.positions))"]
     lines += ["start = {v.name: point[v.name] for v in (*plant.states, *plant.inputs)}"]
     for said in state["controllers"]:
@@ -346,7 +422,7 @@ def export_lines(state: Mapping[str, Any]) -> list[str]:
             made = call(
                 "pam.export_fmu",
                 "plant",
-                literal(f"{id}.fmu"),
+                repr(f"{id}.fmu"),
                 fmi=said["fmi"],
                 platforms=platforms_of(said),
                 step_size=said["step_size"],
@@ -367,9 +443,9 @@ def export_lines(state: Mapping[str, Any]) -> list[str]:
             lines += [
                 f'{id} = pam.export_ssp({{"plant": plant, "motion": {motion}.trajectory}}, '
                 f'{{f"plant.{{v.name}}": f"motion.{{v.name}}" for v in plant.inputs}}, '
-                f"{literal(f'{id}.ssp')}, step_size={said['step_size']!r}, "
-                f"stop_time={motion}.duration, platforms={literal(platforms_of(said))})"
+                f"{f'{id}.ssp'!r}, step_size={said['step_size']!r}, "
+                f"stop_time={motion}.duration, platforms={platforms_of(said)!r})"
             ]
         elif said["kind"] == "c" and said["controller"]:
-            lines += [f"pam.export_c({said['controller']}, {literal(f'{id}_c')})"]
+            lines += [f"pam.export_c({said['controller']}, {f'{id}_c'!r})"]
     return lines

@@ -16,7 +16,6 @@ from pathlib import Path
 from ..core.errors import InputError, require_count
 from ..core.files import make_folder
 from ..export.cache import home_folder
-from .guard import allowed_hosts
 
 __all__ = ["require_framework", "serve", "sessions_folder"]
 
@@ -113,7 +112,7 @@ def _serve(
     import uvicorn
 
     from .app import application
-    from .patience import Patient
+    from .guard import Patient, allowed_hosts
 
     listening = _listen(host, port)
     number = int(listening.getsockname()[1])

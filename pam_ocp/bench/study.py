@@ -9,14 +9,12 @@ from typing import Any
 import tomli_w
 
 from ..judge.statement import Stop
-from ..operating.linear import equilibrium
 from ..plants.plant import Plant
 from ..studies.steps.measured import TableStep
-from .jobs.control import lqr_arguments, mpc_arguments, side_state
+from .jobs.control import lqr_arguments, mpc_arguments
 from .jobs.export import STEPS, TOLERANCE
-from .jobs.motion import METHODS, arguments
-from .made import muscle_of, plant_of
-from .script import PUSH, can_be_pushed, is_followed, platforms_of
+from .made import World, muscle_of, plant_of, point_of
+from .script import METHODS, PUSH, arguments, can_be_pushed, is_followed, platforms_of, pushed
 
 __all__ = ["study_of"]
 
@@ -28,13 +26,13 @@ State = Mapping[str, Any]
 Steps = dict[str, Any]
 
 
-def study_of(folder: Path, state: State, title: str = "", allow_code: bool = False) -> str:
+def study_of(world: World, title: str = "") -> str:
     """The study file: table, fit, plant, linear model, plans, controllers' runs and exports.
 
     Files are named as in the session's folder ("files/..."); a muscle with coefficients moved by
     hand is MUSCLE_FILE beside it. A plant of the user's own runs with ``--allow-code`` only.
     """
-    steps: Steps = {}
+    state, steps = world.state, Steps()
     muscle = _muscle(state["muscle"], steps)
     if muscle is not None:
         steps["plant"] = {"kind": "plant", **_plant(state["plant"]), "muscle": muscle}
@@ -43,8 +41,7 @@ def study_of(folder: Path, state: State, title: str = "", allow_code: bool = Fal
         for motion in state["motions"]:
             steps[motion["id"]] = {"kind": "plan", "plant": "plant", **_plan(motion)}
         if state["point"] and state["controllers"]:
-            plant = plant_of(folder, state, allow_code=allow_code)
-            steps |= _controllers(state, plant, muscle)
+            steps |= _controllers(world, plant_of(world), muscle)
         for said in state["exports"]:
             steps |= _exported(said, state)
     content = {"title": title or "A session of pam-ocp bench", "steps": steps}
@@ -57,19 +54,19 @@ def _plant(said: State) -> dict[str, Any]:
 
 
 # ---- controllers ---------------------------------------------------------------------------------
-def _controllers(state: State, plant: Plant, muscle: str) -> Steps:
+def _controllers(world: World, plant: Plant, muscle: str) -> Steps:
     """Each controller, and its run against the plant that can be pushed."""
-    steps: Steps = {}
+    state, steps = world.state, Steps()
     against = "plant"
     if can_be_pushed(state["plant"]):
-        side, against = _plant(side_state(state)["plant"]), "side"
+        side, against = _plant(pushed(state["plant"])), "side"
         steps["side"] = {"kind": "plant", **side, "muscle": muscle}
     for said in state["controllers"]:
         law = steps[f"{said['id']}-law"] = {"kind": "controller", "plant": "plant"}
         if said["kind"] != "mpc":
             law["rest"] = state["point"]
         law["controller"] = _law(plant, said)
-        steps[said["id"]] = _run(plant, state, said, against)
+        steps[said["id"]] = _run(world, plant, said, against)
     return steps
 
 
@@ -81,13 +78,13 @@ def _law(plant: Plant, said: State) -> dict[str, Any]:
     return {"kind": said["kind"], **arguments(plant, said)}
 
 
-def _run(plant: Plant, state: State, said: State, against: str) -> dict[str, Any]:
+def _run(world: World, plant: Plant, said: State, against: str) -> dict[str, Any]:
     study, position = said["study"], next(iter(plant.positions))
     step: dict[str, Any] = {"kind": "loop", "plant": "plant", "controller": f"{said['id']}-law"}
-    step |= {"against": against, "start": state["point"], "duration": study["duration"]}
+    step |= {"against": against, "start": world.state["point"], "duration": study["duration"]}
     if is_followed(said):
-        at = equilibrium(plant, state["point"])
-        step["reference"] = {position: at[position] + study["step"]}
+        at = point_of(world, plant)[position]
+        step["reference"] = {position: at + study["step"]}
     if study["push"]:
         step["disturbances"] = {PUSH: [study["push"], study["push_from"]]}
     if study["noise"]:
@@ -127,13 +124,11 @@ def needs_muscle_file(state: Mapping[str, Any]) -> bool:
     return said is not None and said["kind"] == "fit" and bool(said.get("moved"))
 
 
-def save_muscle_file(folder: Path, state: Mapping[str, Any]) -> Path:
+def save_muscle_file(world: World) -> Path:
     """The muscle of the session, to lie beside its study."""
     from ..muscles.muscle_file import save_muscle
 
-    there = folder / "exports"
-    there.mkdir(exist_ok=True)
-    return save_muscle(muscle_of(folder, state), there / MUSCLE_FILE)
+    return save_muscle(muscle_of(world), world.exported(MUSCLE_FILE))
 
 
 def _muscle(said: Mapping[str, Any] | None, steps: dict[str, Any]) -> str | None:

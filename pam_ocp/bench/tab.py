@@ -1,4 +1,5 @@
-"""What a tab of the page is; each stands in a file of ``tabs/`` and is listed in frame.py.
+"""What a tab of the page is, and what it sees of the page; each stands in a file of ``tabs/`` and
+is listed in frame.py.
 
 A tab draws itself once (when it is first opened) and again draws what a change of the session
 concerns. It computes nothing itself: quick looks (some ms) by made.py here, all else by functions
@@ -9,100 +10,152 @@ that run in other processes::
 
         def build(self) -> None:                    # NiceGUI's elements, within the tab's panel
             with elements.section("Load"):
-                ...
+                self._form = elements.Form()
             self.update(frozenset(self.parts))
 
         def update(self, changed) -> None:          # called after a change of one of ``parts``
-            ...
+            self._form.show([(MASS, self.state["plant"]["mass"], self._moved)])
 
         def _moved(self, mass) -> None:             # an event: one change, one step of undo
-            with self.bench.shown_errors():
-                self.bench.session.change("mass", plant={**self.state["plant"], "mass": mass})
+            self.session.change("mass", plant={**self.state["plant"], "mass": mass})
 
         async def _map(self) -> None:               # long: in a process, stoppable, in the footer
-            with self.bench.shown_errors():
-                found = await self.bench.work("Equilibrium map", jobs.equilibrium_map, ...)
+            found = await self.work(jobs.equilibrium_map)
 
-``lines`` is what the exported script says of the same: made of the state alone.
+What an event raises is shown on the page. What the exported script says of a tab: script.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
-from pathlib import Path
-from typing import Any, Protocol
+import logging
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from typing import Any
 
+from nicegui import background_tasks, ui
+
+from ..core.errors import PamError
+from .made import World
 from .session import Session
+from .words import page_words
+from .work import Job, JobFailed, JobStopped, Workshop, manner_of
 
-__all__ = ["Page", "Tab"]
+__all__ = ["Members", "Page", "Tab"]
+
+log = logging.getLogger(__name__)
 
 
-class Page(Protocol):
-    """What a tab sees of the page in one browser; frame.py has it.
+class Page:
+    """What a tab sees of the page in one browser; frame.py draws it.
 
-    session : state, undo, files; folder : of the session. allow_code : whether files may name code
-    to be run, as it was said when the page was started.
+    session : state, undo, files. allow_code : whether files may name code to be run (as the start
+    of the page said).
     """
 
-    session: Session
-    allow_code: bool
-
-    @property
-    def folder(self) -> Path: ...
-
-    def shown_errors(self) -> AbstractContextManager[None]:
-        """Errors within the block are shown on the page."""
-
-    async def work(
-        self,
-        title: str,
-        function: Callable[..., Any],
-        *args: Any,
-        time_limit: float | None = 600.0,
-        quiet: bool = False,
-        **kwargs: Any,
-    ) -> Any:
-        """The result of ``function(say, *args, **kwargs)``, done in another process (work.py).
-
-        quiet : not shown in the footer (what takes a blink, again and again). ``warm``, ``latest``
-        as of :meth:`Workshop.start`. Raises JobFailed, JobStopped.
-        """
-
-    def soon(self, handler: Callable[[], Any]) -> None:
-        """Start a coroutine of a tab from where nothing can be awaited; its errors are shown."""
-
-    def script(self) -> str:
-        """What was done in this session, as a script."""
-
-    def words(self, text: str) -> str:
-        """What the library says in the words of the page (words.py)."""
-
-    def say(self, text: str, kind: str = "info") -> None:
-        """A line below the header, read out to the blind; kind "error" stays until it is closed."""
-
-    def download(self, content: bytes | str, name: str) -> None:
-        """Hand a file to the browser; what was pressed may be drawn anew, or gone, meanwhile."""
+    def __init__(self, session: Session, shop: Workshop, *, allow_code: bool) -> None:
+        self.session, self.shop, self.allow_code = session, shop, allow_code
+        self.client = ui.context.client
+        self.client.on_exception(self.failed)
 
     def open(self, title: str) -> None:
         """Show a tab."""
+        raise NotImplementedError
+
+    def told(self, job: Job) -> None:
+        """Show what a job does."""
+        raise NotImplementedError
+
+    def message(self, text: str, kind: str) -> None:
+        """Show a line below the header."""
+        raise NotImplementedError
+
+    def failed(self, error: Exception) -> None:
+        """An error in words on the page; the trace of what was not raised on purpose in the log."""
+        if isinstance(error, JobStopped):
+            if "overtaken" not in str(error):
+                self.say(str(error))
+        elif isinstance(error, PamError):
+            if isinstance(error, JobFailed) and error.trace:
+                log.error("%s", error.trace)
+            self.say(str(error), "error")
+        else:
+            self.say(f"{type(error).__name__}: {error}; please report it", "error")
+
+    @contextmanager
+    def shown_errors(self) -> Iterator[None]:
+        """Errors outside of an event, too."""
+        try:
+            yield
+        except Exception as error:
+            if not isinstance(error, PamError | JobStopped):
+                log.exception("in the page")
+            self.failed(error)
+
+    async def work(self, function: Callable[..., Any], *args: Any, of: str = "", **how: Any) -> Any:
+        """The result of ``function(say, *args)``, done in another process as :func:`work.job` says.
+
+        of : what it is done to, in its title. how : otherwise than it says. Raises JobFailed,
+        JobStopped.
+        """
+        manner = {**asdict(manner_of(function)), **how}
+        title, quiet = manner.pop("title").format(of), manner.pop("quiet")
+        changed = None if quiet else self.told
+        return await self.shop.start(
+            self.session.id, title, function, *args, changed=changed, **manner
+        )
+
+    def soon(self, work: Coroutine[Any, Any, Any]) -> None:
+        """Do what an event awaits where nothing can be awaited; its errors are shown."""
+        background_tasks.create(work, context=self.client)
+
+    def words(self, text: str) -> str:
+        """What the library says in the words of the page (words.py)."""
+        known = {d["file"]: d["name"] for d in self.session.state["data"] if "file" in d}
+        return page_words(text, self.session.folder, {**known, **self.session.names})
+
+    def say(self, text: str, kind: str = "info") -> None:
+        """A line below the header, read out to the blind; an error stays until it is closed."""
+        with suppress(Exception), self.client:
+            self.message(self.words(text), kind)
+
+    def download(self, content: bytes | str, name: str) -> None:
+        """Hand a file to the browser; what was pressed may be drawn anew, or gone, meanwhile."""
+        with self.client:
+            ui.download.content(content, name)
 
 
 class Tab:
     """One tab in one browser."""
 
     title: str = ""
-    icon: str = ""
     parts: tuple[str, ...] = ()
     """Parts of the session whose change concerns it."""
 
     def __init__(self, bench: Page) -> None:
-        self.bench = bench
+        self.bench, self.session = bench, bench.session
 
     @property
     def state(self) -> dict[str, Any]:
         """The session's state; never changed in place."""
-        return self.bench.session.state
+        return self.session.state
+
+    @property
+    def world(self) -> World:
+        """What is made of the state."""
+        return World(self.session.folder, self.state, self.bench.allow_code)
+
+    async def work(self, function: Callable[..., Any], *args: Any, of: str = "", **how: Any) -> Any:
+        """The result of ``function(say, world, *args)``; see :meth:`Page.work`."""
+        return await self.bench.work(function, self.world, *args, of=of, **how)
+
+    def view(self, name: str, default: Any = None) -> Any:
+        """What the tab remembers of itself."""
+        return self.session.view(self.title, name, default)
+
+    def remember(self, **values: Any) -> None:
+        """Keep what the tab shows: saved, but no step of undo."""
+        self.session.remember(self.title, **values)
 
     def build(self) -> None:
         """Make the tab's elements."""
@@ -113,7 +166,46 @@ class Tab:
     def close(self) -> None:
         """The browser is gone."""
 
-    @staticmethod
-    def lines(state: dict[str, Any]) -> Sequence[str]:
-        """Lines of the script that repeat what the state says of this tab."""
-        return ()
+
+class Members(Tab):
+    """A tab of a list of the session's, ``part``, one member of which is at hand."""
+
+    part: str = ""
+
+    @property
+    def at_hand(self) -> dict[str, Any] | None:
+        """The chosen member, else the last one."""
+        members = self.state[self.part]
+        chosen = self.session.item(self.part, self.view("chosen"))
+        return chosen or (members[-1] if members else None)
+
+    @property
+    def names(self) -> dict[str, str]:
+        """{id: name}"""
+        return {m["id"]: m["name"] for m in self.state[self.part]}
+
+    def choose(self, id: str) -> None:
+        """Another one at hand."""
+        self.remember(chosen=id)
+        self.update(frozenset((self.part,)))
+
+    def change(self, label: str, **values: Any) -> None:
+        """One step of undo of the one at hand."""
+        said = self.at_hand
+        if said is not None:
+            self.session.put(label, self.part, {**said, **values})
+
+    def rename(self, name: str) -> None:
+        """Of the one at hand."""
+        self.change("rename", name=name[:60])
+
+    def add(self, made: dict[str, Any], label: str = "add") -> None:
+        """A new one, at hand at once."""
+        self.remember(chosen=made["id"])
+        self.session.put(f"{label} {made['name']}", self.part, made)
+
+    def drop(self) -> None:
+        """The one at hand."""
+        said = self.at_hand
+        if said is not None:
+            self.session.drop(f"delete {said['name']}", self.part, said["id"])

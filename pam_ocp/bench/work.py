@@ -4,13 +4,14 @@ No page is needed. What a process does is a function at the top of a module, cal
 values (numbers, texts, lists, mappings, NumPy arrays), and what it returns is of that kind, too: it
 gets descriptions (a session's state) and makes nouns of them there, by made.py. ::
 
-    def front(say, state, points):          # in jobs of a tab; ``say`` is always the first argument
+    @job("Front", time_limit=120.0)         # what stands beside its progress, and how it is done
+    def front(say, world, points):          # in jobs of a tab; ``say`` is always the first argument
         ...
         say(0.5, "3 of 6 plans")            # fraction done (None: unknown), and words
         return {"t": array, "verdict": text}
 
     work = Workshop(2)                                              # once for the whole page
-    job = work.start("session", "Plan", front, state, points=6, time_limit=120.0)
+    job = work.start("session", "Front", front, world, points=6, time_limit=120.0)
     result = await job                      # raises JobFailed (what it raised), or JobStopped
     job.stop()                              # kills its process; others go on, the job is lost
 
@@ -34,13 +35,14 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, TypeVar
 
 from ..core.errors import PamError
 from ..core.stop import limited
 
-__all__ = ["Job", "JobFailed", "JobStopped", "Say", "Workshop"]
+__all__ = ["Job", "JobFailed", "JobStopped", "Say", "Workshop", "job", "manner_of"]
 
 Say = Callable[..., None]
 GRACE = 5.0
@@ -49,6 +51,40 @@ MOST_WAITING = 200
 """Jobs that wait; more are refused."""
 MOST_JOBS = 200
 """Jobs that a process does before a fresh one takes its place: what libraries leak goes with it."""
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a job is done: title ("{}": of what), ``warm`` and ``latest`` as the head of this module
+    says, time_limit [s]; quiet : not shown in the footer (what takes a blink, again and again).
+    """
+
+    title: str
+    warm: str = ""
+    latest: str = ""
+    time_limit: float = 600.0
+    quiet: bool = False
+
+
+_manners: dict[Callable[..., Any], Manner] = {}
+
+
+def job(title: str, **manner: Any) -> Callable[[F], F]:
+    """Says with a function how its job is done (:class:`Manner`)."""
+
+    def said(function: F) -> F:
+        _manners[function] = Manner(title, **manner)
+        return function
+
+    return said
+
+
+def manner_of(function: Callable[..., Any]) -> Manner:
+    """What :func:`job` said of it."""
+    return _manners[function]
 
 
 class JobStopped(Exception):

@@ -153,8 +153,8 @@ def test_a_link_with_the_token_cannot_lead_to_another_host(server):
 def hasty(tmp_path_factory):
     """A page that waits for a second only."""
     pytest.importorskip("nicegui")
-    code = "from pam_ocp.bench import patience; patience.LONGEST_HEAD = 1.0; "
-    code += "patience.MOST_CONNECTIONS = 20; from pam_ocp.cli.main import main; main()"
+    code = "from pam_ocp.bench import guard; guard.LONGEST_HEAD = 1.0; "
+    code += "guard.MOST_CONNECTIONS = 20; from pam_ocp.cli.main import main; main()"
     made = Server(tmp_path_factory.mktemp("hasty"), run=("-c", code))
     yield made
     complaints = made.end()

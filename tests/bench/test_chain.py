@@ -6,28 +6,12 @@ import re
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 from browser_tools import ROOT
+from test_page import rig_file
 from test_page_motion import tab
 
-import pam_ocp as pam
-
 pytest_plugins = ["page_fixtures"]
-
-
-def rig_file(folder):
-    """A rig's table: kPa, mm and N, some noise."""
-    rng = np.random.default_rng()
-    law = pam.muscle("DMSP-20-300").law
-    rows = ["p [kPa],length [mm],force [N]"]
-    for p in range(0, 601, 100):
-        for length in (300, 292, 283, 272, 260, 246, 230):
-            tension = float(law.tension(1e3 * p, (300 - length) / 300)) + rng.normal(0, 2)
-            rows.append(f"{p},{length},{max(tension, 0.0):.3f}")
-    path = folder / "rig.csv"
-    path.write_text("\n".join(rows) + "\n", "utf-8")
-    return path
 
 
 @pytest.mark.slow
@@ -36,7 +20,7 @@ def test_from_a_dropped_file_to_a_checked_fmu_and_a_script_with_the_same_figures
 ):
     hand.drop(rig_file(tmp_path))
     hand.type("Rest length", "300")
-    hand.sees("ForceTable(49 cells")
+    hand.sees("ForceTable(120 cells")
     tab(hand, "Muscle")
     hand.press("Fit")
     hand.sees("taut cells")

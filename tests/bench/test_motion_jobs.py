@@ -10,7 +10,7 @@ from pam_ocp.bench import script, study
 from pam_ocp.bench.jobs import control as control_jobs
 from pam_ocp.bench.jobs import export as export_jobs
 from pam_ocp.bench.jobs import motion as jobs
-from pam_ocp.bench.made import plant_of
+from pam_ocp.bench.made import World, plant_of
 from pam_ocp.bench.session import EMPTY
 
 CATALOGUE = {"kind": "catalogue", "name": "DMSP-20-300", "rest_length": None}
@@ -28,16 +28,19 @@ def state():
 
 @pytest.fixture
 def motion(state, tmp_path):
-    made = jobs.first_motion(plant_of(tmp_path, state), "motions1", "Motion 1")
+    made = jobs.first_motion(plant_of(World(tmp_path, state)), "motions1", "Motion 1")
     return {**made, "method": "coarse"}
 
 
 def test_what_is_dragged_is_the_optimum_that_a_cold_plan_finds(state, motion, tmp_path):
     for _ in range(3):
         motion["stops"][1]["at"] = random.uniform(0.004, 0.02)
-        warm = jobs.dragged(say, tmp_path, state, motion, False)
+        warm = jobs.dragged(say, World(tmp_path, state), motion)
         cold = pam.plan(
-            plant_of(tmp_path, state), **jobs.arguments(motion), method=jobs.DRAGGED, tolerance=None
+            plant_of(World(tmp_path, state)),
+            **script.arguments(motion),
+            method=jobs.DRAGGED,
+            tolerance=None,
         )
         assert warm["duration"] == pytest.approx(cold.duration, rel=1e-5)
         assert warm["stop_times"] == pytest.approx([0.0, cold.duration], rel=1e-5)
@@ -45,12 +48,12 @@ def test_what_is_dragged_is_the_optimum_that_a_cold_plan_finds(state, motion, tm
 
 def test_the_impossible_is_told_in_place(state, motion, tmp_path):
     motion["durations"] = [0.004]
-    told = jobs.dragged(say, tmp_path, state, motion, False)
+    told = jobs.dragged(say, World(tmp_path, state), motion)
     assert not told["ok"]
     assert told["conflicts"][0]["stop"] == 1
     motion["minimise"] = {"time": 0.0}
     with pytest.raises(pam.InputError, match="give one of them a weight"):
-        jobs.dragged(say, tmp_path, state, motion, False)
+        jobs.dragged(say, World(tmp_path, state), motion)
 
 
 def test_stops_stand_where_the_plan_is_at_their_times(state, motion, tmp_path):
@@ -58,15 +61,15 @@ def test_stops_stand_where_the_plan_is_at_their_times(state, motion, tmp_path):
     stay = {"at": 0.006, "second": None, "dwell": 0.02, "rest": True}
     motion["stops"][1:1] = [via, stay]
     motion["durations"] = [0.04, None, 0.05]
-    told = jobs.planned(say, tmp_path, state, motion, False)
-    found = jobs.plan_of(tmp_path, state, motion)
+    told = jobs.planned(say, World(tmp_path, state), motion)
+    found = jobs.plan_of(World(tmp_path, state), motion)
     at = found.trajectory.at(np.array(told["stop_times"]))["x"]
     assert at == pytest.approx([s["at"] for s in motion["stops"]], abs=1e-6)
     assert told["stop_times"][1] == pytest.approx(0.04)
 
 
 def test_a_record_is_compared_from_its_first_sample_on(state, motion, tmp_path):
-    found = jobs.plan_of(tmp_path, state, motion)
+    found = jobs.plan_of(World(tmp_path, state), motion)
     t = np.linspace(0.0, found.duration, 40)
     off = random.uniform(1e-4, 1e-3)
     x = found.replay.trajectory.at(t)["x"] + off
@@ -74,31 +77,31 @@ def test_a_record_is_compared_from_its_first_sample_on(state, motion, tmp_path):
     rows = "".join(f"{7 + a:.9f},{1e3 * b:.9f}\n" for a, b in zip(t, x, strict=True))
     (tmp_path / "files" / "r.csv").write_text("time [s],x [mm]\n" + rows, "utf-8")
     item = {"id": "data1", "name": "r", "file": "r.csv", "said": {"kind": "record"}}
-    told = jobs.replayed(say, tmp_path, state, motion, item, False)
+    told = jobs.replayed(say, World(tmp_path, state), motion, item)
     (row,) = told["rows"]
     assert row["largest"] == pytest.approx(1e3 * off, rel=1e-3)
 
 
 def test_a_live_run_is_the_closed_loop_sample_by_sample(state, tmp_path):
-    plant = plant_of(tmp_path, state)
+    plant = plant_of(World(tmp_path, state))
     said = control_jobs.first_controller(plant, state["point"], "lqr", "controllers1")
     said["study"] |= {"step": 2e-3, "duration": 0.1, "push": 0.0}
-    run = control_jobs.loop_of(tmp_path, state, said)
+    run = control_jobs.loop_of(World(tmp_path, state), said)
     reached, reference = [], run.reference["x"][-1]
     for seconds in (0.03, 0.05, 0.02):
         ask = {"run": "a", "seconds": seconds, "reference": reference, "push": 0.0}
-        reached += control_jobs.live(say, tmp_path, state, said, ask, False)["rows"]["x"]
+        reached += control_jobs.live(say, World(tmp_path, state), said, ask)["rows"]["x"]
     assert len(reached) == 100
     assert 1e-3 * np.array(reached) == pytest.approx(run["x"][:100], abs=1e-8)
 
 
 def test_a_live_run_goes_on_where_it_stands_with_other_gains(state, tmp_path):
-    plant = plant_of(tmp_path, state)
+    plant = plant_of(World(tmp_path, state))
     said = control_jobs.first_controller(plant, state["point"], "lqr", "controllers1")
     ask = {"run": "b", "seconds": 0.1, "reference": state["point"].get("x", 0.0) + 2e-3, "push": 0}
 
     def live(**more):
-        return control_jobs.live(say, tmp_path, state, {**said, **more}, ask, False)
+        return control_jobs.live(say, World(tmp_path, state), {**said, **more}, ask)
 
     before = live()
     after = live(gains={**said["gains"], "effort": 2.0})
@@ -134,10 +137,8 @@ def test_a_pid_about_a_point_has_the_poles_of_its_equations():
 
 
 def test_the_script_of_motions_and_controllers_gives_the_same_figures(state, motion, tmp_path):
-    from pam_ocp.bench.tabs.motion_shown import motion_lines
-
     (tmp_path / "files").mkdir()
-    plant = plant_of(tmp_path, state)
+    plant = plant_of(World(tmp_path, state))
     via = {"at": 0.001, "second": None, "dwell": 0.0, "rest": False}
     motion["stops"].insert(1, via)
     motion |= {"durations": [None, 0.03], "minimise": {"time": 1.0, "effort": random.random()}}
@@ -148,10 +149,9 @@ def test_the_script_of_motions_and_controllers_gives_the_same_figures(state, mot
         said["study"] |= {"duration": 0.05, "push": 3.0, "push_from": 0.02, "noise": 1e-6}
         controllers.append(said)
     state |= {"motions": [motion], "controllers": controllers}
-    parts = [script.muscle_lines, script.plant_lines, motion_lines, script.control_lines]
-    text = script.script_of([lines(state) for lines in parts])
+    text = script.script_of(state)
     assert max(map(len, text.splitlines())) < 140
-    told = export_jobs.script_checked(say, tmp_path, state, text, False)
+    told = export_jobs.script_checked(say, World(tmp_path, state), text)
     assert told["ok"], [row for row in told["rows"] if not row["ok"]]
     assert len(told["rows"]) > 20
 
@@ -163,7 +163,7 @@ def test_a_study_says_the_plan_as_the_script_does(state, motion, tmp_path):
     motion["stops"][1] |= {"rest": False}
     motion |= {"durations": [0.05], "bounds": [{"name": "v", "low": None, "high": 1.5}]}
     path = tmp_path / "session.toml"
-    path.write_text(study.study_of(tmp_path, {**state, "motions": [motion]}), "utf-8")
+    path.write_text(study.study_of(World(tmp_path, {**state, "motions": [motion]})), "utf-8")
     assert list(read_study(path).entries) == ["muscle", "plant", "linear", "motions1"]
     steps = read_toml(path)["steps"]
     assert steps["plant"]["muscle"] == "muscle"

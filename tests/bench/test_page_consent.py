@@ -76,7 +76,7 @@ def test_a_session_that_names_code_is_refused_where_it_is_not_allowed(driver, tm
         tab(hand, "Plant")
         assert "A plant of your own" not in hand.text
         session = hand.session
-        hand.until(lambda: server_state(first, session)["muscle"] is not None)
+        hand.until(lambda: first.state(session)["muscle"] is not None)
     finally:
         first.end()
     driver.get("about:blank")
@@ -102,7 +102,3 @@ def test_a_session_that_names_code_is_refused_where_it_is_not_allowed(driver, tm
         said = second.end()
     assert "Traceback" not in said, said
     hand.complaints()
-
-
-def server_state(server, session):
-    return server.state(session)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.bench.jobs.motion import arguments
-from pam_ocp.bench.made import plant_of
+from pam_ocp.bench.made import World, plant_of
+from pam_ocp.bench.script import arguments
 
 pytest_plugins = ["page_fixtures"]
 
@@ -49,7 +49,7 @@ def motion_of(server, hand):
 def planned_again(server, hand, motion):
     """The same by the verb alone."""
     folder, state = server.folder / hand.session, server.state(hand.session)
-    return pam.plan(plant_of(folder, state), **arguments(motion))
+    return pam.plan(plant_of(World(folder, state)), **arguments(motion))
 
 
 def duration_shown(hand):
@@ -169,7 +169,7 @@ def test_control_poles_follow_the_gains_and_are_those_of_the_verb(hand, server):
     hand.until(lambda: len(hand.traces("Poles of the loop")) == 2)
     said = server.state(hand.session)["controllers"][-1]
     folder, state = server.folder / hand.session, server.state(hand.session)
-    plant = plant_of(folder, state)
+    plant = plant_of(World(folder, state))
 
     def own(gains):
         made = pam.control.PointPid(plant, state["point"], **gains, sample_time=1e-3)
@@ -239,7 +239,7 @@ def test_control_a_run_with_a_push_is_that_of_the_verb(hand, server):
     said = state["controllers"][-1]
     assert said["study"]["push"] == 8.0
     reached = hand.traces("The closed loop over time")[1]
-    plant = plant_of(server.folder / hand.session, state)
+    plant = plant_of(World(server.folder / hand.session, state))
     point = pam.equilibrium(plant, state["point"])
     own = pam.lqr(plant, point, weights={"x": 10.0, "v": 1.0}, integral={"x": 100.0})
     side = pam.AntagonisticSlide(
@@ -277,19 +277,3 @@ def test_export_writes_what_is_asked_for_and_removes_it(hand, server):
     assert 'kind = "check"' in study
     hand.press("Remove")
     hand.sees("Nothing yet")
-
-
-def test_every_field_and_button_of_these_tabs_has_a_name(hand, server):
-    begin(hand)
-    nameless = """return [...document.querySelectorAll('input, select, button, [role=slider]')]
-      .filter(e => e.checkVisibility() && e.type !== 'file' && !(e.labels && e.labels.length)
-        && !e.getAttribute('aria-label') && !e.textContent.trim()).map(e => e.outerHTML)"""
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: duration_shown(hand), "a plan")
-    assert hand.driver.execute_script(nameless) == []
-    controlled(hand)
-    assert hand.driver.execute_script(nameless) == []
-    tab(hand, "Export")
-    hand.sees("Python script")
-    assert hand.driver.execute_script(nameless) == []

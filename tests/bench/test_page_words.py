@@ -8,6 +8,7 @@ import pytest
 
 from pam_ocp.bench import look
 from pam_ocp.bench.jobs.data import look_at
+from pam_ocp.bench.made import World
 from pam_ocp.bench.session import Session
 from pam_ocp.bench.words import page_words
 from pam_ocp.core.errors import PamError
@@ -72,7 +73,7 @@ def test_what_a_reader_says_of_a_dropped_file_holds_no_python_and_no_path(kind, 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            seen = look_at(lambda *said: None, session.folder, item)
+            seen = look_at(lambda *said: None, World(session.folder), item)
             said = [seen["problem"], *seen["doubts"]]
         except PamError as error:
             said = [str(error)]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.bench.made import muscle_of, plant_of, table_of
-from pam_ocp.bench.script import data_lines, muscle_lines, plant_lines, script_of
+from pam_ocp.bench.made import World, muscle_of, plant_of, table_of
+from pam_ocp.bench.script import script_of
 from pam_ocp.bench.session import EMPTY
 from pam_ocp.plants.kinds import FEEDS, LOADS, LOSSES, PLANTS
 
@@ -17,7 +17,7 @@ CATALOGUE = {"kind": "catalogue", "name": "DMSP-20-300", "rest_length": None}
 
 def run(state, folder, monkeypatch):
     """The names that the script leaves behind."""
-    text = script_of([data_lines(state), muscle_lines(state), plant_lines(state)])
+    text = script_of(state)
     ast.parse(text)
     monkeypatch.chdir(folder)
     names = {}
@@ -38,7 +38,7 @@ def bundled(**more):
 def test_the_table_without_its_cells_that_are_off(tmp_path, monkeypatch):
     item = bundled(off=[0, 17, 40])
     names = run(state_with(data=[item], chosen="data1"), tmp_path, monkeypatch)
-    own = table_of(tmp_path, item)
+    own = table_of(World(tmp_path), item)
     assert len(names["table"]) == 123
     assert np.array_equal(names["table"].force, own.force)
 
@@ -56,14 +56,14 @@ def test_a_dropped_file_with_units_and_names_of_its_own(tmp_path, monkeypatch):
     item = {"id": "data1", "name": "my 'rig'\n# no", "file": "0-a.csv", "said": said, "off": []}
     names = run(state_with(data=[item], chosen="data1"), tmp_path, monkeypatch)
     assert np.allclose(names["table"].pressure.max(), 90 * 6894.757293168, rtol=1e-12)
-    assert np.array_equal(names["table"].force, table_of(tmp_path, item).force)
+    assert np.array_equal(names["table"].force, table_of(World(tmp_path), item).force)
 
 
 @pytest.mark.parametrize("law", ["six-parameter", "three-element", "polynomial-1-3"])
 @pytest.mark.parametrize("moved", [False, True])
 def test_the_fitted_muscle_as_fitted_and_as_moved_by_hand(law, moved, tmp_path, monkeypatch):
     item = bundled(off=[3, 50])
-    fit = pam.fit_force(table_of(tmp_path, item), law)
+    fit = pam.fit_force(table_of(World(tmp_path), item), law)
     fitted = {n: float(v) for n, v in fit.law.values.items()}
     free = random.choice(fit.free)
     coefficients = {**fitted, free: fitted[free] * 1.07} if moved else fitted
@@ -85,7 +85,7 @@ def test_the_fitted_muscle_as_fitted_and_as_moved_by_hand(law, moved, tmp_path, 
     }
     state = state_with(data=[], muscle=muscle)  # the data may have been removed since
     names = run(state, tmp_path, monkeypatch)
-    own = muscle_of(tmp_path, state)
+    own = muscle_of(World(tmp_path, state))
     p, kappa = np.meshgrid(np.linspace(1e5, 6e5, 7), np.linspace(0.02, 0.25, 9))
     assert np.allclose(names["muscle"].force(p, kappa), own.force(p, kappa), rtol=1e-9, atol=1e-9)
     for name in ("rest_length", "diameter", "pressure_range", "contraction_range", "name"):
@@ -124,7 +124,7 @@ def test_plants_of_random_components(arrangement, draw, tmp_path, monkeypatch):
     if "loads" in known:
         table["loads"] = [some_component(rng, LOADS, False)]
     state = state_with(muscle={**CATALOGUE, "name": "DMSP-20-300"}, plant=table)
-    own = plant_of(tmp_path, state)
+    own = plant_of(World(tmp_path, state))
     made = run(state, tmp_path, monkeypatch)["plant"]
     assert made.variables == own.variables
     x, u, p = (own.vector(c) for c in ("state", "input", "parameter"))
@@ -136,7 +136,7 @@ def test_the_operating_point_is_found_again(tmp_path, monkeypatch, capsys):
     point = {"muscle.pressure": 2.7e5}
     state = state_with(muscle=CATALOGUE, plant={"arrangement": "HangingLoad"}, point=point)
     names = run(state, tmp_path, monkeypatch)
-    own = pam.equilibrium(plant_of(tmp_path, state), point)
+    own = pam.equilibrium(plant_of(World(tmp_path, state)), point)
     assert names["point"]["x"] == pytest.approx(own["x"], rel=1e-9)
     assert "muscle.pressure" in capsys.readouterr().out
 
@@ -148,7 +148,7 @@ def test_words_of_a_user_stay_words(tmp_path):
     state = state_with(
         data=[item], chosen="data1", muscle=muscle, plant={"arrangement": f"{evil}:a"}
     )
-    text = script_of([data_lines(state), muscle_lines(state), plant_lines(state)])
+    text = script_of(state)
     imported = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Import)]
     assert {a.name for n in imported for a in n.names} <= {
         "pam_ocp",
@@ -159,4 +159,4 @@ def test_words_of_a_user_stay_words(tmp_path):
 
 
 def test_nothing_chosen_is_a_script_that_does_nothing():
-    assert "table" not in script_of([data_lines(EMPTY), muscle_lines(EMPTY), plant_lines(EMPTY)])
+    assert "table" not in script_of(EMPTY)

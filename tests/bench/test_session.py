@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pam_ocp import InputError, UnknownNameError
-from pam_ocp.bench.made import own_plants, source_of
+from pam_ocp.bench.made import World, own_plants, source_of
 from pam_ocp.bench.session import EMPTY, Session, SessionInUse, safe_name, saved_sessions
 
 
@@ -233,7 +233,7 @@ def test_half_a_file_that_a_full_disk_left_is_not_believed(session):
     with pytest.raises(InputError, match="not what was dropped on the page; drop the file again"):
         session.path(kept)
     with pytest.raises(InputError, match="drop the file again"):
-        source_of(session.folder, {"file": kept})
+        source_of(World(session.folder), {"file": kept})
     assert session.store("a.csv", b"p,kappa\n1,2\n") == kept
     assert session.path(kept).read_bytes() == b"p,kappa\n1,2\n"
 

@@ -8,15 +8,8 @@ import pytest
 import pam_ocp as pam
 from pam_ocp.bench.jobs import control as jobs
 from pam_ocp.bench.jobs.motion import first_motion, motion_figures, plan_of
-from pam_ocp.bench.made import muscle_of, plant_of
-from pam_ocp.bench.script import (
-    PLATFORMS,
-    control_lines,
-    export_lines,
-    muscle_lines,
-    plant_lines,
-    script_of,
-)
+from pam_ocp.bench.made import World, muscle_of, plant_of
+from pam_ocp.bench.script import PLATFORMS, script_of
 from pam_ocp.bench.session import EMPTY
 from pam_ocp.bench.study import save_muscle_file, study_of
 from pam_ocp.export.compile import native, platforms_named
@@ -58,7 +51,7 @@ def unit(id, **more):
 
 def ran(state, folder, **options):
     path = folder / "session.toml"
-    path.write_text(study_of(folder, state, allow_code=options.get("allow_code", False)), "utf-8")
+    path.write_text(study_of(World(folder, state, options.get("allow_code", False))), "utf-8")
     return run_study(path, folder / "out", cache=folder / "kept", **options)
 
 
@@ -68,7 +61,7 @@ def test_the_runs_of_all_kinds_of_controllers(tmp_path):
     result = ran(state, tmp_path)
     assert result.ok, result
     for said in LAWS:
-        own = jobs.loop_figures(jobs.loop_of(tmp_path, state, said), "x")
+        own = jobs.loop_figures(jobs.loop_of(World(tmp_path, state), said), "x")
         numbers = result[said["id"]].numbers
         for name, kind in (("final", "last"), ("max", "max"), ("min", "min")):
             assert numbers[f"x.{kind}"][0] == pytest.approx(own[f"{name}(x)"], rel=1e-9), said
@@ -79,12 +72,13 @@ def test_the_runs_of_all_kinds_of_controllers(tmp_path):
 def test_script_and_study_build_for_the_platforms_that_were_chosen(key, tmp_path):
     state = {**SLIDE, "exports": [unit("exports1", platforms=key)]}
     path = tmp_path / "session.toml"
-    path.write_text(study_of(tmp_path, state), "utf-8")
+    path.write_text(study_of(World(tmp_path, state)), "utf-8")
     step = read_study(path).entries["exports1"].said
-    (line,) = [x for x in export_lines(state) if "export_fmu" in x]
+    text = script_of(state)
+    assert "pam.export_fmu(" in text
     expected = platforms_named(PLATFORMS[key][1] or None)
     assert platforms_named(step.get("platforms")) == expected
-    (said,) = re.findall(r"platforms=(\[.*?\])", line) or [None]
+    (said,) = re.findall(r"platforms=(\[.*?\])", text) or [None]
     assert platforms_named(said and ast.literal_eval(said)) == expected
     assert native() in expected  # for here it is checked
 
@@ -101,9 +95,7 @@ def test_an_fmu_held_against_rest_a_system_and_c_code(tmp_path, monkeypatch):
     assert result["exports1-check"].numbers["largest"][0] < 1e-4
     c = tmp_path / "out" / "exports2" / "c"
     # the script makes the same C, but for the day on which it was made
-    text = script_of(
-        [muscle_lines(state), plant_lines(state), control_lines(state), export_lines(state)]
-    )
+    text = script_of(state)
     alone = tmp_path / "alone"
     alone.mkdir()
     monkeypatch.chdir(alone)
@@ -114,12 +106,15 @@ def test_an_fmu_held_against_rest_a_system_and_c_code(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_system_of_plant_and_motion(tmp_path):
-    motion = {**first_motion(plant_of(tmp_path, SLIDE), "motions1", "Motion"), "method": "coarse"}
+    motion = {
+        **first_motion(plant_of(World(tmp_path, SLIDE)), "motions1", "Motion"),
+        "method": "coarse",
+    }
     export = unit("exports1", kind="ssp", motion=motion["id"])
     state = {**SLIDE, "motions": [motion], "exports": [export]}
     result = ran(state, tmp_path)
     assert result.ok, result
-    own = motion_figures(plan_of(tmp_path, state, motion, False))
+    own = motion_figures(plan_of(World(tmp_path, state), motion))
     assert result[motion["id"]].numbers["duration"][0] == pytest.approx(own["duration"], rel=1e-9)
     assert (tmp_path / "out" / "exports1" / "system.ssp").is_file()
 
@@ -149,19 +144,21 @@ def test_a_plant_of_ones_own_in_script_and_study(tmp_path, monkeypatch):
     study = {**STUDY, "push": 0.0, "step": 0.001}
     state = {**SLIDE, "plant": plant, "point": {"muscle.pressure": 2e5}}
     state["controllers"] = [law("pid", 1, study, proportional=2e6)]
-    own = plant_of(tmp_path, state, allow_code=True)
+    own = plant_of(World(tmp_path, state, True))
     at = pam.equilibrium(own, state["point"])
     with pytest.raises(pam.InputError, match="--allow-code"):
         ran(state, tmp_path)
     result = ran(state, tmp_path, allow_code=True)
     assert result.ok, result
     assert result["linear"].numbers["x"][0] == pytest.approx(at["x"], rel=1e-9)
-    text = script_of([muscle_lines(state), plant_lines(state), control_lines(state)])
+    text = script_of(state)
     monkeypatch.chdir(tmp_path)
     names = {}
     exec(compile(text, "session.py", "exec"), names)
     assert names["plant"].variable("gravity").start == 3.7
-    figures = jobs.loop_figures(jobs.loop_of(tmp_path, state, state["controllers"][0], True), "x")
+    figures = jobs.loop_figures(
+        jobs.loop_of(World(tmp_path, state, True), state["controllers"][0]), "x"
+    )
     assert names["figures"]["controllers1.final(x)"] == figures["final(x)"]
     assert result["controllers1"].numbers["x.last"][0] == pytest.approx(figures["final(x)"], 1e-9)
 
@@ -181,9 +178,9 @@ def test_a_muscle_moved_by_hand_lies_beside_the_study(tmp_path):
         "source": "by hand",
     }
     state = {**SLIDE, "muscle": said, "point": None}
-    path = save_muscle_file(tmp_path, state)
+    path = save_muscle_file(World(tmp_path, state))
     path.rename(tmp_path / path.name)
-    (tmp_path / "session.toml").write_text(study_of(tmp_path, state), "utf-8")
+    (tmp_path / "session.toml").write_text(study_of(World(tmp_path, state)), "utf-8")
     assert run_study(tmp_path / "session.toml", tmp_path / "out", cache=tmp_path / "kept").ok
     assert "muscle" not in read_study(tmp_path / "session.toml").entries
-    assert muscle_of(tmp_path, state).name == "mine"
+    assert muscle_of(World(tmp_path, state)).name == "mine"

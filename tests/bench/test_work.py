@@ -9,6 +9,7 @@ import bench_jobs
 import pytest
 
 from pam_ocp.bench.jobs.data import look_at
+from pam_ocp.bench.made import World
 from pam_ocp.bench.work import JobFailed, JobStopped, Workshop
 
 
@@ -210,6 +211,6 @@ def test_a_file_that_unpacks_to_far_more_is_refused_by_its_directory(tmp_path):
     async def test(shop):
         item = {"name": "bomb.xlsx", "file": bomb.name, "said": {}}
         with pytest.raises(JobFailed, match=r"unpacks to 1 parts of 100 MiB"):
-            await shop.start("me", "Read", look_at, tmp_path, item, time_limit=30.0)
+            await shop.start("me", "Read", look_at, World(tmp_path), item, time_limit=30.0)
 
     in_shop(test)

@@ -13,7 +13,6 @@ import json
 import time
 import warnings
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +27,12 @@ from ...control.sides import Actuators, PlantSide, Side, side_of
 from ...core.errors import InputError
 from ...export.package import export_fmu
 from ...figures.scene import scene_of
-from ...operating.linear import OperatingPoint, equilibrium
+from ...operating.linear import OperatingPoint
 from ...plants.plant import Plant
 from ..look import numbers
-from ..made import plant_of
-from ..script import PUSH, can_be_pushed, is_followed
-from ..work import Say
+from ..made import World, kept, plant_of, point_of
+from ..script import PUSH, is_followed, pushed
+from ..work import Say, job
 
 __all__ = [
     "GAINS",
@@ -47,7 +46,6 @@ __all__ = [
     "loop_of",
     "lqr_arguments",
     "mpc_arguments",
-    "side_state",
 ]
 
 FRESH = 4000
@@ -135,22 +133,9 @@ def _cautious(plant: Plant, point: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def side_state(state: Mapping[str, Any]) -> dict[str, Any]:
-    """The state of the real side: the plant with a force from outside."""
-    loads = [*state["plant"].get("loads", ()), {"kind": "ExternalForce", "name": PUSH}]
-    return {**state, "plant": {**state["plant"], "loads": loads}}
-
-
-def _side(folder: Path, state: Mapping[str, Any], allow_code: bool) -> Plant:
+def _side(world: World) -> Plant:
     """The plant that can be pushed; where it takes no loads, as it is."""
-    pushed = side_state(state) if can_be_pushed(state["plant"]) else state
-    return plant_of(folder, pushed, allow_code=allow_code)
-
-
-def _point(plant: Plant, state: Mapping[str, Any]) -> OperatingPoint:
-    if not state["point"]:
-        raise InputError("no operating point yet; choose one in the tab Plant or Control")
-    return equilibrium(plant, state["point"])
+    return plant_of(world.but(plant=pushed(world.state["plant"])))
 
 
 def mpc_arguments(plant: Plant, said: Mapping[str, Any]) -> dict[str, Any]:
@@ -191,15 +176,14 @@ def controller_of(plant: Plant, point: OperatingPoint, said: Mapping[str, Any]) 
 
 
 # ---- the linear loop -----------------------------------------------------------------------------
-def designed(
-    say: Say, folder: Path, state: Mapping[str, Any], said: Mapping[str, Any], allow_code: bool
-) -> dict[str, Any]:
+@job("Linear loop", warm="control", latest="gains", time_limit=60.0, quiet=True)
+def designed(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
     """Poles, frequency response, step response and margins of the linear loop."""
     import control
 
     begin = time.perf_counter()
-    plant = plant_of(folder, state, allow_code=allow_code)
-    point = _point(plant, state)
+    plant = plant_of(world)
+    point = point_of(world, plant)
     made = controller_of(plant, point, said)
     position = next(iter(plant.positions))
     factor = plant.variable(position).display_factor
@@ -288,22 +272,16 @@ def _shown(plant: Plant) -> list[str]:
 
 
 # ---- a run ---------------------------------------------------------------------------------------
-def loop_of(
-    folder: Path, state: Mapping[str, Any], said: Mapping[str, Any], allow_code: bool = False
-) -> ClosedLoop:
+def loop_of(world: World, said: Mapping[str, Any]) -> ClosedLoop:
     """The run of a controller against the plant as a script makes it. The last few are kept."""
-    kept = {k: said[k] for k in said if k not in ("id", "name")}
-    content = [state["plant"], state["muscle"], state["point"], kept, allow_code]
-    return _loop(str(folder), json.dumps(content, sort_keys=True))
+    return _loop(world, {k: said[k] for k in said if k not in ("id", "name")})
 
 
-@lru_cache(8)
-def _loop(folder: str, content: str) -> ClosedLoop:
-    plant_said, muscle, point_said, said, allow_code = json.loads(content)
-    state = {"plant": plant_said, "muscle": muscle, "point": point_said}
-    plant = plant_of(Path(folder), state, allow_code=allow_code)
-    side = _side(Path(folder), state, allow_code)
-    point = _point(plant, state)
+@kept("plant", "muscle", "point")
+def _loop(world: World, said: Mapping[str, Any]) -> ClosedLoop:
+    plant = plant_of(world)
+    side = _side(world)
+    point = point_of(world, plant)
     made = controller_of(plant, point, said)
     position = next(iter(plant.positions))
     study = said["study"]
@@ -328,15 +306,14 @@ def _disturbances(side: Plant, study: Mapping[str, Any]) -> dict[str, Any] | Non
     return {PUSH: (study["push"], study["push_from"])}
 
 
-def closed(
-    say: Say, folder: Path, state: Mapping[str, Any], said: Mapping[str, Any], allow_code: bool
-) -> dict[str, Any]:
+@job("Run {}", warm="control", latest="run", time_limit=120.0)
+def closed(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
     """The run as plain values, with its film."""
     say(None, "running")
-    found = loop_of(folder, state, said, allow_code)
+    found = loop_of(world, said)
     motion = found.trajectory
     every = max(1, len(motion.t) // 600)
-    side = _side(folder, state, allow_code)
+    side = _side(world)
     position = next(iter(side.positions))
     inputs = [v.name for v in side.inputs]
     columns = {
@@ -372,17 +349,15 @@ def loop_figures(found: ClosedLoop, position: str) -> dict[str, float]:
 class _Live:
     """A controller and the real side, sample after sample."""
 
-    def __init__(
-        self, folder: Path, state: Mapping[str, Any], said: Mapping[str, Any], allow_code: bool
-    ) -> None:
-        self.plant = plant_of(folder, state, allow_code=allow_code)
-        self.whole = _side(folder, state, allow_code)
-        self.point = _point(self.plant, state)
+    def __init__(self, world: World, said: Mapping[str, Any]) -> None:
+        self.plant = plant_of(world)
+        self.whole = _side(world)
+        self.point = point_of(world, self.plant)
         self.position = next(iter(self.plant.positions))
         self.sample_time = said["sample_time"]
         self.goal = self.point[self.position]
         start = {n: self.point[n] for n in _shown(self.plant)}
-        file = _fmu(folder, self.whole) if said.get("against") == "fmu" else None
+        file = _fmu(world, self.whole) if said.get("against") == "fmu" else None
         self.side = self._begin(start, file)
         made = controller_of(self.plant, self.point, said)
         self.controller = made
@@ -455,41 +430,34 @@ class _Live:
         return scene_of(self.whole, np.zeros(1), x, u)
 
 
-def _fmu(folder: Path, whole: Plant) -> Path:
+def _fmu(world: World, whole: Plant) -> Path:
     """The real side as an FMU among the session's exports."""
-    path = folder / "exports" / "live.fmu"
-    path.parent.mkdir(exist_ok=True)
-    return export_fmu(whole, path, platforms=["native"])
+    return export_fmu(whole, world.exported("live.fmu"), platforms=["native"])
 
 
 _runs: dict[str, tuple[tuple[str, str], _Live]] = {}
 
 
-def live(
-    say: Say,
-    folder: Path,
-    state: Mapping[str, Any],
-    said: Mapping[str, Any],
-    ask: Mapping[str, Any],
-    allow_code: bool,
-) -> dict[str, Any]:
+@job("Live", warm="live", time_limit=60.0, quiet=True)
+def live(say: Say, world: World, said: Mapping[str, Any], ask: Mapping[str, Any]) -> dict[str, Any]:
     """Some samples more of a run; it is begun where this process has none, which the answer says
     ("restart"). With other gains it goes on where it stands, and is built anew ("built").
 
     ask : {"run": its name, "seconds", "reference" [SI], "push" [N]}.
     """
     begin = time.perf_counter()
-    world = [state["plant"], state["muscle"], state["point"], said.get("against"), ask["run"]]
-    key = json.dumps(world, sort_keys=True), json.dumps(said, sort_keys=True)
-    there = _runs.get(str(folder))
+    made_of = [world.state[n] for n in ("plant", "muscle", "point")]
+    whose = json.dumps([made_of, said.get("against"), ask["run"]], sort_keys=True)
+    key = whose, json.dumps(said, sort_keys=True)
+    there = _runs.get(str(world.folder))
     built = there is None or there[0] != key
     fresh = there is None or there[0][0] != key[0]
     if built:
-        run = _Live(folder, state, said, allow_code)
+        run = _Live(world, said)
         if there is not None:
             fresh = fresh or not run.go_on(there[1])
             there[1].side.__exit__(None, None, None)
-        _runs[str(folder)] = there = key, run
+        _runs[str(world.folder)] = there = key, run
     assert there is not None
     run = there[1]
     if ask["reference"] is not None:

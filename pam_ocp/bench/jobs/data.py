@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...core.trajectory import Trajectory
 from ...fitting.tables.force_table import ForceTable
-from ..made import preview_of
-from ..work import Say
+from ..made import World, preview_of
+from ..work import Say, job
 
 __all__ = ["look_at"]
 
@@ -21,11 +20,12 @@ MOST_RECORDS = 4
 """Records that are drawn."""
 
 
-def look_at(say: Say, folder: Path, item: Mapping[str, Any]) -> dict[str, Any]:
+@job("Reading {}", time_limit=60.0, warm="data")
+def look_at(say: Say, world: World, item: Mapping[str, Any]) -> dict[str, Any]:
     """The preview of an item as plain values, with its cells or the curves of its records."""
-    seen = preview_of(folder, item)
+    seen = preview_of(world, item)
     found = seen.to_dict()
-    found["call"] = seen.call.replace(str(folder) + "/", "")
+    found["call"] = seen.call.replace(f"{world.folder}/", "")
     found["source"] = str(item["name"])
     if isinstance(seen.result, ForceTable):
         table = seen.result

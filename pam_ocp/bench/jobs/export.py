@@ -26,13 +26,12 @@ from ...export.check import FmuCheck, check_fmu
 from ...export.package import export_fmu
 from ...export.ssp import export_ssp
 from ...figures.report import write_report
-from ...operating.linear import equilibrium
 from ...simulation.simulator import simulate
 from ...studies.from_table import quick
-from ..made import muscle_of, plant_of, source_of, table_of
+from ..made import World, muscle_of, plant_of, point_of, source_of, table_of
 from ..script import figures_said, platforms_of
 from ..session import safe_name
-from ..work import Say
+from ..work import Say, job
 from .control import controller_of, loop_figures, loop_of
 from .motion import motion_figures, plan_of
 
@@ -61,36 +60,24 @@ LONGEST = 3600.0
 State = Mapping[str, Any]
 
 
-def _place(folder: Path, name: str) -> Path:
-    there = folder / "exports"
-    there.mkdir(exist_ok=True)
-    return there / name
-
-
-def _member(state: State, part: str, id: str) -> Mapping[str, Any]:
-    found = next((m for m in state[part] if m["id"] == id), None)
-    if found is None:
-        raise InputError(f"{id!r} is not among the {part} of this session")
-    return dict(found)
-
-
 # ---- FMU, SSP, C ---------------------------------------------------------------------------------
-def fmu(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> dict[str, Any]:
+@job("Export FMU", warm="plan")
+def fmu(say: Say, world: World, said: State) -> dict[str, Any]:
     """The plant as an FMU, compared with a motion of the session, or rest at the operating point.
 
     said : {"id", "fmi", "step_size" [s], "platforms": key of PLATFORMS, "motion": id or ""}.
     """
     say(0.1, "writing and compiling")
-    plant = plant_of(folder, state, allow_code=allow_code)
+    plant = plant_of(world)
     path = export_fmu(
         plant,
-        _place(folder, f"{said['id']}.fmu"),
+        world.exported(f"{said['id']}.fmu"),
         fmi=said["fmi"],
         platforms=platforms_of(said),
         step_size=said["step_size"],
     )
     say(0.6, "running it")
-    against = _motion(folder, state, said, allow_code)
+    against = _motion(world, said)
     check = check_fmu(path, against=against, tolerance=TOLERANCE)
     return {
         "file": path.name,
@@ -106,29 +93,28 @@ def check_figures(check: FmuCheck) -> dict[str, float]:
     return {"ok": float(check.ok), "largest": check.largest}
 
 
-def _motion(folder: Path, state: State, said: State, allow_code: bool) -> Trajectory | None:
+def _motion(world: World, said: State) -> Trajectory | None:
     if said["motion"]:
-        motion = _member(state, "motions", said["motion"])
-        return plan_of(folder, state, motion, allow_code).trajectory
-    if not state["point"]:
+        return plan_of(world, world.member("motions", said["motion"])).trajectory
+    if not world.state["point"]:
         return None
-    plant = plant_of(folder, state, allow_code=allow_code)
-    at = equilibrium(plant, state["point"])
-    return simulate(plant, start=at, duration=STEPS * said["step_size"])
+    plant = plant_of(world)
+    return simulate(plant, start=point_of(world, plant), duration=STEPS * said["step_size"])
 
 
-def ssp(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> dict[str, Any]:
+@job("Export SSP", warm="plan")
+def ssp(say: Say, world: World, said: State) -> dict[str, Any]:
     """The plant and a motion that plays its inputs, connected. said : {"id", "motion": id, ...}."""
     if not said["motion"]:
         raise InputError("an SSP connects the plant with a motion: plan one in the tab Motion")
     say(0.2, "writing and compiling")
-    plant = plant_of(folder, state, allow_code=allow_code)
-    found = plan_of(folder, state, _member(state, "motions", said["motion"]), allow_code)
+    plant = plant_of(world)
+    found = plan_of(world, world.member("motions", said["motion"]))
     wires = {f"plant.{v.name}": f"motion.{v.name}" for v in plant.inputs}
     path = export_ssp(
         {"plant": plant, "motion": found.trajectory},
         wires,
-        _place(folder, f"{said['id']}.ssp"),
+        world.exported(f"{said['id']}.ssp"),
         step_size=said["step_size"],
         stop_time=found.duration,
         platforms=platforms_of(said),
@@ -136,12 +122,13 @@ def ssp(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> 
     return {"file": path.name, "size": path.stat().st_size, "ok": True, "words": str(path.name)}
 
 
-def c_code(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> dict[str, Any]:
+@job("Export C", warm="plan")
+def c_code(say: Say, world: World, said: State) -> dict[str, Any]:
     """A controller as C, zipped. said : {"id", "controller": id}."""
-    controller = _member(state, "controllers", said["controller"])
-    plant = plant_of(folder, state, allow_code=allow_code)
-    made = controller_of(plant, equilibrium(plant, state["point"]), controller)
-    target = _place(folder, f"{said['id']}.zip")
+    controller = world.member("controllers", said["controller"])
+    plant = plant_of(world)
+    made = controller_of(plant, point_of(world, plant), controller)
+    target = world.exported(f"{said['id']}.zip")
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as temporary:
         whole = Path(export_c(made, Path(temporary) / "c"))
         with (
@@ -155,29 +142,30 @@ def c_code(say: Say, folder: Path, state: State, said: State, allow_code: bool) 
 
 
 # ---- the report ----------------------------------------------------------------------------------
-def report(say: Say, folder: Path, state: State, title: str, allow_code: bool) -> dict[str, Any]:
+@job("Report", warm="plan")
+def report(say: Say, world: World, title: str) -> dict[str, Any]:
     """All that the session holds as one HTML file."""
     things: dict[str, Any] = {}
-    muscle = muscle_of(folder, state)
+    state, muscle = world.state, muscle_of(world)
     sources = []
     if state["muscle"]["kind"] == "fit":
         item = state["muscle"]["table"]
-        things["Measured table"] = table_of(folder, item)
+        things["Measured table"] = table_of(world, item)
         if "file" in item:
-            sources.append(source_of(folder, item))
+            sources.append(source_of(world, item))
     things["Muscle"] = muscle
-    plant = plant_of(folder, state, allow_code=allow_code)
+    plant = plant_of(world)
     things["Plant"] = plant
     if state["point"]:
-        things["Operating point"] = equilibrium(plant, state["point"])
+        things["Operating point"] = point_of(world, plant)
     for i, motion in enumerate(state["motions"]):
         say(i / (len(state["motions"]) + 1), motion["name"])
-        things[motion["name"]] = plan_of(folder, state, motion, allow_code)
+        things[motion["name"]] = plan_of(world, motion)
     for said in state["controllers"] if state["point"] else ():
-        things[f"Run of {said['name']}"] = loop_of(folder, state, said, allow_code).trajectory
+        things[f"Run of {said['name']}"] = loop_of(world, said).trajectory
     shown = {k: v for k, v in things.items() if hasattr(v, "_repr_html_")}
     path = write_report(
-        _place(folder, "report.html"),
+        world.exported("report.html"),
         shown,
         title=title or "Session of pam-ocp bench",
         sources=sources,
@@ -185,13 +173,14 @@ def report(say: Say, folder: Path, state: State, title: str, allow_code: bool) -
     return {"file": path.name, "size": path.stat().st_size, "ok": True, "words": path.name}
 
 
-def one_page(say: Say, folder: Path, item: Mapping[str, Any]) -> dict[str, Any]:
+@job("One page")
+def one_page(say: Say, world: World, item: Mapping[str, Any]) -> dict[str, Any]:
     """The whole chain from a table at its defaults (:func:`pam_ocp.studies.quick`), as one .zip."""
     say(None, "laws, motion, linearisation, FMU, report")
     with tempfile.TemporaryDirectory() as place:
-        made = quick(table_of(folder, item), place)
+        made = quick(table_of(world, item), place)
         stem = safe_name(Path(item["name"]).stem)
-        path = _place(folder, f"{stem}.zip")
+        path = world.exported(f"{stem}.zip")
         with atomic_path(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in made.files.values():
                 archive.write(file, f"{stem}/{file.name}")
@@ -223,40 +212,37 @@ def _kept(kept: State, id: str, key: Any) -> dict[str, float]:
     return {f"{id}.{name}": value for name, value in one["values"].items()}
 
 
-def _figures(folder: Path, state: State, allow_code: bool) -> dict[str, float]:
+def _figures(world: World) -> dict[str, float]:
     """Figures of the session, made here by the functions that the page calls."""
     found: dict[str, float] = {}
-    muscle = state["muscle"]
+    state, muscle = world.state, world.state["muscle"]
     if muscle is not None and muscle["kind"] == "fit":
         fitted = muscle.get("fitted", muscle["coefficients"])
         found |= {f"fit.{n}": v for n, v in fitted.items()}
     if muscle is None:
         return found
-    plant = plant_of(folder, state, allow_code=allow_code)
+    plant = plant_of(world)
     if state["point"]:
-        at = equilibrium(plant, state["point"])
+        at = point_of(world, plant)
         found |= {f"point.{v.name}": at[v.name] for v in (*plant.states, *plant.inputs)}
     for motion in state["motions"]:
-        figures = motion_figures(plan_of(folder, state, motion, allow_code))
+        figures = motion_figures(plan_of(world, motion))
         found |= {f"{motion['id']}.{n}": v for n, v in figures.items()}
     for said in state["controllers"] if state["point"] else ():
-        figures = loop_figures(
-            loop_of(folder, state, said, allow_code), next(iter(plant.positions))
-        )
+        figures = loop_figures(loop_of(world, said), next(iter(plant.positions)))
         found |= {f"{said['id']}.{n}": v for n, v in figures.items()}
     return found
 
 
-def script_checked(
-    say: Say, folder: Path, state: State, script: str, allow_code: bool
-) -> dict[str, Any]:
+@job("Run the script", warm="plan", time_limit=1800.0)
+def script_checked(say: Say, world: World, script: str) -> dict[str, Any]:
     """Run the script in a fresh process and hold its figures against the page's."""
     say(0.1, "the page's figures")
-    page = {**_figures(folder, state, allow_code), **fresh_figures(state)}
+    page = {**_figures(world), **fresh_figures(world.state)}
     say(0.5, "the script, in a process of its own")
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as temporary:
         place = Path(temporary)
-        shutil.copytree(folder / "files", place / "files")
+        shutil.copytree(world.folder / "files", place / "files")
         (place / "session.py").write_text(script, encoding="utf-8")
         own = str(Path(__file__).resolve().parents[3])
         paths = os.pathsep.join(p for p in (own, os.environ.get("PYTHONPATH", "")) if p)

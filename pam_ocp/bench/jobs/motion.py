@@ -16,8 +16,6 @@ import re
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,19 +25,17 @@ from ...core.trajectory import Trajectory
 from ...figures.plan import panels_of
 from ...figures.scene import scene_of
 from ...judge.costs import COSTS
-from ...judge.statement import Stop
 from ...planning.active import limits_along
 from ...planning.planner import Planner, plan
 from ...planning.result import Plan
-from ...planning.transcription.mesh import Collocation, Method, Shooting
+from ...planning.transcription.mesh import Collocation
 from ...plants.plant import Plant
 from ..look import numbers
-from ..made import plant_of, records_of
-from ..work import Say
+from ..made import World, kept, plant_of, records_of
+from ..script import METHODS, TIME_LIMIT, arguments
+from ..work import Say, job
 
 __all__ = [
-    "METHODS",
-    "arguments",
     "dragged",
     "film_of",
     "first_motion",
@@ -50,20 +46,12 @@ __all__ = [
     "terms_of",
 ]
 
-METHODS: dict[str, tuple[str, Method | None]] = {
-    "usual": ("50 intervals per leg", None),
-    "coarse": ("20 intervals per leg", Collocation(20, 3)),
-    "fine": ("100 intervals per leg", Collocation(100, 3)),
-    "shooting": ("multiple shooting", Shooting(50)),
-}
 DRAGGED = Collocation(20, 3)
 """The mesh while a hand drags."""
 FRAMES = 80
 """Of an animation."""
 SAMPLES = 240
 """Of a curve that is drawn, about."""
-TIME_LIMIT = 120.0
-"""[s] of a plan."""
 
 
 # ---- what a motion says --------------------------------------------------------------------------
@@ -105,56 +93,15 @@ def terms_of(plant: Plant) -> dict[str, str]:
     return {**terms, "rate": "Integral of the squared rates of the inputs"}
 
 
-def arguments(motion: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords of :func:`pam_ocp.plan` that a motion stands for; stops as plain mappings where
-    they say no more. Raises InputError where nothing is to be minimised.
-    """
-    minimise = {n: float(w) for n, w in motion["minimise"].items() if w}
-    if not minimise:
-        raise InputError("minimise: all weights are 0; give one of them a weight")
-    said: dict[str, Any] = {"stops": [_stop(motion, stop) for stop in motion["stops"]]}
-    legs = _legs(motion)
-    durations = [*motion["durations"], *[None] * legs][:legs]
-    if any(d is not None for d in durations):
-        said["duration"] = durations
-    if motion["cyclic"]:
-        said["cyclic"] = True
-    said["minimise"] = next(iter(minimise)) if list(minimise.values()) == [1.0] else minimise
-    bounds = {b["name"]: (b["low"], b["high"]) for b in motion["bounds"]}
-    if bounds:
-        said["bounds"] = bounds
-    return said
-
-
-def _legs(motion: Mapping[str, Any]) -> int:
-    return len(motion["stops"]) - (0 if motion["cyclic"] else 1)
-
-
-def _stop(motion: Mapping[str, Any], stop: Mapping[str, Any]) -> dict[str, float] | Stop:
-    values = {motion["variable"]: stop["at"]}
-    if motion["second"] and stop["second"] is not None:
-        values[motion["second"]] = stop["second"]
-    if stop["rest"] and not stop["dwell"]:
-        return values
-    return Stop(values, rest=None if stop["rest"] else False, dwell=stop["dwell"])
-
-
 # ---- plans ---------------------------------------------------------------------------------------
-def plan_of(
-    folder: Path, state: Mapping[str, Any], motion: Mapping[str, Any], allow_code: bool = False
-) -> Plan:
+def plan_of(world: World, motion: Mapping[str, Any]) -> Plan:
     """The plan of a motion as a script makes it: from nothing, in full. The last few are kept."""
-    said = {k: motion[k] for k in motion if k not in ("id", "name")}
-    content = json.dumps([state["plant"], state["muscle"], said, allow_code], sort_keys=True)
-    found: Plan = _plan(str(folder), content)
-    return found
+    return _plan(world, {k: motion[k] for k in motion if k not in ("id", "name")})
 
 
-@lru_cache(8)
-def _plan(folder: str, content: str) -> Plan:
-    plant_said, muscle, motion, allow_code = json.loads(content)
-    state = {"plant": plant_said, "muscle": muscle}
-    plant = plant_of(Path(folder), state, allow_code=allow_code)
+@kept("plant", "muscle")
+def _plan(world: World, motion: Mapping[str, Any]) -> Plan:
+    plant = plant_of(world)
     said = arguments(motion)
     method = METHODS[motion["method"]][1]
     with warnings.catch_warnings():
@@ -162,17 +109,16 @@ def _plan(folder: str, content: str) -> Plan:
         return plan(plant, said.pop("stops"), method=method, time_limit=TIME_LIMIT, **said)
 
 
-def planned(
-    say: Say, folder: Path, state: Mapping[str, Any], motion: Mapping[str, Any], allow_code: bool
-) -> dict[str, Any]:
+@job("Plan {}", warm="plan", latest="plan", time_limit=TIME_LIMIT + 30.0)
+def planned(say: Say, world: World, motion: Mapping[str, Any]) -> dict[str, Any]:
     """The plan in full, with its animation, as plain values; of one that is not, why not."""
     begin = time.process_time()
     say(None, "planning")
     try:
-        found = plan_of(folder, state, motion, allow_code)
+        found = plan_of(world, motion)
     except PlanError as error:
         return _failed(error, motion)
-    _full[f"{folder} {motion['id']}"] = found
+    _full[f"{world.folder} {motion['id']}"] = found
     while len(_full) > MOST_KEPT:
         del _full[next(iter(_full))]
     said = _told(found, motion)
@@ -189,20 +135,20 @@ MOST_KEPT = 4
 """Planners, and such plans, that a process keeps."""
 
 
-def dragged(
-    say: Say, folder: Path, state: Mapping[str, Any], motion: Mapping[str, Any], allow_code: bool
-) -> dict[str, Any]:
+@job("Plan under the hand", warm="plan", latest="drag", time_limit=30.0, quiet=True)
+def dragged(say: Say, world: World, motion: Mapping[str, Any]) -> dict[str, Any]:
     """The plan on a coarse mesh, warm from the last one of the same form; see :func:`planned`."""
     begin = time.perf_counter()
     said = arguments(motion)
-    form = json.dumps([str(folder), state["plant"], state["muscle"], _form(motion)], sort_keys=True)
+    made_of = [world.state[n] for n in ("plant", "muscle")]
+    form = json.dumps([str(world.folder), made_of, _form(motion)], sort_keys=True)
     planner, last = _kept.pop(form, (None, None))
     if planner is None:
-        plant = plant_of(folder, state, allow_code=allow_code)
+        plant = plant_of(world)
         stops = said["stops"]
         others = {k: v for k, v in said.items() if k != "stops"}
         planner = Planner(plant, stops, method=DRAGGED, **others)
-        last = _full.get(f"{folder} {motion['id']}")
+        last = _full.get(f"{world.folder} {motion['id']}")
     changed = {k: said[k] for k in ("stops", "duration", "bounds") if k in said}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -329,21 +275,17 @@ def film_of(plant: Plant, motion: Trajectory) -> dict[str, Any] | None:
 
 
 # ---- records -------------------------------------------------------------------------------------
+@job("Compare {}", warm="plan")
 def replayed(
-    say: Say,
-    folder: Path,
-    state: Mapping[str, Any],
-    motion: Mapping[str, Any],
-    item: Mapping[str, Any],
-    allow_code: bool,
+    say: Say, world: World, motion: Mapping[str, Any], item: Mapping[str, Any]
 ) -> dict[str, Any]:
     """A plan beside a record of the same motion: how far the record is from it, by variable.
 
     The record's first sample is the motion's beginning. Raises InputError where they share no
     column, or overlap in less than two samples.
     """
-    record = records_of(folder, item)[0]
-    found = plan_of(folder, state, motion, allow_code)
+    record = records_of(world, item)[0]
+    found = plan_of(world, motion)
     assert found.replay is not None
     return _compared(found.replay.trajectory, record, str(item["name"]))
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 import warnings
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,9 @@ from ...fitting.static.force_fit import ForceFit
 from ...fitting.static.ranking import compare_laws
 from ...fitting.static.static import fit_force
 from ...muscles.muscle_file import load_muscle, save_muscle
-from ..made import muscle_of, table_of
+from ..made import World, kept, muscle_of, table_of
 from ..session import stored_file
-from ..work import Say
+from ..work import Say, job
 
 __all__ = [
     "CURVE",
@@ -42,12 +40,13 @@ LEVEL = 0.95
 """Of intervals and bands."""
 
 
+@job("Ranking laws", warm="muscle")
 def rank_laws(
-    say: Say, folder: Path, item: Mapping[str, Any], fixed: Mapping[str, float]
+    say: Say, world: World, item: Mapping[str, Any], fixed: Mapping[str, float]
 ) -> list[dict[str, Any]]:
     """The laws on one table, the best at a level left out first."""
     say(None, "each level left out in turn")
-    found = compare_laws(table_of(folder, item), fixed=dict(fixed))
+    found = compare_laws(table_of(world, item), fixed=dict(fixed))
     return [
         {
             "name": law.name,
@@ -64,11 +63,10 @@ def rank_laws(
     ]
 
 
-def fit_law(
-    say: Say, folder: Path, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
-) -> dict[str, Any]:
+@job("Fitting {}", warm="muscle")
+def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
     """A fit as plain values: coefficients with intervals, curves with bands, residuals, words."""
-    fit = _fit(folder, item, law, fixed)
+    fit = _fit(world, said)
     table, cells = fit.table, fit.cells
     say(0.5, "intervals")
     try:
@@ -82,7 +80,7 @@ def fit_law(
         bands = [fit.predict(np.full_like(kappa, p), kappa, LEVEL) for p in levels]
         report = fit.report()
     return {
-        "law": law,
+        "law": said["law"],
         "title": type(fit.law).title,
         "coefficients": [
             {
@@ -115,22 +113,17 @@ def fit_law(
         "rest_length": table.rest_length,
         "pressure_range": [float(max(table.pressure.min(), 0.0)), float(table.pressure.max())],
         "contraction_range": [float(table.contraction.min()), float(table.contraction.max())],
-        "source": f"{type(fit.law).title} fitted to {item['name']}",
+        "source": f"{type(fit.law).title} fitted to {said['table']['name']}",
         "workbook": hasattr(fit, "to_excel"),
     }
 
 
+@job("What to measure next", warm="muscle")
 def design(
-    say: Say,
-    folder: Path,
-    item: Mapping[str, Any],
-    law: str,
-    fixed: Mapping[str, float],
-    count: int,
-    criterion: str,
+    say: Say, world: World, said: Mapping[str, Any], count: int, criterion: str
 ) -> dict[str, Any]:
     """Cells to measure next, and the standard errors that they promise."""
-    found = design_cells(_fit(folder, item, law, fixed), count, criterion=criterion)  # type: ignore[arg-type]
+    found = design_cells(_fit(world, said), count, criterion=criterion)  # type: ignore[arg-type]
     length = found.cells.rest_length
     return {
         "pressure": found.cells.pressure,
@@ -144,22 +137,23 @@ def design(
     }
 
 
-def read_muscle(say: Say, folder: Path, file: str) -> str:
+@job("Reading the muscle file", time_limit=30.0)
+def read_muscle(say: Say, world: World, file: str) -> str:
     """The name of the muscle in a file; raises what reading it does."""
-    return load_muscle(stored_file(folder, file)).name
+    return load_muscle(stored_file(world.folder, file)).name
 
 
-def muscle_file(say: Say, folder: Path, state: Mapping[str, Any]) -> bytes:
+@job("Saving", time_limit=30.0)
+def muscle_file(say: Say, world: World) -> bytes:
     """The session's muscle as a muscle file (TOML)."""
     with tempfile.TemporaryDirectory() as temporary:
-        return save_muscle(muscle_of(folder, state), Path(temporary) / "muscle.toml").read_bytes()
+        return save_muscle(muscle_of(world), Path(temporary) / "muscle.toml").read_bytes()
 
 
-def workbook(
-    say: Say, folder: Path, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
-) -> bytes:
+@job("Writing the workbook", warm="muscle")
+def workbook(say: Say, world: World, said: Mapping[str, Any]) -> bytes:
     """The fit as a workbook (XLSX)."""
-    fit: Any = _fit(folder, item, law, fixed)
+    fit: Any = _fit(world, said)
     with tempfile.TemporaryDirectory() as temporary:
         path = Path(temporary) / "fit.xlsx"
         fit.to_excel(path)
@@ -184,13 +178,14 @@ def fitted_kappa(contraction: Any) -> Any:
     return np.linspace(min(low, 0.0), high + margin, CURVE)
 
 
-def _fit(folder: Path, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]) -> ForceFit:
-    kept = {k: item[k] for k in ("bundled", "file", "name", "said", "off") if k in item}
-    content = json.dumps([kept, law, dict(fixed)], sort_keys=True)
-    return _kept_fit(str(folder), content)
+def _fit(world: World, said: Mapping[str, Any]) -> ForceFit:
+    read = ("bundled", "file", "name", "said", "off")
+    item = {k: v for k, v in said["table"].items() if k in read}
+    return _kept_fit(world, item, said["law"], dict(said["fixed"]))
 
 
-@lru_cache(6)
-def _kept_fit(folder: str, content: str) -> ForceFit:
-    item, law, fixed = json.loads(content)
-    return fit_force(table_of(Path(folder), item), law, fixed=fixed)
+@kept(most=6)
+def _kept_fit(
+    world: World, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
+) -> ForceFit:
+    return fit_force(table_of(world, item), law, fixed=fixed)

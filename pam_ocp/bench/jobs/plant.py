@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,10 @@ from ...operating.operating_point import OperatingPoint
 from ...operating.resting_point import EquilibriumError, equilibrium
 from ...plants.plant import Plant
 from ...plants.plant_file import component_of
-from ...plants.plant_file import plant_of as described
 from ...studies.loads import load_study
 from ...vibration.free import free_vibration
-from ..made import muscle_of, plant_of
-from ..work import Say
+from ..made import World, muscle_of, plant_of
+from ..work import Say, job
 
 __all__ = ["equilibrium_map", "loads", "outline_of", "pressures_of", "rest", "stroke", "vibration"]
 
@@ -34,9 +32,10 @@ LEAST = 0.02
 """A map begins at this part of the largest pressure."""
 
 
-def outline_of(say: Say, folder: Path, state: Mapping[str, Any], allow: bool) -> dict[str, Any]:
+@job("The plant", warm="plant", latest="outline", time_limit=60.0, quiet=True)
+def outline_of(say: Say, world: World) -> dict[str, Any]:
     """What a plant consists of, and its picture along its stroke."""
-    plant = plant_of(folder, state, allow_code=allow)
+    plant = plant_of(world)
     return {
         "name": plant.name,
         "description": plant.description,
@@ -83,11 +82,10 @@ def stroke(plant: Plant) -> dict[str, Any] | None:
     return found
 
 
-def rest(
-    say: Say, folder: Path, state: Mapping[str, Any], point: Mapping[str, float], allow: bool
-) -> dict[str, Any]:
+@job("Operating point", warm="plant", latest="rest", time_limit=60.0, quiet=True)
+def rest(say: Say, world: World, point: Mapping[str, float]) -> dict[str, Any]:
     """The equilibrium under conditions: values with units, poles, vibration, picture."""
-    plant = plant_of(folder, state, allow_code=allow)
+    plant = plant_of(world)
     return _point(equilibrium(plant, dict(point)))
 
 
@@ -114,14 +112,13 @@ def _clean(value: float, variable: Variable) -> float:
     return 0.0 if abs(value) < 1e-9 * variable.nominal else value
 
 
-def equilibrium_map(
-    say: Say, folder: Path, state: Mapping[str, Any], allow: bool
-) -> dict[str, Any]:
+@job("Equilibrium map", warm="plant")
+def equilibrium_map(say: Say, world: World) -> dict[str, Any]:
     """Position and stiffness at rest against the pressures of the muscles; NaN where there is none.
 
     One muscle: arrays (n,); two: (n, n), the first pressure across.
     """
-    plant = plant_of(folder, state, allow_code=allow)
+    plant = plant_of(world)
     names = pressures_of(plant)
     if not 1 <= len(names) <= 2 or not plant.positions:
         raise InputError(f"a map needs one or two muscles that move something, not {len(names)}")
@@ -184,25 +181,16 @@ def _top(plant: Plant, pressure: str) -> float:
     return float(variable.max) if np.isfinite(variable.max) else 6e5
 
 
-def vibration(
-    say: Say,
-    folder: Path,
-    state: Mapping[str, Any],
-    point: Mapping[str, float],
-    offset: float,
-    cycles: float,
-    allow: bool,
-) -> dict[str, Any]:
+@job("Free vibration", warm="plant")
+def vibration(say: Say, world: World, offset: float, cycles: float) -> dict[str, Any]:
     """The motion beside the equilibrium, let go: with the pressures held."""
     # constant pressure, as a free vibration wants it
-    table = {**state["plant"], "feed": {"kind": "IdealPressure"}}
-    arrangement = str(table["arrangement"])
-    if ":" in arrangement or arrangement == "RegulatedLoad":
-        plant = plant_of(folder, state, allow_code=allow)
-    else:
-        plant = described({**table, "muscle": muscle_of(folder, state)}, folder=folder / "files")
+    arrangement = str(world.state["plant"]["arrangement"])
+    if ":" not in arrangement and arrangement != "RegulatedLoad":
+        world = world.but(plant={**world.state["plant"], "feed": {"kind": "IdealPressure"}})
+    plant = plant_of(world)
     known = {v.name for v in plant.variables}
-    conditions = {_pressure(n, known): v for n, v in point.items()}
+    conditions = {_pressure(n, known): v for n, v in world.state["point"].items()}
     name = next(iter(plant.positions))
     found = free_vibration(plant, conditions, offset, state=name, cycles=cycles)
     motion = found.trajectory
@@ -231,17 +219,14 @@ def _pressure(name: str, known: set[str]) -> str:
     return held if name not in known and held in known else name
 
 
+@job("Load study", warm="plant")
 def loads(
-    say: Say,
-    folder: Path,
-    state: Mapping[str, Any],
-    masses: Sequence[float],
-    pressures: Sequence[float],
+    say: Say, world: World, masses: Sequence[float], pressures: Sequence[float]
 ) -> dict[str, Any]:
     """The load study of the session's muscle, with the plant's feed, losses and damping."""
-    table = {k: v for k, v in state["plant"].items() if k in ("feed", "losses", "damping")}
+    table = {k: v for k, v in world.state["plant"].items() if k in ("feed", "losses", "damping")}
     parts = _parts(table)
-    found = load_study(muscle_of(folder, state), list(masses), list(pressures), **parts)
+    found = load_study(muscle_of(world), list(masses), list(pressures), **parts)
     columns = ("position", "stiffness", "frequency", "damping_ratio", "overshoot", "settling_time")
     return {
         "cases": [{k: float(v) for k, v in vars(case).items()} for case in found.cases],

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import copy
 import time
-from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,11 +18,12 @@ from nicegui import ui
 from ...plants.plant import Plant
 from .. import elements as el
 from .. import look
+from ..elements import Menu, Number, Slide, Text
 from ..jobs import control as jobs
-from ..live import Strip
 from ..made import plant_of
-from ..script import can_be_pushed, control_lines
-from ..tab import Tab
+from ..pictures import Plot, Scene, Strip
+from ..script import can_be_pushed
+from ..tab import Members
 from .control_shown import (
     about,
     bode_figure,
@@ -38,6 +38,7 @@ __all__ = ["Control"]
 
 Said = dict[str, Any]
 KINDS = {"pid": "PID on position", "lqr": "LQR, with an integral", "mpc": "model predictive"}
+SAMPLE_TIME = Number("Sample time", "s", 1e-4, 0.1, shown="ms")
 LINEAR = "about the operating point, of a PID or LQR; a predictive controller has none"
 DECADES = 2.0
 """Of a gain's slider, to either side of where it begins."""
@@ -49,10 +50,11 @@ PULL = 0.25
 """[N] of a push per pixel that the plant is pulled."""
 
 
-class Control(Tab):
+class Control(Members):
     """Controllers of the session, one of them at hand."""
 
     title = "Control"
+    part = "controllers"
     parts = ("muscle", "plant", "point", "controllers")
 
     def build(self) -> None:
@@ -61,21 +63,18 @@ class Control(Tab):
         self._keys: dict[str, Any] = {}
         self._runs = False
         self._push = 0.0
-        self._drawn_form: Any = None
-        self._fields: dict[str, el.Field] = {}
-        self._sliders: dict[str, tuple[el.Slider, float]] = {}
         self._goal: float | None = None
         self._factor = 1.0
         with el.split():
             with el.side():
                 with el.section("Operating point"):
-                    self._point_box = ui.element("div")
+                    self._point_form = el.Form()
                 with el.section("Controller"):
-                    self._list = ui.element("div")
+                    self._form = el.Form()
                 with el.section("Gains"):
-                    self._gains_box = ui.element("div").classes("bench-words")
+                    self._gains_form = el.Form("bench-words")
                 with el.section("Run against the plant"):
-                    self._study_box = ui.element("div")
+                    self._study_form = el.Form()
             with el.plots():
                 with el.section("Live", wide=True) as self._live_words:
                     self._live_box = ui.element("div").classes("bench-live")
@@ -101,13 +100,11 @@ class Control(Tab):
     def update(self, changed: frozenset[str]) -> None:
         if changed & {"muscle", "plant", "point"}:
             self._stop()
-        if self._form() == self._drawn_form:
-            self._set_fields()
-        else:
-            self._show()
+            self._push = 0.0
+        self._show()
         if self._ready:
-            self.bench.soon(self._design_it)
-            self.bench.soon(self._run_it)
+            self.bench.soon(self._design_it())
+            self.bench.soon(self._run_it())
         elif self._keys:
             self._clear()
 
@@ -123,183 +120,101 @@ class Control(Tab):
         for words in (self._margins, self._run_said):
             words.set_text("")
 
-    @staticmethod
-    def lines(state: dict[str, Any]) -> Sequence[str]:
-        return control_lines(state)
-
     # ---- what is at hand ------------------------------------------------------------------------
-    @property
-    def _controller(self) -> Said | None:
-        controllers = self.state["controllers"]
-        chosen = self.bench.session.item(
-            "controllers", self.bench.session.view("Control", "chosen")
-        )
-        return chosen or (controllers[-1] if controllers else None)
-
     @property
     def _ready(self) -> bool:
         has = self.state["muscle"] is not None and bool(self.state["point"])
-        return has and self._controller is not None
+        return has and self.at_hand is not None
 
-    def _plant(self) -> Plant:
-        return plant_of(self.bench.folder, self.state, allow_code=self.bench.allow_code)
-
-    def _told_state(self) -> Said:
-        return {k: self.state[k] for k in ("plant", "muscle", "point")}
-
-    def _change(self, label: str, **values: Any) -> None:
-        with self.bench.shown_errors():
-            said = self._controller
-            if said is not None:
-                self.bench.session.put(label, "controllers", {**said, **values})
-
-    def _form(self) -> Any:
-        """All that fields and buttons depend on, but the numbers that they show."""
-        said = self._controller
-        names = [(c["id"], c["name"]) for c in self.state["controllers"]]
-        at_hand = said and (said["id"], said["kind"])
-        point = list(self.state["point"])
-        return copy.deepcopy([self.state["muscle"], self.state["plant"], point, names, at_hand])
-
-    def _set_fields(self) -> None:
-        said = self._controller
-        for name, field in self._fields.items():
-            if name in self.state["point"]:
-                field.set(self.state["point"][name])
-            elif said is not None:
-                field.set(said["sample_time"] if name == "sample_time" else said["study"][name])
-        if said is not None:
-            for name, (slider, factor) in self._sliders.items():
-                slider.set(float(said["gains"][name]) * factor)
+    def _made_of(self, said: Said | None) -> Any:
+        """All that a loop's figures depend on."""
+        return copy.deepcopy([{k: self.state[k] for k in ("plant", "muscle", "point")}, said])
 
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
-        for box in (self._point_box, self._list, self._gains_box, self._study_box):
-            box.clear()
-        self._fields, self._sliders, self._drawn_form = {}, {}, None
-        if self.state["muscle"] is None:
-            with self._point_box:
-                el.note("A controller needs a muscle: choose or fit one in the tab Muscle.")
-                el.button("To the tab Muscle", lambda: self.bench.open("Muscle"))
-            return
-        with self.bench.shown_errors():
-            plant = self._plant()
-            with self._point_box:
-                self._point_fields(plant)
+        forms: list[list[el.Row]] = [[], [], [], []]
+        try:
+            if self.state["muscle"] is None:
+                forms[0] = [
+                    el.words("A controller needs a muscle: choose or fit one in the tab Muscle."),
+                    el.buttons({"To the tab Muscle": partial(self.bench.open, "Muscle")}),
+                ]
+                return
+            plant, said = plant_of(self.world), self.at_hand
+            forms[0] = self._point_rows(plant)
             if not self.state["point"]:
                 return
-            with self._list:
-                self._choices(plant)
-            said = self._controller
-            if said is None:
-                return
-            with self._gains_box:
-                self._gains(said, plant)
-            with self._study_box:
-                self._study(said, plant)
-            self._show_live(plant)
-            self._drawn_form = self._form()
+            forms[1] = self._rows(said)
+            if said is not None:
+                forms[2], forms[3] = self._gain_rows(said, plant), self._study_rows(said, plant)
+                self._show_live(plant)
+        finally:
+            shown = (self._point_form, self._form, self._gains_form, self._study_form)
+            for form, rows in zip(shown, forms, strict=True):
+                form.show(rows)
 
-    def _point_fields(self, plant: Plant) -> None:
+    def _point_rows(self, plant: Plant) -> list[el.Row]:
         point = self.state["point"]
         if not point:
-            el.note("None yet: click on the map in the tab Plant, or begin in mid stroke.")
-            el.button("Centre position", self._middle, main=True)
-            return
-        for name, value in point.items():
-            v = plant.variable(name)
-            self._fields[name] = el.Field(
-                name, value, v.unit, self._point_act(name), low=v.min, high=v.max
-            )
+            return [
+                el.words("None yet: click on the map in the tab Plant, or begin in mid stroke."),
+                el.buttons({"Centre position": self._middle}, main="Centre position"),
+            ]
+        variables = [plant.variable(name) for name in point]
+        known = {v.name: Number(v.name, v.unit, v.min, v.max) for v in variables}
+        return el.fields(known, point, self._set_point)
 
     def _middle(self) -> None:
-        with self.bench.shown_errors():
-            point = jobs.first_point(self._plant())
-            self.bench.session.change("operating point", point=point)
+        self.session.change("operating point", point=jobs.first_point(plant_of(self.world)))
 
-    def _point_act(self, name: str) -> Callable[[Any], None]:
-        def act(value: Any) -> None:
-            with self.bench.shown_errors():
-                point = {**self.state["point"], name: value}
-                self.bench.session.change("operating point", point=point)
+    def _set_point(self, name: str, value: Any) -> None:
+        self.session.change("operating point", point={**self.state["point"], name: value})
 
-        return act
-
-    def _choices(self, plant: Plant) -> None:
-        said = self._controller
+    def _rows(self, said: Said | None) -> list[el.Row]:
+        acts: dict[str, Any] = {f"New {kind.upper()}": partial(self._new, kind) for kind in KINDS}
+        names = {f"New {k.upper()}": f"New {k.upper()}: {words}" for k, words in KINDS.items()}
         if said is None:
-            el.note("None yet.")
-        else:
-            names = {c["id"]: c["name"] for c in self.state["controllers"]}
-            el.choice("Controller", names, said["id"], self._choose)
-            el.text_field("Name", said["name"], lambda v: self._change("rename", name=v[:60]))
-            self._fields["sample_time"] = el.Field(
-                "Sample time",
+            return [el.words("None yet."), el.buttons(acts, names=names)]
+        return [
+            (Menu("Controller", self.names), said["id"], self._choose),
+            (Text("Name"), said["name"], self.rename),
+            (
+                SAMPLE_TIME,
                 said["sample_time"],
-                "s",
-                lambda v: self._change("sample time", sample_time=v),
-                low=1e-4,
-                high=0.1,
-                shown="ms",
-            )
-        with ui.element("div").classes("bench-row").style("margin-top: 6px"):
-            for kind, words in KINDS.items():
-                name = f"New {kind.upper()}"
-                el.button(name, lambda kind=kind: self._new(kind), aria_label=f"{name}: {words}")
-            if said is not None:
-                el.button("Delete", self._delete)
+                lambda v: self.change("sample time", sample_time=v),
+            ),
+            el.buttons({**acts, "Delete": self.drop}, names=names),
+        ]
 
     def _choose(self, id: str) -> None:
         self._stop()
-        self.bench.session.remember("Control", chosen=id)
-        self.update(frozenset(("controllers",)))
+        self.choose(id)
 
     def _new(self, kind: str) -> None:
-        with self.bench.shown_errors():
-            session = self.bench.session
-            id = session.fresh_id("controllers")
-            made = jobs.first_controller(self._plant(), self.state["point"], kind, id)
-            session.remember("Control", chosen=id)
-            session.put(f"add {made['name']}", "controllers", made)
-
-    def _delete(self) -> None:
-        said = self._controller
-        if said is not None:
-            with self.bench.shown_errors():
-                self.bench.session.drop(f"delete {said['name']}", "controllers", said["id"])
+        plant, id = plant_of(self.world), self.session.fresh_id("controllers")
+        self.add(jobs.first_controller(plant, self.state["point"], kind, id))
 
     # ---- gains ----------------------------------------------------------------------------------
-    def _gains(self, said: Said, plant: Plant) -> None:
+    def _gain_rows(self, said: Said, plant: Plant) -> list[el.Row]:
         """On a scale of decades, as gains are moved."""
-        units = gain_units(said["kind"], plant)
+        units, rows = gain_units(said["kind"], plant), []
         for name, (words, usual) in jobs.GAINS[said["kind"]].items():
-            value = float(said["gains"][name])
-            if name == "horizon":
-                still = partial(self._moved, name)
-                self._sliders[name] = (
-                    el.Slider(words, value, 2, 100, "", still, partial(self._settle, name, 1.0)),
-                    1.0,
-                )
-                continue
             unit, factor = units.get(name, ("", 1.0))
-            shown = value * factor
-            middle = shown if shown > 0 else about(name, said, units, usual)
-            slider = el.Slider(
-                words,
-                shown,
-                middle * 10**-DECADES,
-                middle * 10**DECADES,
-                unit,
-                partial(self._slide, name, factor),
-                partial(self._settle, name, factor),
-                log=True,
-            )
-            self._sliders[name] = slider, factor
+            shown = float(said["gains"][name]) * factor
+            if name == "horizon":
+                slide = Slide(words, 2, 100, of=said["id"])
+            else:
+                middle = shown if shown > 0 else about(name, said, units, usual)
+                ends = middle * 10**-DECADES, middle * 10**DECADES
+                slide = Slide(words, *ends, unit, log=True, of=said["id"])
+            acts = partial(self._slide, name, factor), partial(self._settle, name, factor)
+            rows.append((slide, shown, acts))
         if said["kind"] == "lqr":
-            el.note("Weights of squares scaled by nominals: more effort, less gain.")
+            rows.append(el.words("Weights of squares scaled by nominals: more effort, less gain."))
+        return rows
 
     def _moved(self, name: str, value: float) -> Said | None:
-        said = self._controller
+        said = self.at_hand
         if said is None or not np.isfinite(value) or value < 0:
             return None
         value = float(np.clip(round(value), 2, 200)) if name == "horizon" else value
@@ -308,31 +223,20 @@ class Control(Tab):
     def _slide(self, name: str, factor: float, shown: float) -> None:
         moved = self._moved(name, shown / factor)
         if moved is not None and moved["kind"] != "mpc":
-            self.bench.soon(lambda: self._design_it(moved))
+            self.bench.soon(self._design_it(moved))
 
     def _settle(self, name: str, factor: float, shown: float) -> None:
         moved = self._moved(name, shown / factor)
         if moved is not None:
-            self._change(f"gain {name}", gains=moved["gains"])
+            self.change(f"gain {name}", gains=moved["gains"])
 
     async def _design_it(self, said: Said | None = None) -> None:
-        said = said or self._controller
-        key = copy.deepcopy([self._told_state(), said])
+        said = said or self.at_hand
+        key = self._made_of(said)
         if said is None or not self._ready or self._keys.get("design") == key:
             return
         self._keys["design"] = key
-        self._design = await self.bench.work(
-            "Linear loop",
-            jobs.designed,
-            self.bench.folder,
-            self._told_state(),
-            said,
-            self.bench.allow_code,
-            quiet=True,
-            warm="control",
-            latest="gains",
-            time_limit=60.0,
-        )
+        self._design = await self.work(jobs.designed, said)
         if self._keys["design"] == key:
             self._show_design(said)
 
@@ -361,46 +265,31 @@ class Control(Tab):
         self._margins.classes("bench-good" if found["stable"] else "bench-bad")
 
     # ---- a run ----------------------------------------------------------------------------------
-    def _study(self, said: Said, plant: Plant) -> None:
-        study = said["study"]
+    def _study_rows(self, said: Said, plant: Plant) -> list[el.Row]:
         v = plant.variable(next(iter(plant.positions)))
         force = "N" if v.unit == "m" else "N.m"
+        known = {
+            "step": Number(f"Step of {v.name}", v.unit),
+            "duration": Number("Duration", "s", 0.01, 20.0, shown="s"),
+            "push": Number("Push", force),
+            "push_from": Number("Push from", "s", 0.0, 20.0, shown="s"),
+            "noise": Number(f"Noise of {v.name}", v.unit, 0.0, hint="standard deviation"),
+        }
+        return el.fields(known, said["study"], self._set_study)
 
-        def field(name: str, words: str, unit: str, **more: Any) -> None:
-            self._fields[name] = el.Field(words, study[name], unit, self._study_act(name), **more)
-
-        field("step", f"Step of {v.name}", v.unit)
-        field("duration", "Duration", "s", low=0.01, high=20.0, shown="s")
-        field("push", "Push", force)
-        field("push_from", "Push from", "s", low=0.0, high=20.0, shown="s")
-        field("noise", f"Noise of {v.name}", v.unit, low=0.0, hint="standard deviation")
-
-    def _study_act(self, name: str) -> Callable[[Any], None]:
-        def act(value: Any) -> None:
-            said = self._controller
-            if said is not None:
-                self._change(f"{name} of the run", study={**said["study"], name: value})
-
-        return act
+    def _set_study(self, name: str, value: Any) -> None:
+        said = self.at_hand
+        if said is not None:
+            self.change(f"{name} of the run", study={**said["study"], name: value})
 
     async def _run_it(self) -> None:
-        said = self._controller
-        key = copy.deepcopy([self._told_state(), said])
+        said = self.at_hand
+        key = self._made_of(said)
         if said is None or not self._ready or self._keys.get("run") == key:
             return
         self._keys["run"] = key
         try:
-            found = await self.bench.work(
-                f"Run {said['name']}",
-                jobs.closed,
-                self.bench.folder,
-                self._told_state(),
-                said,
-                self.bench.allow_code,
-                warm="control",
-                latest="run",
-                time_limit=120.0,
-            )
+            found = await self.work(jobs.closed, said, of=said["name"])
         except Exception as error:
             self._run_said.set_text(self.bench.words(str(error)))
             self._run_said.classes("bench-bad")
@@ -410,30 +299,25 @@ class Control(Tab):
             self._run_said.classes(remove="bench-bad")
             self._run_said.set_text(found["words"])
             self._plot.draw(run_figure(found))
-            self.bench.session.remember(
-                "figures", **{said["id"]: {"of": key, "values": found["figures"]}}
-            )
+            figures = {"of": key, "values": found["figures"]}
+            self.session.remember("figures", **{said["id"]: figures})
 
     # ---- live -----------------------------------------------------------------------------------
     def _make_live(self) -> None:
         with ui.element("div").classes("bench-row"):
             self._start = el.button("Start", self._turn, main=True)
-            self._against = el.choice(
-                "Against",
-                {"plant": "the plant", "fmu": "its FMU"},
-                self.bench.session.view("Control", "against", "plant"),
-                lambda v: self._set_against(v),
-            )
+            against = Menu("Against", {"plant": "the plant", "fmu": "its FMU"})
+            el.Form().show([(against, self.view("against", "plant"), self._set_against)])
             self._rate = el.tag("span", "", "bench-note")
         with ui.element("div").classes("bench-live-parts"):
             self._strip = Strip("What is reached and what is to be reached", self._set_goal)
             with ui.element("div"):
-                self._film = el.Scene(
+                self._film = Scene(
                     "The plant as it stands; pull it with the pointer",
                     height=240,
                     pull=self._pulled,
                 )
-                self._push_box = ui.element("div")
+                self._push_form = el.Form()
         el.note(
             "Press Start. Then drag the arrow at the right edge, or use its arrow keys: the "
             "reference. Pull the plant with the pointer, type a push, move gains: the run goes on."
@@ -441,39 +325,24 @@ class Control(Tab):
 
     def _show_live(self, plant: Plant) -> None:
         v = plant.variable(next(iter(plant.positions)))
-        factor = v.display_factor
-        low, high = (e / factor if np.isfinite(e) else 0.0 for e in (v.min, v.max))
+        self._factor = v.display_factor
         inputs = []
         for i, u in enumerate(u for u in plant.inputs if not u.disturbance):
-            ends = [e / u.display_factor for e in (u.min, u.max)]
-            low_u, high_u = (e if np.isfinite(e) else 0.0 for e in ends)
-            colour = look.COLOURS[i % len(look.COLOURS)]
-            inputs.append(
-                {
-                    "name": u.name,
-                    "unit": u.display_unit,
-                    "low": low_u,
-                    "high": high_u,
-                    "colour": colour,
-                    "dash": "" if i == 0 else "6 3",
-                }
-            )
-        self._push = 0.0
-        self._push_box.clear()
-        with self._push_box:
-            if can_be_pushed(self.state["plant"]):
-                unit = "N" if v.unit == "m" else "N.m"
-                self._push_field = el.Field("Push, until changed", 0.0, unit, self._set_push)
-            else:
-                el.note("This arrangement takes no push.")
-        self._strip.show(
-            low=low,
-            high=high,
-            unit=v.display_unit,
-            variable=v.name,
-            inputs=inputs,
-        )
-        self._factor = factor
+            low, high = _ends(u)
+            more = {"colour": look.COLOURS[i % len(look.COLOURS)], "dash": "" if i == 0 else "6 3"}
+            inputs.append({"name": u.name, "unit": u.display_unit, "low": low, "high": high} | more)
+        low, high = _ends(v)
+        self._strip.show(low=low, high=high, unit=v.display_unit, variable=v.name, inputs=inputs)
+        self._push_of = "N" if v.unit == "m" else "N.m"
+        self._show_push()
+
+    def _show_push(self) -> None:
+        if can_be_pushed(self.state["plant"]):
+            push = Number("Push, until changed", self._push_of)
+            self._push_form.show([(push, self._push, self._set_push)])
+        else:
+            self._push = 0.0
+            self._push_form.show([el.words("This arrangement takes no push.")])
 
     def _set_goal(self, shown: float) -> None:
         if np.isfinite(shown):
@@ -489,10 +358,10 @@ class Control(Tab):
             return
         if isinstance(x, int | float) and isinstance(y, int | float) and np.isfinite(x + y):
             self._push = float(np.clip(PULL * (x if abs(x) > abs(y) else y), -500.0, 500.0))
-            self._push_field.set(self._push)
+            self._show_push()
 
     def _set_against(self, value: str) -> None:
-        self.bench.session.remember("Control", against=value)
+        self.remember(against=value)
         self._stop()
 
     def _turn(self) -> None:
@@ -501,7 +370,7 @@ class Control(Tab):
         elif self._ready:
             self._runs = True
             self._start.set_text("Stop")
-            self.bench.soon(self._keep_running)
+            self.bench.soon(self._keep_running())
         else:
             self.bench.say("Choose an operating point and a controller first")
 
@@ -513,35 +382,19 @@ class Control(Tab):
     async def _keep_running(self) -> None:
         """Piece after piece, each as long as the one before took."""
         name = f"{time.time():.6f}"
-        against = self.bench.session.view("Control", "against", "plant")
+        against = self.view("against", "plant")
         last, simulated, clock = time.monotonic(), 0.0, 0.0
         self._rate.set_text("starting: what runs is built ...")
         try:
             while self._runs and self._ready:
-                said = self._controller
+                said = self.at_hand
                 assert said is not None
                 now = time.monotonic()
                 wanted, last = now - last, now
                 seconds = float(np.clip(wanted, BEAT, LONGEST))
-                ask = {
-                    "run": name,
-                    "seconds": seconds,
-                    "reference": self._goal,
-                    "push": self._push,
-                }
+                ask = {"run": name, "seconds": seconds, "push": self._push, "reference": self._goal}
                 kept = {k: said[k] for k in ("kind", "gains", "sample_time")}
-                found = await self.bench.work(
-                    "Live",
-                    jobs.live,
-                    self.bench.folder,
-                    self._told_state(),
-                    {**kept, "against": against},
-                    ask,
-                    self.bench.allow_code,
-                    quiet=True,
-                    warm="live",
-                    time_limit=60.0,
-                )
+                found = await self.work(jobs.live, {**kept, "against": against}, ask)
                 self._strip.add({k: found[k] for k in ("t", "rows", "restart")})
                 self._film.show(found["scene"])
                 took = time.monotonic() - now
@@ -556,5 +409,11 @@ class Control(Tab):
             self._stop()
 
 
-def _plot(label: str, what: str) -> el.Plot:
-    return el.Plot(look.figure([]), label, empty=what)
+def _ends(variable: Any) -> list[float]:
+    """Of the range as it is shown; 0 where it is open."""
+    ends = (e / variable.display_factor for e in (variable.min, variable.max))
+    return [float(e) if np.isfinite(e) else 0.0 for e in ends]
+
+
+def _plot(label: str, what: str) -> Plot:
+    return Plot(look.figure([]), label, empty=what)

@@ -101,34 +101,22 @@ def bode_figure(found: Said) -> Said:
 
 def run_figure(found: Said) -> Said:
     position, t = found["position"], found["t"]
-    data = []
+    first = [look.line(t, found["columns"][position], position, look.COLOURS[0])]
     if found["reference"] is not None:
-        data.append(look.line(t, found["reference"], "wanted", look.FAINT, line={"dash": "dash"}))
-    data.append(look.line(t, found["columns"][position], position, look.COLOURS[0]))
+        dashed = {"dash": "dash"}
+        first.insert(0, look.line(t, found["reference"], "wanted", look.FAINT, line=dashed))
     # a push of nothing says nothing
     inputs = [n for n in found["inputs"] if n != PUSH or any(found["columns"][n])]
-    units = list(dict.fromkeys(found["units"][n] for n in inputs))
-    layout: Said = {}
-    count = 1 + len(units)
-    each = (1 - 0.06 * (count - 1)) / count
-    layout["yaxis"] = {"domain": [1 - each, 1]}
-    for k, unit in enumerate(units):
-        top = 1 - (k + 1) * (each + 0.06)
-        layout[f"yaxis{k + 2}"] = look.axis(
-            "openings" if unit == "1" else f"inputs [{unit}]", domain=[max(0.0, top - each), top]
-        )
+    rows: dict[str, list[Said]] = {found["units"][n]: [] for n in inputs}
     for i, name in enumerate(inputs):
-        axis = f"y{units.index(found['units'][name]) + 2}"
         colour = look.COLOURS[(i + 1) % len(look.COLOURS)]
-        data.append(look.line(t, found["columns"][name], name, colour, yaxis=axis))
-    figure = look.figure(
-        data,
+        rows[found["units"][name]].append(look.line(t, found["columns"][name], name, colour))
+    titles = {unit: "openings" if unit == "1" else f"inputs [{unit}]" for unit in rows}
+    return look.panels(
+        [
+            (f"{position} [{found['units'][position]}]", first),
+            *((titles[unit], curves) for unit, curves in rows.items()),
+        ],
         "time [s]",
-        f"{position} [{found['units'][position]}]",
-        height=150 * count + 90,
         hovermode="x",
-        **layout,
-        **look.ABOVE,
     )
-    figure["layout"]["xaxis"]["anchor"] = f"y{count}"
-    return figure

@@ -16,10 +16,11 @@ from ...fitting.tables.cells import is_number
 from ...fitting.tables.headers import LABELS, QUANTITIES
 from .. import elements as el
 from .. import look
+from ..elements import Menu, Number, Text, Words
 from ..guard import MOST_UPLOAD
 from ..jobs.data import look_at
 from ..jobs.export import one_page
-from ..script import data_lines
+from ..pictures import Plot
 from ..tab import Tab
 from ..words import ASKED
 
@@ -38,8 +39,34 @@ FORCES = "Force over contraction"
 NONE = "-"
 UNNAMED = " (none named)"
 """Behind the unit that a preview takes where the header names none."""
-LOOKING = 60.0
-"""Seconds that reading a file may take."""
+
+KIND = Menu("Kind", {"": "as found", "table": "force table", "record": "record in time"})
+CLOCK = Menu("Clock", {"": "mend its faults", "cut": "cut at gaps", "refuse": "refuse"})
+LENGTH = Number(
+    "Rest length",
+    "m",
+    1e-3,
+    10.0,
+    optional=True,
+    hint="of the muscle at zero pressure and load; needed where the file holds lengths",
+)
+RAMP = Menu("Rows are", {"": "find out", "yes": "a slow ramp", "no": "single cells"})
+RAMPS = {"": None, "yes": True, "no": False}
+FLOOR = Menu(
+    "Slack cells read",
+    {"": "find out", "zero": "the zero of the load cell", "none": "a force"},
+)
+OFF = Text(
+    "Cells off",
+    "numbers of cells that are switched off, as 3, 17-20; a click on a cell does the same",
+)
+MISSING = Text(
+    "Missing values",
+    "what marks them in the file, as 9999, off; found where nothing is said",
+)
+COLOUR = Menu(
+    "Colour by", {"pressure": "pressure", "branch": "branch", "run": "repeat", "file": "file"}
+)
 
 
 class Data(Tab):
@@ -57,12 +84,12 @@ class Data(Tab):
                 with el.section("Data of this session"):
                     self._list = ui.element("div")
                 with el.section("How it is read"):
-                    self._reading = ui.element("div")
+                    self._reading = el.Form()
                 with el.section("One page from this table"):
-                    self._quick_box = ui.element("div")
+                    self._quick_form = el.Form()
             with el.plots():
                 with el.section("Preview", wide=True) as self._words:
-                    self._plot = el.Plot(
+                    self._plot = Plot(
                         look.figure([]),
                         FORCES,
                         self._clicked,
@@ -81,16 +108,12 @@ class Data(Tab):
         if key != self._seen_of:
             self._seen, self._seen_of = None, key
             if item is not None:
-                self.bench.soon(self._look)
+                self.bench.soon(self._look())
         self._show()
-
-    @staticmethod
-    def lines(state: dict[str, Any]) -> Sequence[str]:
-        return data_lines(state)
 
     @property
     def _item(self) -> dict[str, Any] | None:
-        return self.bench.session.item("data", self.state["chosen"])
+        return self.session.item("data", self.state["chosen"])
 
     # ---- adding ---------------------------------------------------------------------------------
     def _uploads(self) -> None:
@@ -113,39 +136,24 @@ class Data(Tab):
                 )
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
-        with self.bench.shown_errors():
-            session = self.bench.session
-            name = _shown(event.file.name)
-            file = session.store(name, await event.file.read())
-            await self._add({"name": name, "file": file, "said": {}})
+        name = _shown(event.file.name)
+        file = self.session.store(name, await event.file.read())
+        await self._add({"name": name, "file": file, "said": {}})
 
     async def _add_bundled(self, name: str, length: float) -> None:
-        with self.bench.shown_errors():
-            await self._add({"name": name, "bundled": name, "said": {"rest_length": length}})
+        await self._add({"name": name, "bundled": name, "said": {"rest_length": length}})
 
     async def _add(self, item: dict[str, Any]) -> None:
         """Take it in once it could be looked at; a damaged file is refused here."""
-        session = self.bench.session
-        seen = await self.bench.work(
-            f"Reading {item['name']}", look_at, self.bench.folder, item, time_limit=LOOKING
-        )
-        item = {**item, "id": session.fresh_id("data"), "off": [], "is": seen["kind"]}
-        session.put(f"add {item['name']}", "data", item, chosen=item["id"])
+        seen = await self.work(look_at, item, of=item["name"])
+        item = {**item, "id": self.session.fresh_id("data"), "off": [], "is": seen["kind"]}
+        self.session.put(f"add {item['name']}", "data", item, chosen=item["id"])
 
     async def _look(self) -> None:
         item = self._item
         if item is None:
             return
-        seen = await self.bench.work(
-            f"Reading {item['name']}",
-            look_at,
-            self.bench.folder,
-            item,
-            time_limit=LOOKING,
-            quiet=True,
-            latest="look",
-            warm="data",
-        )
+        seen = await self.work(look_at, item, quiet=True, latest="look")
         now = self._item
         if now is not None and (now["id"], now["said"]) == (item["id"], item["said"]):
             self._seen = seen
@@ -174,30 +182,27 @@ class Data(Tab):
                     el.button("Remove", self._remove)
 
     def _choose(self, id: str) -> None:
-        with self.bench.shown_errors():
-            item = self.bench.session.item("data", id)
-            self.bench.session.change(f"choose {item['name'] if item else id}", chosen=id)
+        item = self.session.item("data", id)
+        self.session.change(f"choose {item['name'] if item else id}", chosen=id)
 
     def _remove(self) -> None:
-        with self.bench.shown_errors():
-            item = self._item
-            if item is not None:
-                rest = [d for d in self.state["data"] if d["id"] != item["id"]]
-                chosen = rest[-1]["id"] if rest else None
-                self.bench.session.change(f"remove {item['name']}", data=rest, chosen=chosen)
+        item = self._item
+        if item is not None:
+            rest = [d for d in self.state["data"] if d["id"] != item["id"]]
+            chosen = rest[-1]["id"] if rest else None
+            self.session.change(f"remove {item['name']}", data=rest, chosen=chosen)
 
     # ---- how it is read -------------------------------------------------------------------------
     def _show(self) -> None:
         item, seen = self._item, self._seen
-        for place in (self._reading, self._columns, self._said, self._quick_box):
-            place.clear()
+        self._columns.clear()
+        self._said.clear()
+        self._reading.show(self._reading_rows(item, seen or {}) if item else [])
+        self._quick_form.show(self._quick_rows("cells" in seen) if item and seen else [])
         self._words.set_text("")
         if item is None:
             self._plot.draw(look.figure([]))
             return
-        with self._reading:
-            self._options(item)
-            self._asked(item["said"], seen or {})
         if seen is None:
             self._words.set_text("reading ...")
             return
@@ -205,76 +210,39 @@ class Data(Tab):
             self._column_table(item, seen)
         with self._said:
             self._understood(seen)
-        with self._quick_box:
-            self._quick_fields("cells" in seen)
         self._words.set_text(seen.get("reads_as") or self.bench.words(seen["problem"]))
         if "records" in seen:
             self._plot.draw(_record_figure(seen), "Curves of the record")
         else:
             self._plot.draw(self._table_figure(item, seen.get("cells")), FORCES)
 
-    def _options(self, item: Mapping[str, Any]) -> None:
+    def _reading_rows(self, item: Mapping[str, Any], seen: Mapping[str, Any]) -> list[el.Row]:
         said = item["said"]
-        kinds = {"": "as found", "table": "force table", "record": "record in time"}
-        el.choice("Kind", kinds, said.get("kind", ""), lambda v: self._say(kind=v or None))
-        if said.get("kind", item.get("is")) == "record":
-            clocks = {"": "mend its faults", "cut": "cut at gaps", "refuse": "refuse"}
-            el.choice("Clock", clocks, said.get("clock", ""), lambda v: self._say(clock=v or None))
-            self._missing(said)
-            return
-        el.Field(
-            "Rest length",
-            said.get("rest_length"),
-            "m",
-            lambda v: self._say(rest_length=v),
-            low=1e-3,
-            high=10.0,
-            optional=True,
-            hint="of the muscle at zero pressure and load; needed where the file holds lengths",
-        )
-        ramps = {"": "find out", "yes": "a slow ramp", "no": "single cells"}
         now = {None: "", True: "yes", False: "no"}[said.get("ramp")]
-        el.choice(
-            "Rows are",
-            ramps,
-            now,
-            lambda v: self._say(ramp={"": None, "yes": True, "no": False}[v]),
-        )
-        floors = {"": "find out", "zero": "the zero of the load cell", "none": "a force"}
-        el.choice(
-            "Slack cells read",
-            floors,
-            str(said.get("floor", "")),
-            lambda v: self._say(floor=v or None),
-        )
-        el.text_field(
-            "Cells off",
-            _ranges(item.get("off", ())),
-            self._cells_said,
-            "numbers of cells that are switched off, as 3, 17-20; a click on a cell does the same",
-        )
-        self._missing(said)
-        coloured = {"pressure": "pressure", "branch": "branch", "run": "repeat", "file": "file"}
-        el.choice("Colour by", coloured, self._colour, self._coloured)
-
-    def _asked(self, said: Mapping[str, Any], seen: Mapping[str, Any]) -> None:
-        """Fields of what is rarely needed, once it was given, or a message asks for it."""
+        marks = ", ".join(map(str, said.get("missing") or ()))
+        rows: list[el.Row] = [(KIND, said.get("kind"), partial(self._say_one, "kind"))]
+        missing = (MISSING, marks, self._missing_said)
+        if said.get("kind", item.get("is")) == "record":
+            rows += [(CLOCK, said.get("clock"), partial(self._say_one, "clock")), missing]
+        else:
+            rows += [
+                (LENGTH, said.get("rest_length"), partial(self._say_one, "rest_length")),
+                (RAMP, now, lambda v: self._say(ramp=RAMPS[v])),
+                (FLOOR, said.get("floor"), partial(self._say_one, "floor")),
+                (OFF, _ranges(item.get("off", ())), lambda text: self._switch(_numbers(text))),
+                missing,
+                (COLOUR, self._colour, self._coloured),
+            ]
+        # what is rarely needed, once it was given, or a message asks for it
         messages = " ".join([seen.get("problem", ""), *seen.get("doubts", ())])
         for option, label in ASKED.items():
             if option in said or f"{option}=" in messages:
-                keep = partial(self._say_one, option)
-                el.text_field(label, str(said.get(option, "")), keep, "as a message asks for it")
+                text = Text(label, "as a message asks for it")
+                rows.append((text, said.get(option, ""), partial(self._say_one, option)))
+        return rows
 
-    def _say_one(self, option: str, text: str) -> None:
-        self._say(**{option: text or None})
-
-    def _missing(self, said: Mapping[str, Any]) -> None:
-        el.text_field(
-            "Missing values",
-            ", ".join(map(str, said.get("missing") or ())),
-            self._missing_said,
-            "what marks them in the file, as 9999, off; found where nothing is said",
-        )
+    def _say_one(self, option: str, value: Any) -> None:
+        self._say(**{option: None if value == "" else value})
 
     def _missing_said(self, text: str) -> None:
         marks = [mark.strip() for mark in text.split(",") if mark.strip()]
@@ -284,23 +252,22 @@ class Data(Tab):
     def _colour(self) -> str:
         cells = (self._seen or {}).get("cells") or {}
         usual = next((k for k in ("branch", "run", "file") if cells.get(k)), "pressure")
-        return str(self.bench.session.view("Data", "colour") or usual)
+        return str(self.view("colour") or usual)
 
     def _coloured(self, by: str) -> None:
-        self.bench.session.remember("Data", colour=by)
+        self.remember(colour=by)
         self._show()
 
     def _say(self, **said: Any) -> None:
         """Change what a reader is told; None takes a word back."""
-        with self.bench.shown_errors():
-            item = self._item
-            if item is None:
-                return
-            words = {k: v for k, v in {**item["said"], **said}.items() if v not in (None, {})}
-            fresh = {**item, "said": words}
-            if "kind" in words:
-                fresh["is"] = words["kind"]
-            self.bench.session.put(f"how {item['name']} is read", "data", fresh)
+        item = self._item
+        if item is None:
+            return
+        told = {k: v for k, v in {**item["said"], **said}.items() if v not in (None, {})}
+        fresh = {**item, "said": told}
+        if "kind" in told:
+            fresh["is"] = told["kind"]
+        self.session.put(f"how {item['name']} is read", "data", fresh)
 
     def _column_table(self, item: Mapping[str, Any], seen: Mapping[str, Any]) -> None:
         record = seen["kind"] == "record"
@@ -372,25 +339,26 @@ class Data(Tab):
         el.tag("pre", re.sub(r"'files/[^']*'", lambda _: repr(name), seen["call"]), "bench-pre")
 
     # ---- one page -------------------------------------------------------------------------------
-    def _quick_fields(self, table: bool) -> None:
+    def _quick_rows(self, table: bool) -> list[el.Row]:
         if not table:
-            el.note("It needs a force table that can be read.")
-            return
-        el.note(
-            "Ranks the laws, builds a pair of such muscles, plans its quickest motion, linearises "
-            "it and exports it; report, workbook, FMU, plan and muscle file in one .zip."
-        )
-        el.button("Make one page", lambda: self.bench.soon(self._quick))
-        words = self._quick_words.get(str(self.state["chosen"]))
-        if words:
-            el.tag("pre", words, "bench-pre")
+            return [el.words("It needs a force table that can be read.")]
+        made = self._quick_words.get(str(self.state["chosen"]))
+        return [
+            el.words(
+                "Ranks the laws, builds a pair of such muscles, plans its quickest motion, "
+                "linearises it and exports it; report, workbook, FMU, plan and muscle file in "
+                "one .zip."
+            ),
+            el.buttons({"Make one page": self._quick}),
+            *([(Words(made, "bench-pre", "pre"), None, None)] if made else []),
+        ]
 
     async def _quick(self) -> None:
         item = self._item
         if item is None:
             return
-        made = await self.bench.work("One page", one_page, self.bench.folder, item)
-        path = self.bench.folder / "exports" / made["file"]
+        made = await self.work(one_page, item)
+        path = self.world.exported(made["file"])
         self.bench.download(path.read_bytes(), path.name)
         self._quick_words[item["id"]] = made["words"]
         self._show()
@@ -404,16 +372,10 @@ class Data(Tab):
 
     def _clicked(self, point: Mapping[str, Any]) -> None:
         """Switch a cell off or on again."""
-        with self.bench.shown_errors():
-            number = (point.get("data") or [None])[0]
-            if isinstance(number, int):
-                item = self._item
-                off = set(item.get("off", ()) if item else ()) ^ {number}
-                self._switch(off)
-
-    def _cells_said(self, text: str) -> None:
-        with self.bench.shown_errors():
-            self._switch(_numbers(text))
+        number = (point.get("data") or [None])[0]
+        if isinstance(number, int):
+            item = self._item
+            self._switch(set(item.get("off", ()) if item else ()) ^ {number})
 
     def _switch(self, off: set[int]) -> None:
         item, cells = self._item, (self._seen or {}).get("cells")
@@ -424,7 +386,7 @@ class Data(Tab):
         if wrong is not None:
             raise InputError(f"cell {wrong}: the table has cells 0 .. {count - 1}")
         label = f"{len(off)} cells of {item['name']} off"
-        self.bench.session.put(label, "data", {**item, "off": sorted(off)})
+        self.session.put(label, "data", {**item, "off": sorted(off)})
 
 
 def _menu(label: str, options: Sequence[str], now: str, act: Any) -> None:
@@ -490,25 +452,17 @@ def _cells(cells: Mapping[str, Any], off: set[int], by: str) -> list[dict[str, A
 def _record_figure(seen: Mapping[str, Any]) -> dict[str, Any]:
     """Panels below each other, one for each unit."""
     units = list(dict.fromkeys(c["unit"] for c in seen["records"][0]["curves"]))[:5]
-    data: list[dict[str, Any]] = []
-    layout: dict[str, Any] = {}
-    for row, unit in enumerate(units):
-        axis = "" if row == 0 else str(row + 1)
+    rows = []
+    for unit in units:
         names = [c["name"] for c in seen["records"][0]["curves"] if c["unit"] == unit]
+        drawn = []
         for r, record in enumerate(seen["records"]):
-            for curve in record["curves"]:
-                if curve["unit"] == unit:
-                    colour = look.COLOURS[names.index(curve["name"]) % len(look.COLOURS)]
-                    one = look.line(record["t"], curve["values"], curve["name"], colour)
-                    one |= {"yaxis": f"y{axis}", "showlegend": r == 0, "opacity": 1.0 - 0.2 * r}
-                    data.append(one)
-        low = 1 - (row + 1) / len(units)
-        layout[f"yaxis{axis}"] = {
-            "domain": [low + 0.03, low + 1 / len(units) - 0.01],
-            "title": {"text": look.quantity(unit)},
-            "gridcolor": look.GRID,
-        }
-    return look.figure(data, "time [s]", height=140 * max(2, len(units)), keep="record", **layout)
+            for curve in (c for c in record["curves"] if c["unit"] == unit):
+                colour = look.COLOURS[names.index(curve["name"]) % len(look.COLOURS)]
+                more = {"showlegend": r == 0, "opacity": 1.0 - 0.2 * r}
+                drawn.append(look.line(record["t"], curve["values"], curve["name"], colour, **more))
+        rows.append((look.quantity(unit), drawn))
+    return look.panels(rows, "time [s]", keep="record")
 
 
 def _shown(name: str) -> str:

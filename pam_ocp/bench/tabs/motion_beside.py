@@ -1,8 +1,9 @@
-"""Of the tab Motion: the motion at hand, others beside it, and records compared with it."""
+"""Of the tab Motion: others beside the motion at hand, records compared with it; its pictures."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -11,22 +12,22 @@ from nicegui import events, ui
 from ...plants.plant import Plant
 from .. import elements as el
 from .. import look
-from ..guard import MOST_UPLOAD
+from ..elements import Menu, Tick
 from ..jobs import motion as jobs
 from ..jobs.data import look_at
 from ..made import plant_of
-from ..tab import Page, Tab
-from .motion_shown import with_unit
+from ..tab import Members, Page
 
-__all__ = ["Beside", "Said"]
+__all__ = ["Beside", "Said", "also", "conflict", "curves"]
 
 DASHES = ("", "7 4", "2 3", "9 3 2 3")
 Said = dict[str, Any]
 
 
-class Beside(Tab):
+class Beside(Members):
     """Motions of the session, and what is known of each."""
 
+    part = "motions"
     _figures: ui.element
 
     def __init__(self, bench: Page) -> None:
@@ -39,34 +40,16 @@ class Beside(Tab):
     def _show_plan(self, motion: Said, plant: Plant, told: Said | None = None) -> None:
         raise NotImplementedError
 
-    # ---- what is at hand ------------------------------------------------------------------------
-    @property
-    def _motion(self) -> Said | None:
-        motions = self.state["motions"]
-        chosen = self.bench.session.item("motions", self.bench.session.view("Motion", "chosen"))
-        return chosen or (motions[-1] if motions else None)
-
     def _plant(self) -> Plant:
-        return plant_of(self.bench.folder, self.state, allow_code=self.bench.allow_code)
+        return plant_of(self.world)
 
     def _key(self, motion: Said) -> Any:
         said = {k: v for k, v in motion.items() if k != "name"}
         return copy.deepcopy([self.state["muscle"], self.state["plant"], said])
 
-    def _change(self, label: str, **values: Any) -> None:
-        """One step of undo of the motion at hand."""
-        with self.bench.shown_errors():
-            motion = self._motion
-            if motion is not None:
-                self.bench.session.put(label, "motions", {**motion, **values})
-
-    def _told_state(self) -> Said:
-        """What a process must know."""
-        return {k: self.state[k] for k in ("plant", "muscle", "data")}
-
     # ---- beside each other ----------------------------------------------------------------------
     def _compared(self, motion: Said) -> list[Said]:
-        ids = self.bench.session.view("Motion", "compared", [])
+        ids = self.view("compared", [])
         return [m for m in self.state["motions"] if m["id"] in ids and m["id"] != motion["id"]]
 
     def _others(self, motion: Said) -> list[Said]:
@@ -84,45 +67,33 @@ class Beside(Tab):
                 )
         return found
 
-    def _compare(self, motion: Said) -> None:
+    def _compare_rows(self, motion: Said) -> list[el.Row]:
         others = [m for m in self.state["motions"] if m["id"] != motion["id"]]
         compared = [m["id"] for m in self._compared(motion)]
-        if not others:
-            el.note("Copy the motion to compare two plans.")
-        for other in others:
-            el.check(
-                f"beside {other['name']}",
+        rows: list[el.Row] = [
+            (
+                Tick(f"beside {other['name']}"),
                 other["id"] in compared,
                 partial(self._set_compared, other["id"]),
             )
+            for other in others
+        ] or [el.words("Copy the motion to compare two plans.")]
         records = {d["id"]: d["name"] for d in self.state["data"] if d.get("is") == "record"}
         if records:
-            el.choice("Record", {"": "none", **records}, self._record_id, self._set_record)
-        el.upload(
-            "Drop a record of the motion here",
-            self._dropped,
-            lambda: self.bench.say("the file was refused: it is too large", "error"),
-            max_file_size=MOST_UPLOAD,
-        )
+            menu = Menu("Record", {"": "none", **records})
+            rows.append((menu, self.view("record", ""), self._set_record))
+        return rows
 
     def _set_compared(self, id: str, on: bool) -> None:
-        ids = [i for i in self.bench.session.view("Motion", "compared", []) if i != id]
-        self.bench.session.remember("Motion", compared=[*ids, id] if on else ids)
-        self.bench.soon(lambda: self._plan_other(id))
+        ids = [i for i in self.view("compared", []) if i != id]
+        self.remember(compared=[*ids, id] if on else ids)
+        self.bench.soon(self._plan_other(id))
 
     async def _plan_other(self, id: str) -> None:
         """The plan of a motion that is shown beside the one at hand, where it is not known yet."""
-        other, motion = self.bench.session.item("motions", id), self._motion
+        other, motion = self.session.item("motions", id), self.at_hand
         if other is not None and id not in self._told:
-            told = await self.bench.work(
-                f"Plan {other['name']}",
-                jobs.planned,
-                self.bench.folder,
-                self._told_state(),
-                other,
-                self.bench.allow_code,
-                warm="plan",
-            )
+            told = await self.work(jobs.planned, other, of=other["name"], latest="")
             if told["ok"]:
                 self._told[id] = told
                 self._made_of[id] = self._key(other)
@@ -158,44 +129,27 @@ class Beside(Tab):
         el.table(["column", "largest", "rms"], rows, label="The record against the plan")
 
     # ---- records --------------------------------------------------------------------------------
-    @property
-    def _record_id(self) -> str:
-        return str(self.bench.session.view("Motion", "record", ""))
-
     def _set_record(self, id: str) -> None:
-        self.bench.session.remember("Motion", record=id)
+        self.remember(record=id)
         self._record = None
-        self.bench.soon(self._replay)
+        self.bench.soon(self._replay())
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
-        with self.bench.shown_errors():
-            session = self.bench.session
-            name = str(event.file.name)[:100]
-            item: Said = {"name": name, "said": {"kind": "record"}}
-            item["file"] = session.store(name, await event.file.read())
-            seen = await self.bench.work(
-                f"Reading {name}", look_at, self.bench.folder, item, time_limit=60.0
-            )
-            item = {**item, "id": session.fresh_id("data"), "off": [], "is": seen["kind"]}
-            session.remember("Motion", record=item["id"])
-            session.put(f"add {name}", "data", item)
-            await self._replay()
+        name = str(event.file.name)[:100]
+        item: Said = {"name": name, "said": {"kind": "record"}}
+        item["file"] = self.session.store(name, await event.file.read())
+        seen = await self.work(look_at, item, of=name)
+        item |= {"id": self.session.fresh_id("data"), "off": [], "is": seen["kind"]}
+        self.remember(record=item["id"])
+        self.session.put(f"add {name}", "data", item)
+        await self._replay()
 
     async def _replay(self) -> None:
-        motion, item = self._motion, self.bench.session.item("data", self._record_id)
+        motion, item = self.at_hand, self.session.item("data", self.view("record", ""))
         if motion is None:
             return
         if item is not None:
-            self._record = await self.bench.work(
-                f"Compare {item['name']}",
-                jobs.replayed,
-                self.bench.folder,
-                self._told_state(),
-                motion,
-                item,
-                self.bench.allow_code,
-                warm="plan",
-            )
+            self._record = await self.work(jobs.replayed, motion, item, of=item["name"])
         self._show_plan(motion, self._plant())
 
     def _record_curve(self, motion: Said, factor: float) -> Said | None:
@@ -203,3 +157,52 @@ class Beside(Tab):
             return None
         curve = self._record["curves"][motion["variable"]]
         return {"t": curve["t"], "x": [factor * v for v in curve["y"]]}
+
+
+# ---- pictures and words --------------------------------------------------------------------------
+def curves(told: Mapping[str, Any]) -> dict[str, Any]:
+    """All panels below each other, their units at the axes."""
+    scale, unit = (1e3, "ms") if told["duration"] < 2 else (1.0, "s")
+    t, rows = [scale * v for v in told["t"]], []
+    for panel in told["panels"]:
+        hover = f": %{{y:.4g}} {panel['unit']}<extra></extra>"
+        drawn = []
+        for k, name in enumerate(panel["names"]):
+            colour, dash = style(name, k)
+            more = {"line": {"dash": dash}, "hovertemplate": name + hover}
+            drawn.append(look.line(t, told["columns"][name], name, colour, **more))
+        rows.append((look.quantity(panel["unit"]), drawn))
+    return look.panels(rows, f"time [{unit}]", each=130, hovermode="x")
+
+
+def also(plant: Plant, variable: str) -> list[str]:
+    """What stops may name beside the position: stiffness, pressures."""
+    names = [v.name for v in (*plant.states, *plant.outputs)]
+    chosen = ("stiffness", ".pressure")
+    return [n for n in names if n != variable and n.endswith(chosen)]
+
+
+def conflict(told: Mapping[str, Any]) -> tuple[str, int | None]:
+    """(words, number of the stop in whose place they are said)."""
+    for one in told["conflicts"]:
+        if one["stop"] is not None:
+            return one["words"], one["stop"]
+    return (told["conflicts"][0]["words"], None) if told["conflicts"] else ("", None)
+
+
+def style(name: str, k: int) -> tuple[str, str]:
+    """Colour by muscle; commands and what else shares a muscle's colour are dashed."""
+    owner = name.partition(".")[0]
+    if owner.startswith("muscle"):
+        number = owner.removeprefix("muscle")
+        colour = look.COLOURS[(int(number) - 1 if number.isdigit() else 0) % len(look.COLOURS)]
+        return colour, "dot" if name.endswith(".command") else "solid"
+    return look.COLOURS[(k + 2) % len(look.COLOURS)], "solid"
+
+
+def with_unit(plant: Plant, name: str, value: float) -> str:
+    if name == "duration":
+        return f"{1e3 * value:.5g} ms"
+    if name.startswith("max("):
+        return plant.variable(name[4:-1]).shown(value)
+    return f"{value:.4g}"

@@ -21,9 +21,10 @@ from ...muscles.laws.user_defined import law_named
 from ...muscles.pneumatic_muscle import Muscle
 from .. import elements as el
 from .. import look
+from ..elements import Menu, Number, Slide, Text
 from ..jobs import muscle as jobs
-from ..made import chosen_item, muscle_of
-from ..script import muscle_lines
+from ..made import World, chosen_item, muscle_of
+from ..pictures import Plot
 from ..tab import Tab
 
 __all__ = ["MuscleTab"]
@@ -33,16 +34,33 @@ MOST_FILE = 2**20
 SIZE = 36
 """Points of the surface along each axis."""
 CONSTANTS = {
-    "radius": "m",
-    "rest_diameter": "m",
-    "max_contraction_ratio": "1",
+    name: Number(name.replace("_", " "), unit, 1e-4, 1.0, optional=True)
+    for name, unit in {"radius": "m", "rest_diameter": "m", "max_contraction_ratio": "1"}.items()
 }
-"""Known constants that some laws ask for, and their units."""
-CRITERIA = {
-    "D": "joint confidence region",
-    "A": "relative variances",
-    "I": "predicted force",
-}
+"""Known constants that some laws ask for."""
+NAME = Text("Name")
+DIAMETER = Number(
+    "Inner diameter at rest",
+    "m",
+    1e-3,
+    0.5,
+    optional=True,
+    hint="needed by valves and by what counts air",
+)
+LENGTH = Number(
+    "Rest length",
+    "m",
+    1e-3,
+    10.0,
+    optional=True,
+    hint="where the catalogue holds none, or of another one",
+)
+CHOOSE = el.words("Choose a force table in the tab Data.")
+COUNT = Number("Further cells", low=1, high=50, shown="1")
+CRITERION = Menu(
+    "Shrink",
+    {"D": "joint confidence region", "A": "relative variances", "I": "predicted force"},
+)
 
 
 class MuscleTab(Tab):
@@ -54,37 +72,41 @@ class MuscleTab(Tab):
         self._fit_of: Any = None
         self._ranked: list[dict[str, Any]] = []
         self._next: dict[str, Any] | None = None
-        self._sliders: dict[str, el.Slider] = {}
         with el.split():
             with el.side():
                 with el.section("Law fitted to the chosen data") as self._data_name:
+                    self._law_form = el.Form()
+                    with ui.expansion("Known constants").props("dense") as self._more:
+                        self._more.classes("bench-note")
+                        self._constant_form = el.Form()
                     self._laws = ui.element("div")
                 with el.section("Coefficients") as self._coefficient_words:
-                    self._coefficients = ui.element("div")
+                    self._coefficient_form = el.Form()
                 with el.section("Muscle") as self._muscle_words:
-                    self._muscle_box = ui.element("div")
+                    self._muscle_form = el.Form()
                 with el.section("From the catalogue, or a file"):
                     self._others()
             with el.plots():
                 with el.section("Force", wide=True) as self._force_words:
-                    self._force = el.Plot(
+                    self._force = Plot(
                         look.figure([]),
                         "Force over contraction",
                         empty="A curve for each pressure: fit a law, or choose a muscle",
                     )
                 with el.section("Residuals"):
-                    self._rest = el.Plot(
+                    self._rest = Plot(
                         look.figure([], height=300),
                         "Residuals of the fit",
                         empty="Measured minus fitted force of each cell, after a fit",
                     )
                 with el.section("Force surface"):
-                    self._surface = el.Plot(
+                    self._surface = Plot(
                         look.figure([], height=300),
                         "Force surface",
                         empty="The force over contraction and pressure",
                     )
                 with el.section("Measure next"):
+                    self._design_form = el.Form()
                     self._next_box = ui.element("div")
                 with el.section("Intervals, 95 %"):
                     self._intervals = ui.element("div")
@@ -94,17 +116,13 @@ class MuscleTab(Tab):
 
     def update(self, changed: frozenset[str]) -> None:
         said = self._said
-        of = said and [said["table"], said["law"], said["fixed"]]
+        of = said and _fit_of(said)
         if of != self._fit_of:
             self._fit, self._fit_of, self._next = None, of, None
             if said:
-                self.bench.soon(self._refit)
+                self.bench.soon(self._refit())
         self._show_laws()
         self._show()
-
-    @staticmethod
-    def lines(state: dict[str, Any]) -> Sequence[str]:
-        return muscle_lines(state)
 
     @property
     def _said(self) -> dict[str, Any] | None:
@@ -115,38 +133,29 @@ class MuscleTab(Tab):
     # ---- laws -----------------------------------------------------------------------------------
     def _show_laws(self) -> None:
         self._laws.clear()
-        item = self.bench.session.item("data", self.state["chosen"])
+        item = self.session.item("data", self.state["chosen"])
         self._data_name.set_text(item["name"] if item else "")
-        with self._laws:
-            if item is None or item.get("is") != "table":
-                el.note("Choose a force table in the tab Data.")
-                return
-            said = self._said
-            now = said["law"] if said else None
-            if said and not _same(said["table"], item):
-                el.note("The data have changed since the fit.", "bench-bad")
-            law = now if now is not None and now in LAWS else "six-parameter"
-            titles = {name: LAWS[name].title for name in LAWS}
-            self._law = law
-            el.choice("Law", titles, law, lambda v: setattr(self, "_law", v))
-            with ui.element("div").classes("bench-row"):
-                el.button("Fit", lambda: self._fit_law(str(self._law)), main=True)
-                el.button("Rank all laws", self._rank)
-            with ui.expansion("Known constants").props("dense").classes("bench-note"):
-                for name, unit in CONSTANTS.items():
-                    value = self._constants.get(name)
-                    words = name.replace("_", " ")
-                    el.Field(
-                        words,
-                        value,
-                        unit,
-                        partial(self._constant, name),
-                        low=1e-4,
-                        high=1.0,
-                        optional=True,
-                    )
-            if self._ranked:
+        ready = item is not None and item.get("is") == "table"
+        self._more.set_visibility(ready)
+        said = self._said
+        now = said["law"] if said else None
+        self._law_form.show(self._law_rows(item, said) if ready else [CHOOSE])
+        self._constant_form.show(el.fields(CONSTANTS, self._constants, self._constant))
+        if ready and self._ranked:
+            with self._laws:
                 self._ranking(now)
+
+    def _law_rows(self, item: Any, said: Mapping[str, Any] | None) -> list[el.Row]:
+        law = said["law"] if said and said["law"] in LAWS else "six-parameter"
+        titles = {name: LAWS[name].title for name in LAWS}
+        self._law = law
+        changed = el.words("The data have changed since the fit.", "bench-bad")
+        acts = {"Fit": lambda: self._fit_law(str(self._law)), "Rank all laws": self._rank}
+        return [
+            *([changed] if said and not _same(said["table"], item) else []),
+            (Menu("Law", titles), law, lambda v: setattr(self, "_law", v)),
+            el.buttons(acts, main="Fit"),
+        ]
 
     def _ranking(self, now: str | None) -> None:
         rows = [
@@ -167,166 +176,135 @@ class MuscleTab(Tab):
                 el.note(self.bench.words(f"{one['name']}: {one['problem']}"))
 
     @property
-    def _constants(self) -> dict[str, float]:
-        return dict(self.bench.session.view("Muscle", "constants", {}))
+    def _constants(self) -> dict[str, float | None]:
+        return {**dict.fromkeys(CONSTANTS), **self.view("constants", {})}
+
+    @property
+    def _known(self) -> dict[str, float]:
+        return {n: v for n, v in self._constants.items() if v is not None}
 
     def _constant(self, name: str, value: float | None) -> None:
-        known = {**self._constants, name: value}
-        kept = {k: v for k, v in known.items() if v is not None}
-        self.bench.session.remember("Muscle", constants=kept)
+        kept = {k: v for k, v in {**self._constants, name: value}.items() if v is not None}
+        self.remember(constants=kept)
 
     async def _rank(self) -> None:
-        with self.bench.shown_errors():
-            item = chosen_item(self.state)
-            self._ranked = await self.bench.work(
-                "Ranking laws",
-                jobs.rank_laws,
-                self.bench.folder,
-                item,
-                self._constants,
-                warm="muscle",
-            )
-            self._show_laws()
+        item = chosen_item(self.state)
+        self._ranked = await self.work(jobs.rank_laws, item, self._known)
+        self._show_laws()
 
     async def _fit_law(self, name: str) -> None:
         """Fit a law to the chosen data: one step of undo."""
-        with self.bench.shown_errors():
-            item = chosen_item(self.state)
-            kind = law_named(name)
-            fixed = {n: v for n, v in self._constants.items() if n in kind.fixed_coefficients()}
-            found = await self._fitted(item, name, fixed)
-            values = {c["name"]: c["value"] for c in found["coefficients"]}
-            before = self._said or {}
-            length = before.get("rest_length") or found["rest_length"]
-            if found["rest_length"] is not None:
-                length = found["rest_length"]
-            said = {
-                "kind": "fit",
-                "table": item,
-                "law": name,
-                "fixed": fixed,
-                "coefficients": values,
-                "fitted": values,
-                "moved": False,
-                "rest_length": length,
-                "diameter": before.get("diameter"),
-                "pressure_range": found["pressure_range"],
-                "contraction_range": found["contraction_range"],
-                "name": before.get("name", "fitted muscle"),
-                "source": found["source"],
-            }
-            if length is None:
-                raise InputError(
-                    "rest_length is missing: the table holds none; give it in the tab Data"
-                )
-            self._fit, self._fit_of, self._next = found, [item, name, fixed], None
-            self.bench.session.change(f"fit {name}", muscle=said)
-
-    async def _fitted(
-        self, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
-    ) -> dict[str, Any]:
-        found: dict[str, Any] = await self.bench.work(
-            f"Fitting {law}", jobs.fit_law, self.bench.folder, item, law, fixed, warm="muscle"
-        )
-        return found
+        item = chosen_item(self.state)
+        kind = law_named(name)
+        fixed = {n: v for n, v in self._known.items() if n in kind.fixed_coefficients()}
+        fit = {"table": item, "law": name, "fixed": fixed}
+        found = await self.work(jobs.fit_law, fit, of=name)
+        values = {c["name"]: c["value"] for c in found["coefficients"]}
+        before = self._said or {}
+        length = found["rest_length"]
+        if length is None:
+            length = before.get("rest_length")
+        if length is None:
+            raise InputError(
+                "rest_length is missing: the table holds none; give it in the tab Data"
+            )
+        said = {
+            "kind": "fit",
+            **fit,
+            "coefficients": values,
+            "fitted": values,
+            "moved": False,
+            "rest_length": length,
+            "diameter": before.get("diameter"),
+            "name": before.get("name", "fitted muscle"),
+            **{k: found[k] for k in ("pressure_range", "contraction_range", "source")},
+        }
+        self._fit, self._fit_of, self._next = found, fit, None
+        self.session.change(f"fit {name}", muscle=said)
 
     async def _refit(self) -> None:
         """The figures of a fit that the state tells of: after resuming, or undo."""
         said = self._said
         if said is not None:
-            found = await self._fitted(said["table"], said["law"], said["fixed"])
-            if self._fit_of == [said["table"], said["law"], said["fixed"]]:
+            fit = _fit_of(said)
+            found = await self.work(jobs.fit_law, fit, of=said["law"])
+            if self._fit_of == fit:
                 self._fit = found
                 self._show()
 
     # ---- what is shown --------------------------------------------------------------------------
     def _show(self) -> None:
-        said = self._said
-        for box in (self._coefficients, self._muscle_box, self._next_box, self._intervals):
-            box.clear()
-        self._sliders.clear()
+        said, fit = self._said, self._fit
+        self._next_box.clear()
+        self._intervals.clear()
         self._report.set_text("")
         for words in (self._coefficient_words, self._force_words, self._muscle_words):
             words.set_text("")
-        if self.state["muscle"] is None:
-            with self._coefficients:
-                el.note("No muscle yet: fit a law, or take one of the catalogue.")
-            for plot in (self._force, self._rest, self._surface):
-                plot.draw(look.figure([], height=300))
-            return
-        with self.bench.shown_errors(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            muscle = muscle_of(self.bench.folder, self.state)
-            with self._muscle_box:
-                self._muscle_fields(muscle, said)
-            if said is not None and self._fit is not None:
-                with self._coefficients:
-                    self._coefficient_sliders(said, self._fit)
-                with self._intervals:
-                    _interval_table(self._fit, self.bench.words)
-                with self._next_box:
-                    self._design_box()
-                self._report.set_text(self._fit["report"])
-            self._draw(muscle)
-            self._draw_surface(muscle)
+        fitted = said is not None and fit is not None
+        coefficients, muscles = self._coefficient_rows(said, fit), list[el.Row]()
+        try:
+            if self.state["muscle"] is None:
+                for plot in (self._force, self._rest, self._surface):
+                    plot.draw(look.figure([], height=300))
+                return
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                muscle = muscle_of(self.world)
+                muscles = self._muscle_rows(muscle, said)
+                if fit is not None and fitted:
+                    with self._intervals:
+                        _interval_table(fit, self.bench.words)
+                    self._show_next()
+                    self._report.set_text(fit["report"])
+                self._draw(muscle)
+                self._draw_surface(muscle)
+        finally:
+            self._coefficient_form.show(coefficients)
+            self._muscle_form.show(muscles)
+            self._design_form.show(self._design_rows() if fitted else [])
 
-    def _muscle_fields(self, muscle: Muscle, said: dict[str, Any] | None) -> None:
+    def _muscle_rows(self, muscle: Muscle, said: dict[str, Any] | None) -> list[el.Row]:
         self._muscle_words.set_text(muscle.law.title)
+        acts: dict[str, Any] = {"Save muscle file": self._save}
         if said is None:
-            el.note(f"{muscle.name}, rest length {1e3 * float(muscle.rest_length):g} mm")
-            el.note(f"Source: {muscle.source}")
-            if muscle.note:
-                el.note(muscle.note)
-        else:
-            el.text_field("Name", said["name"], lambda v: self._change("name", name=v[:80]))
-            el.Field(
-                "Inner diameter at rest",
-                said.get("diameter"),
-                "m",
-                lambda v: self._change("diameter", diameter=v),
-                low=1e-3,
-                high=0.5,
-                optional=True,
-                hint="needed by valves and by what counts air",
-            )
-        with ui.element("div").classes("bench-row"):
-            el.button("Save muscle file", self._save)
-            if said is not None and self._fit is not None and self._fit["workbook"]:
-                el.button("Save workbook", self._save_workbook)
+            length = f"{muscle.name}, rest length {1e3 * float(muscle.rest_length):g} mm"
+            texts = (length, f"Source: {muscle.source}", muscle.note)
+            return [*(el.words(text) for text in texts if text), el.buttons(acts)]
+        if self._fit is not None and self._fit["workbook"]:
+            acts["Save workbook"] = self._save_workbook
+        return [
+            (NAME, said["name"], lambda v: self._change("name", name=v[:80])),
+            (DIAMETER, said.get("diameter"), lambda v: self._change("diameter", diameter=v)),
+            el.buttons(acts),
+        ]
 
     def _change(self, label: str, **values: Any) -> None:
-        with self.bench.shown_errors():
-            said = self._said
-            if said is not None:
-                self.bench.session.change(label, muscle={**said, **values})
+        said = self._said
+        if said is not None:
+            self.session.change(label, muscle={**said, **values})
 
     # ---- sliders --------------------------------------------------------------------------------
-    def _coefficient_sliders(self, said: dict[str, Any], fit: Mapping[str, Any]) -> None:
+    def _coefficient_rows(
+        self, said: dict[str, Any] | None, fit: Mapping[str, Any] | None
+    ) -> list[el.Row]:
+        if said is None or fit is None:
+            none = el.words("No muscle yet: fit a law, or take one of the catalogue.")
+            return [none] if self.state["muscle"] is None else []
         self._coefficient_words.set_text("moved by hand" if said["moved"] else "as fitted")
-        self._now = dict(said["coefficients"])
+        self._now, rows = dict(said["coefficients"]), list[el.Row]()
         for c in fit["coefficients"]:
+            name, fitted = c["name"], said["fitted"][c["name"]]
             if c["held"]:
-                el.note(f"{c['name']} = {c['value']:.6g} {c['unit']}, held")
+                rows.append(el.words(f"{name} = {c['value']:.6g} {c['unit']}, held"))
                 continue
             shown, factor = _shown_unit(c["unit"])
-            fitted = said["fitted"][c["name"]]
             reach = 6 * c["stderr"] if math.isfinite(c["stderr"]) else 0.0
             reach = min(max(reach, 0.1 * abs(fitted)), 2 * abs(fitted)) or 1.0
-            value = said["coefficients"][c["name"]]
-            low, high = min(fitted - reach, value), max(fitted + reach, value)
-            name = c["name"]
-            self._sliders[name] = el.Slider(
-                name,
-                value / factor,
-                low / factor,
-                high / factor,
-                shown,
-                partial(self._slide, name, factor),
-                partial(self._settle, name, factor),
-            )
-        if said["moved"]:
-            with ui.element("div").classes("bench-row"):
-                el.button("Back to the fit", self._unmoved)
+            value = said["coefficients"][name]
+            ends = min(fitted - reach, value) / factor, max(fitted + reach, value) / factor
+            acts = partial(self._slide, name, factor), partial(self._settle, name, factor)
+            rows.append((Slide(name, *ends, shown, of=(fitted, reach)), value / factor, acts))
+        return [*rows, *([el.buttons({"Back to the fit": self._unmoved})] if said["moved"] else [])]
 
     def _slide(self, name: str, factor: float, value: float) -> None:
         """The curves follow; nothing is kept yet. factor : of the unit shown."""
@@ -334,10 +312,10 @@ class MuscleTab(Tab):
         said, fit = self._said, self._fit
         if said is None or fit is None:
             return
-        with self.bench.shown_errors(), warnings.catch_warnings():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             law = law_named(said["law"])(**self._now)
-            muscle = muscle_of(self.bench.folder, self.state)
+            muscle = muscle_of(self.world)
             moved = dataclasses.replace(muscle, law=law)
             curves = [look.numbers(moved.force(p, fit["kappa"])) for p in fit["levels"]]
             count = len(fit["levels"])
@@ -443,22 +421,14 @@ class MuscleTab(Tab):
         self._surface.draw(look.figure(data, height=300, scene=scene, margin=margin))
 
     # ---- what to measure next -------------------------------------------------------------------
-    def _design_box(self) -> None:
-        count = self.bench.session.view("Muscle", "count", 6)
-        criterion = self.bench.session.view("Muscle", "criterion", "D")
-        remember = self.bench.session.remember
-        el.Field(
-            "Further cells",
-            count,
-            "1",
-            lambda v: remember("Muscle", count=round(v)),
-            low=1,
-            high=50,
-            shown="1",
-        )
-        el.choice("Shrink", CRITERIA, criterion, lambda v: remember("Muscle", criterion=v))
-        with ui.element("div").classes("bench-row"):
-            el.button("Propose", self._design)
+    def _design_rows(self) -> list[el.Row]:
+        return [
+            (COUNT, self.view("count", 6), lambda v: self.remember(count=round(v))),
+            (CRITERION, self.view("criterion", "D"), lambda v: self.remember(criterion=v)),
+            el.buttons({"Propose": self._design}),
+        ]
+
+    def _show_next(self) -> None:
         found = self._next
         if found is None:
             return
@@ -475,47 +445,26 @@ class MuscleTab(Tab):
             )
         ]
         heads = ["p [bar]", "κ [%]", *(["l [mm]"] if lengths is not None else []), "F expected [N]"]
-        el.table(heads, rows, label="Cells to measure next")
         ratios = ", ".join(
             f"{n} ×{found['after'][n] / found['before'][n]:.2f}" for n in found["after"]
         )
-        el.note(f"Standard errors then: {ratios}")
+        with self._next_box:
+            el.table(heads, rows, label="Cells to measure next")
+            el.note(f"Standard errors then: {ratios}")
 
     async def _design(self) -> None:
-        with self.bench.shown_errors():
-            said = self._said
-            if said is None:
-                return
-            count = int(self.bench.session.view("Muscle", "count", 6))
-            criterion = self.bench.session.view("Muscle", "criterion", "D")
-            self._next = await self.bench.work(
-                "What to measure next",
-                jobs.design,
-                self.bench.folder,
-                said["table"],
-                said["law"],
-                said["fixed"],
-                count,
-                criterion,
-                warm="muscle",
-            )
+        said = self._said
+        if said is not None:
+            how = int(self.view("count", 6)), self.view("criterion", "D")
+            self._next = await self.work(jobs.design, _fit_of(said), *how)
             self._show()
 
     # ---- other muscles, and out of it -----------------------------------------------------------
     def _others(self) -> None:
         self._length: float | None = None
         names = {"": "choose ..."} | {n: catalogue_summary(n) for n in muscle_names()}
-        el.choice("Catalogue", names, "", self._catalogued)
-        el.Field(
-            "Rest length",
-            None,
-            "m",
-            lambda v: setattr(self, "_length", v),
-            low=1e-3,
-            high=10.0,
-            optional=True,
-            hint="where the catalogue holds none, or of another one",
-        )
+        catalogue = Menu("Catalogue", names), "", self._catalogued
+        el.Form().show([catalogue, (LENGTH, None, lambda v: setattr(self, "_length", v))])
         el.upload(
             "Muscle file (.toml, .json)",
             self._dropped,
@@ -525,46 +474,28 @@ class MuscleTab(Tab):
         )
 
     def _catalogued(self, name: str) -> None:
-        with self.bench.shown_errors():
-            if name:
-                said = {"kind": "catalogue", "name": name, "rest_length": self._length}
-                muscle_of(self.bench.folder, {"muscle": said})
-                self.bench.session.change(f"muscle {name}", muscle=said)
+        if name:
+            said = {"kind": "catalogue", "name": name, "rest_length": self._length}
+            muscle_of(World(self.session.folder, {"muscle": said}))
+            self.session.change(f"muscle {name}", muscle=said)
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
-        with self.bench.shown_errors():
-            file = self.bench.session.store(event.file.name, await event.file.read())
-            name = await self.bench.work(
-                "Reading the muscle file",
-                jobs.read_muscle,
-                self.bench.folder,
-                file,
-                time_limit=30.0,
-            )
-            said = {"kind": "file", "file": file, "name": name}
-            self.bench.session.change(f"muscle {name}", muscle=said)
+        file = self.session.store(event.file.name, await event.file.read())
+        name = await self.work(jobs.read_muscle, file)
+        self.session.change(f"muscle {name}", muscle={"kind": "file", "file": file, "name": name})
 
     async def _save(self) -> None:
-        with self.bench.shown_errors():
-            content = await self.bench.work(
-                "Saving", jobs.muscle_file, self.bench.folder, self.state, time_limit=30.0
-            )
-            self.bench.download(content, "muscle.toml")
+        self.bench.download(await self.work(jobs.muscle_file), "muscle.toml")
 
     async def _save_workbook(self) -> None:
-        with self.bench.shown_errors():
-            said = self._said
-            if said is not None:
-                content = await self.bench.work(
-                    "Writing the workbook",
-                    jobs.workbook,
-                    self.bench.folder,
-                    said["table"],
-                    said["law"],
-                    said["fixed"],
-                    warm="muscle",
-                )
-                self.bench.download(content, "fit.xlsx")
+        said = self._said
+        if said is not None:
+            self.bench.download(await self.work(jobs.workbook, _fit_of(said)), "fit.xlsx")
+
+
+def _fit_of(said: Mapping[str, Any]) -> dict[str, Any]:
+    """What a fit is made of."""
+    return {k: said[k] for k in ("table", "law", "fixed")}
 
 
 def _same(table: Mapping[str, Any], item: Mapping[str, Any]) -> bool:

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import events, ui
 
 from ...core.errors import InputError
 from ...core.quantities import quantity
@@ -16,15 +16,18 @@ from ...muscles.catalogue import muscle_names
 from ...plants.kinds import PLANTS
 from .. import elements as el
 from .. import look
-from ..form import argument_fields
+from ..elements import Menu, Number, Text
+from ..form import argument_rows
 from ..jobs import plant as jobs
 from ..made import muscle_of, own_plants
-from ..script import plant_lines
+from ..pictures import Plot, Scene
 from ..tab import Tab
-from .plant_own import own_plant_upload
 
 __all__ = ["PlantTab"]
 
+MOST_FILE = 2**20
+"""Bytes of a file with a plant of one's own."""
+CYCLES = Number("Cycles", low=2, high=200, shown="1")
 TURNING = ("AntagonisticJoint",)
 """Arrangements whose position is an angle."""
 STUDY = {
@@ -48,14 +51,16 @@ class PlantTab(Tab):
         with el.split():
             with el.side():
                 with el.section("Arrangement") as self._words:
-                    self._form = ui.element("div")
+                    self._form = el.Form()
+                    if self.bench.allow_code:
+                        self._own_upload()
                 with el.section("Operating point") as self._point_words:
-                    self._point = ui.element("div")
+                    self._point_form = el.Form()
             with el.plots():
                 with el.section("To scale"):
-                    self._scene = el.Scene("The plant, drawn to scale", None, height=300)
+                    self._scene = Scene("The plant, drawn to scale", None, height=300)
                 with el.section("Equilibrium map") as self._map_words:
-                    self._map_plot = el.Plot(
+                    self._map_plot = Plot(
                         look.figure([], height=330),
                         "Equilibrium map",
                         self._clicked,
@@ -80,8 +85,9 @@ class PlantTab(Tab):
         if made_of != self._made_of:
             self._made_of, self._what, self._map, self._rest_of = made_of, None, None, None
             if state["muscle"] is not None:
-                self.bench.soon(self._outline)
+                self.bench.soon(self._outline())
             self._draw_map()
+            self._show_swing()
             self._swing_plot.draw(look.figure([], height=240))
             self._swing_scene.show(None)
             self._study_plot.draw(look.figure([], height=380))
@@ -91,77 +97,73 @@ class PlantTab(Tab):
         self._show_form()
         self._show_point()
 
-    @staticmethod
-    def lines(state: dict[str, Any]) -> Sequence[str]:
-        return plant_lines(state)
-
     @property
     def _arrangement(self) -> str:
         return str(self.state["plant"]["arrangement"])
 
     # ---- the form -------------------------------------------------------------------------------
     def _show_form(self) -> None:
-        self._form.clear()
-        said = self.state["plant"]
-        name = self._arrangement
-        with self._form:
-            muscle = self.state["muscle"]
-            if muscle is None:
-                el.note("No muscle yet: fit or choose one in the tab Muscle.", "bench-bad")
-            else:
-                el.note(f"muscle: {muscle.get('name', '')}")
-            own = own_plants(self.bench.folder) if self.bench.allow_code else {}
-            known = {**{n: n for n in PLANTS}, **own}
-            el.choice("Arrangement", {name: name, **known}, name, self._arranged)
-            if self.bench.allow_code:
-                own_plant_upload(self.bench, self._arranged)
-            if name not in PLANTS:
-                self._words.set_text("A plant of your own")
-                return
-            self._words.set_text(PLANTS.words(name))
-            with self.bench.shown_errors():
-                argument_fields(PLANTS, name, said, self._said, turning=name in TURNING)
+        said, name, muscle = self.state["plant"], self._arrangement, self.state["muscle"]
+        own = own_plants(self.session.folder) if self.bench.allow_code else {}
+        known = {**{n: n for n in PLANTS}, **own}
+        known.setdefault(name, name)
+        rows = [
+            el.words("No muscle yet: fit or choose one in the tab Muscle.", "bench-bad")
+            if muscle is None
+            else el.words(f"muscle: {muscle.get('name', '')}"),
+            (Menu("Arrangement", known), name, self._arranged),
+        ]
+        if name in PLANTS:
+            rows += argument_rows(PLANTS, name, said, self._said, turning=name in TURNING)
             if "muscle2" in PLANTS.arguments(name):
                 second = {"": "the same"} | {n: n for n in muscle_names()}
-                el.choice(
-                    "second muscle",
-                    second,
-                    str(said.get("muscle2", "")),
-                    lambda v: self._said("muscle2", v or None),
-                )
+                act = partial(self._said, "muscle2")
+                rows.append((Menu("second muscle", second), said.get("muscle2"), act))
+        self._words.set_text(PLANTS.words(name) if name in PLANTS else "A plant of your own")
+        self._form.show(rows)
+
+    def _own_upload(self) -> None:
+        """For a Python file that makes plants; a single one in it is chosen at once."""
+        words = f"the file was refused: a .py up to {MOST_FILE / 2**20:g} MiB"
+        el.upload(
+            "A plant of your own (.py)",
+            self._dropped,
+            lambda: self.bench.say(words, "error"),
+            max_file_size=MOST_FILE,
+            accept=".py",
+        )
+
+    async def _dropped(self, event: events.UploadEventArguments) -> None:
+        before = own_plants(self.session.folder)
+        file = self.session.store(event.file.name, await event.file.read())
+        made = [name for name in own_plants(self.session.folder) if name.startswith(f"{file}:")]
+        if not made:
+            raise InputError(
+                f"{event.file.name} names no plant: at its top, define a Plant or a function "
+                "that takes a muscle and returns one"
+            )
+        self._arranged(next((name for name in made if name not in before), made[0]))
 
     def _arranged(self, name: str) -> None:
-        with self.bench.shown_errors():
-            known = PLANTS.arguments(name) if name in PLANTS else {}
-            kept = {k: v for k, v in self.state["plant"].items() if k in known and k != "set"}
-            # what belongs to the other kind of motion would be in a unit of its own
-            if (name in TURNING) != (self._arrangement in TURNING):
-                kept = {k: v for k, v in kept.items() if k in ("feed", "losses")}
-            plant = {**kept, "arrangement": name}
-            self.bench.session.change(f"arrangement {name}", plant=plant, point={})
+        known = PLANTS.arguments(name) if name in PLANTS else {}
+        kept = {k: v for k, v in self.state["plant"].items() if k in known and k != "set"}
+        # what belongs to the other kind of motion would be in a unit of its own
+        if (name in TURNING) != (self._arrangement in TURNING):
+            kept = {k: v for k, v in kept.items() if k in ("feed", "losses")}
+        plant = {**kept, "arrangement": name}
+        self.session.change(f"arrangement {name}", plant=plant, point={})
 
     def _said(self, name: str, value: Any) -> None:
-        """An argument of the plant; None takes it back. It is tried before it is kept."""
-        with self.bench.shown_errors():
-            rest = {k: v for k, v in self.state["plant"].items() if k != name}
-            plant = rest if value is None else {**rest, name: value}
-            self.bench.session.change(name.replace("_", " "), plant=plant)
+        """An argument of the plant; None takes it back."""
+        rest = {k: v for k, v in self.state["plant"].items() if k != name}
+        plant = rest if value in (None, "") else {**rest, name: value}
+        self.session.change(name.replace("_", " "), plant=plant)
 
     # ---- the plant ------------------------------------------------------------------------------
     async def _outline(self) -> None:
         made_of = self._made_of
         try:
-            what = await self.bench.work(
-                "The plant",
-                jobs.outline_of,
-                self.bench.folder,
-                self.state,
-                self.bench.allow_code,
-                quiet=True,
-                latest="outline",
-                warm="plant",
-                time_limit=60.0,
-            )
+            what = await self.work(jobs.outline_of)
         except Exception:
             self._scene.show(None)
             self._variables.clear()
@@ -193,26 +195,19 @@ class PlantTab(Tab):
 
     # ---- the operating point --------------------------------------------------------------------
     def _show_point(self) -> None:
-        self._point.clear()
         self._point_words.set_text("")
         if self._what is None:
+            self._point_form.show([])
             return
         point = self.state["point"]
         names = list(point) or self._what["pressures"]
-        with self._point:
-            for name in names:
-                el.Field(
-                    name,
-                    point.get(name),
-                    self._unit(name),
-                    partial(self._set, name),
-                    optional=True,
-                )
-            if not point:
-                el.note("Give each pressure, or click into the map.")
+        known = {name: Number(name, self._unit(name), optional=True) for name in names}
+        rows = el.fields(known, {n: point.get(n) for n in names}, self._set)
+        none = [] if point else [el.words("Give each pressure, or click into the map.")]
+        self._point_form.show([*rows, *none])
         if point and point != self._rest_of:
             self._rest_of = dict(point)
-            self.bench.soon(self._find_rest)
+            self.bench.soon(self._find_rest())
         elif not point:
             self._values.clear()
 
@@ -223,31 +218,15 @@ class PlantTab(Tab):
         return base.get(shown, shown)
 
     def _set(self, name: str, value: float | None) -> None:
-        with self.bench.shown_errors():
-            names = list(self.state["point"]) or (self._what or {})["pressures"]
-            point = {**dict.fromkeys(names), **self.state["point"], name: value}
-            missing = [n for n, v in point.items() if v is None]
-            if missing and value is not None:
-                point = {n: (value if v is None else v) for n, v in point.items()}
-            kept = {n: v for n, v in point.items() if v is not None}
-            self.bench.session.change("operating point", point=kept if value is not None else {})
+        names = list(self.state["point"]) or (self._what or {})["pressures"]
+        point = {**dict.fromkeys(names, value), **self.state["point"], name: value}
+        self.session.change("operating point", point={} if value is None else point)
 
     async def _find_rest(self) -> None:
         point = dict(self.state["point"])
         self._values.clear()
         try:
-            found = await self.bench.work(
-                "Operating point",
-                jobs.rest,
-                self.bench.folder,
-                self.state,
-                point,
-                self.bench.allow_code,
-                quiet=True,
-                latest="rest",
-                warm="plant",
-                time_limit=60.0,
-            )
+            found = await self.work(jobs.rest, point)
         except Exception:
             self._point_words.set_text("no rest there")
             raise
@@ -265,20 +244,12 @@ class PlantTab(Tab):
 
     # ---- the map --------------------------------------------------------------------------------
     async def _compute_map(self) -> None:
-        with self.bench.shown_errors():
-            muscle_of(self.bench.folder, self.state)
-            made_of = self._made_of
-            found = await self.bench.work(
-                "Equilibrium map",
-                jobs.equilibrium_map,
-                self.bench.folder,
-                self.state,
-                self.bench.allow_code,
-                warm="plant",
-            )
-            if made_of == self._made_of:
-                self._map = found
-                self._draw_map()
+        muscle_of(self.world)
+        made_of = self._made_of
+        found = await self.work(jobs.equilibrium_map)
+        if made_of == self._made_of:
+            self._map = found
+            self._draw_map()
 
     def _draw_map(self) -> None:
         found, rest = self._map, self._rest if self.state["point"] else None
@@ -308,109 +279,81 @@ class PlantTab(Tab):
 
     def _clicked(self, point: Mapping[str, Any]) -> None:
         """Set the operating point to that place of the map."""
-        with self.bench.shown_errors():
-            found = self._map
-            if found is None or point.get("curve") is None:
-                return
-            names = found["names"]
-            values = [1e5 * float(point["x"])]
-            if len(names) > 1:
-                values.append(1e5 * float(point["y"]))
-            where = {n: round(v, -2) for n, v in zip(names, values, strict=True)}
-            self.bench.session.change("operating point", point=where)
+        found = self._map
+        if found is None or point.get("curve") is None:
+            return
+        axes = [float(point[axis]) for axis in "xy"[: len(found["names"])]]
+        where = {n: round(1e5 * v, -2) for n, v in zip(found["names"], axes, strict=True)}
+        self.session.change("operating point", point=where)
 
     # ---- free vibration -------------------------------------------------------------------------
     def _swing_box(self) -> None:
-        view = self.bench.session.view
-        remember = self.bench.session.remember
-        turning = self._arrangement in TURNING
-        self._swing_plot = el.Plot(
+        self._swing_plot = Plot(
             look.figure([], height=240),
             "Free vibration over time",
             empty="The position after the plant is let go: press Free response",
         )
-        self._swing_scene = el.Scene("The plant, swinging", None, height=200)
-        el.Field(
-            "Let go beside rest by",
-            view("Plant", "offset", 0.002),
-            "rad" if turning else "m",
-            lambda v: remember("Plant", offset=v),
-            low=-1.0,
-            high=1.0,
+        self._swing_scene = Scene("The plant, swinging", None, height=200)
+        self._swing_form = el.Form()
+        self._show_swing()
+
+    def _show_swing(self) -> None:
+        unit = "rad" if self._arrangement in TURNING else "m"
+        offset = Number("Let go beside rest by", unit, -1.0, 1.0)
+        self._swing_form.show(
+            [
+                (offset, self.view("offset", 0.002), lambda v: self.remember(offset=v)),
+                (CYCLES, self.view("cycles", 12), lambda v: self.remember(cycles=v)),
+                el.buttons({"Free response": self._swing}),
+            ]
         )
-        el.Field(
-            "Cycles",
-            view("Plant", "cycles", 12),
-            "1",
-            lambda v: remember("Plant", cycles=v),
-            low=2,
-            high=200,
-            shown="1",
-        )
-        with ui.element("div").classes("bench-row"):
-            el.button("Free response", self._swing)
 
     async def _swing(self) -> None:
-        with self.bench.shown_errors():
-            if not self.state["point"]:
-                raise InputError("no operating point; give its pressures, or click into the map")
-            found = await self.bench.work(
-                "Free vibration",
-                jobs.vibration,
-                self.bench.folder,
-                self.state,
-                self.state["point"],
-                self.bench.session.view("Plant", "offset", 0.002),
-                self.bench.session.view("Plant", "cycles", 12),
-                self.bench.allow_code,
-                warm="plant",
-            )
-            self._swing_words.set_text(
-                f"{found['frequency']:.4g} Hz, damping ratio {found['damping']:.3g}"
-            )
-            curve = look.line(found["t"], found["values"])
-            name = f"{found['name']} [{found['unit']}]"
-            margin = {"l": 56, "r": 12, "t": 8, "b": 40}
-            self._swing_plot.draw(look.figure([curve], "time [s]", name, height=240, margin=margin))
-            self._swing_scene.show(found["scene"], seconds=max(2.0, float(found["t"][-1])))
+        if not self.state["point"]:
+            raise InputError("no operating point; give its pressures, or click into the map")
+        how = self.view("offset", 0.002), self.view("cycles", 12)
+        found = await self.work(jobs.vibration, *how)
+        self._swing_words.set_text(
+            f"{found['frequency']:.4g} Hz, damping ratio {found['damping']:.3g}"
+        )
+        curve = look.line(found["t"], found["values"])
+        name = f"{found['name']} [{found['unit']}]"
+        margin = {"l": 56, "r": 12, "t": 8, "b": 40}
+        self._swing_plot.draw(look.figure([curve], "time [s]", name, height=240, margin=margin))
+        self._swing_scene.show(found["scene"], seconds=max(2.0, float(found["t"][-1])))
 
     # ---- loads ----------------------------------------------------------------------------------
     def _loads_box(self) -> None:
-        self._masses = self.bench.session.view("Plant", "masses", "5, 10, 20, 50")
-        self._levels = self.bench.session.view("Plant", "levels", "1, 2, 3, 4, 5, 6")
-        self._study_plot = el.Plot(
+        self._masses = self.view("masses", "5, 10, 20, 50")
+        self._levels = self.view("levels", "1, 2, 3, 4, 5, 6")
+        self._study_plot = Plot(
             look.figure([], height=330),
             "Load study",
             empty="Position, stiffness, frequency and settling time over pressure, a curve for "
             "each mass: press Study the loads",
         )
-        el.text_field("Masses [kg]", self._masses, lambda v: self._several("masses", v, "kg"))
-        el.text_field("Pressures [bar]", self._levels, lambda v: self._several("levels", v, "bar"))
-        with ui.element("div").classes("bench-row"):
-            el.button("Study the loads", self._study)
+        masses, levels = Text("Masses [kg]"), Text("Pressures [bar]")
+        el.Form().show(
+            [
+                (masses, self._masses, partial(self._several, "masses", "kg")),
+                (levels, self._levels, partial(self._several, "levels", "bar")),
+                el.buttons({"Study the loads": self._study}),
+            ]
+        )
         self._cases = ui.element("div")
 
-    def _several(self, name: str, text: str, unit: str) -> None:
-        with self.bench.shown_errors():
-            _listed(text, unit)
-            setattr(self, f"_{name}", text)
-            self.bench.session.remember("Plant", **{name: text})
+    def _several(self, name: str, unit: str, text: str) -> None:
+        _listed(text, unit)
+        setattr(self, f"_{name}", text)
+        self.remember(**{name: text})
 
     async def _study(self) -> None:
-        with self.bench.shown_errors():
-            found = await self.bench.work(
-                "Load study",
-                jobs.loads,
-                self.bench.folder,
-                self.state,
-                _listed(self._masses, "kg"),
-                _listed(self._levels, "bar"),
-                warm="plant",
-            )
-            self._study_plot.draw(_study_figure(found["cases"]))
-            self._cases.clear()
-            with self._cases, ui.expansion("Table").props("dense").classes("bench-note"):
-                el.tag("pre", found["words"], "bench-pre")
+        said = _listed(self._masses, "kg"), _listed(self._levels, "bar")
+        found = await self.work(jobs.loads, *said)
+        self._study_plot.draw(_study_figure(found["cases"]))
+        self._cases.clear()
+        with self._cases, ui.expansion("Table").props("dense").classes("bench-note"):
+            el.tag("pre", found["words"], "bench-pre")
 
 
 def _listed(text: str, unit: str) -> list[float]:
