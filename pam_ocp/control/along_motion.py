@@ -24,7 +24,7 @@ from ..operating.linear import LinearAlong, held, linearize_along, no_influence
 from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
-from .blocks.draft import Draft, Symbol, as_output
+from .blocks.draft import Draft, Symbol, about, as_output
 from .blocks.kinds import BLOCKS
 from .blocks.running import ByBlock, Running
 from .controller import Measured
@@ -390,11 +390,9 @@ def _row(draft: Draft, table: Array) -> Symbol:
     count = draft.memory("sample", description="samples since the beginning")
     last = len(table) - 1
     here = ca.fmin(ca.fmax(count, 0), last)
-    started = draft.memory("started", description="1 after the first step")
     # what was sent a sample ago decides whether that sample counts
-    now = ca.if_else(started, ca.fmin(here + draft.active, last), here)
+    now = ca.if_else(draft.started, ca.fmin(here + draft.active, last), here)
     draft.next("sample", now)
-    draft.next("started", draft.kind(1))
     return ca.MX(ca.DM(table.T))[:, now]
 
 
@@ -453,13 +451,7 @@ def source(
     row = _row(draft, table)
     for i, n in enumerate(wanted):
         v = motion.variable(n)
-        about = Variable(
-            f"wanted.{n}",
-            "output",
-            unit=v.unit,
-            nominal=v.nominal,
-            start=float(table[0, i]),
-            description=f"planned: {v.description}",
-        )
-        draft.output(about, row[i])
+        words = about(v, f"planned: {v.description}")
+        start = float(table[0, i])
+        draft.output(Variable(f"wanted.{n}", "output", start=start, **words), row[i])
     return draft.block()

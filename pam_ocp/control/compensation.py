@@ -16,13 +16,20 @@ from ..core.stop import locked, turns
 from ..numerics.rosenbrock import rodas3
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
-from .blocks.draft import Draft, Symbol, as_output, clipped, sent_by
+from .blocks.draft import Draft, Symbol, clipped
 from .blocks.kinds import BLOCKS, law_of
 from .blocks.running import ByBlock, Running
 from .controller import Measured
-from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
+from .inverse import (
+    InverseDynamics,
+    at_an_end,
+    pressures_of,
+    stiffness_of,
+    wanted_motion,
+    wanted_stiffness,
+)
 from .kinds import CONTROLLERS
-from .pid import PID, PressureLoop, pid_law
+from .pid import PID, PressureLoop, pid_law, saturating
 from .references import Source, source
 
 __all__ = ["HysteresisCompensation"]
@@ -102,7 +109,7 @@ class HysteresisCompensation:
         self.compensate = bool(compensate)
         self.stiffness = None
         if len(self.inverse.muscles) == 2:
-            given = _start_of(plant, "stiffness") if stiffness is None else stiffness
+            given = stiffness_of(plant) if stiffness is None else stiffness
             self.stiffness = require_finite("stiffness", given)
         elif stiffness is not None:
             raise InputError("stiffness: one muscle alone has no choice of it; leave it out")
@@ -282,15 +289,11 @@ class _PressureInputs:
             wanted, slope = targets[m]
             rate = slope + (wanted - draft.like(inner.variable(f"{m}.pressure"))) / time
             values[self._inputs[index]] = self._solve(draft, m, function, index, rate, ends)
-        sent = sent_by(self.inversion, values, draft)
+        draft.drive(self.inversion, values)
         if self._loop is not None:
             names = {f"{m}.pressure": draft.like(inner.variable(f"{m}.pressure")) for m in targets}
             asked = self._loop.inputs({m: p for m, (p, _) in targets.items()}, names)
-            known = {v.name for v, _ in sent}
-            more = sent_by(self._loop.inversion, asked, draft)
-            sent += [(v, value) for v, value in more if v.name not in known]
-        for variable, value in sent:
-            draft.output(as_output(variable), value, command=True)
+            draft.drive(self._loop.inversion, asked)
 
     def _solve(
         self,
@@ -346,12 +349,6 @@ def _regula_falsi(missed: ca.Function, x: ca.SX, wanted: ca.SX, s: ca.SX) -> ca.
     return ca.Function("regula_falsi", [x, wanted, s], [ca.vertcat(*after)], {"cse": True})
 
 
-def _start_of(plant: Plant, name: str) -> float:
-    """An expression of the plant at its start values."""
-    at: Any = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression(name)])
-    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))
-
-
 # ---- as a block ---------------------------------------------------------------------------------
 @BLOCKS.register("HysteresisCompensation")
 def hysteresis_compensation(
@@ -390,7 +387,7 @@ class _Compensation:
         draft, o, muscles = self.draft, self.owner, self.inverse.muscles
         x, v, a, k = self._reference("wanted")
         ahead = self._reference("ahead")
-        started = draft.memory("started", description="1 after the first step")
+        started = draft.started
         held = {n: draft.memory(f"memory.{n}", s) for n, s in self.model.values.items()}
         modelled = [draft.memory(f"model.{m}.pressure", unit="Pa", nominal=1e5) for m in muscles]
         first = pressures_of(draft, self.inverse, x, v, a, k, held)
@@ -398,9 +395,7 @@ class _Compensation:
         added: list[Any] = [ca.MX(0)] * len(muscles)
         if o.frequency:
             error = x - draft.like(self.plant.variable(self.inverse.position))
-            saturated = draft.memory("saturated", description="a pressure was at an end")
-            frozen = ca.logic_or(saturated, draft.held_back)
-            more = pid_law(draft, PID.placed(o.frequency), error, frozen)
+            more = pid_law(draft, PID.placed(o.frequency), error, saturating(draft))
             wanted = pressures_of(draft, self.inverse, x, v, a + more, k, held)
             added = [wanted[i] - p for i, p in enumerate(now)]
             draft.next("saturated", at_an_end(self.inverse, wanted))
@@ -414,7 +409,6 @@ class _Compensation:
             draft.next(f"memory.{n}", value)
         for i, m in enumerate(muscles):
             draft.next(f"model.{m}.pressure", coming[i])
-        draft.next("started", ca.MX(1))
         o.inputs.enter(draft, targets, o.pressure_time)
         return draft.block()
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -13,8 +13,8 @@ from ..core.errors import InputError, require_positive
 from ..core.stop import verb
 from ..core.variables import Variable
 from ..plants.inversion import Inversion
-from ..plants.opening import Opening
 from ..plants.plant import Plant
+from .blocks.draft import clipped, sent_by
 from .linear_quadratic import StateFeedback
 
 __all__ = ["pid_controller", "state_feedback_controller"]
@@ -276,72 +276,67 @@ class _Valves:
     """The inversion of valves' dead zones inside a controller, with their widths as parameters."""
 
     def __init__(self, built: Plant, inversion: Inversion) -> None:
-        self.built, self.plant = built, inversion.plant
-        self._openings = {o.name: o for o in inversion.plant.openings}
-        self._own: dict[str, ca.SX] = {}
-        self._carried = inversion.carried
+        self.built, self.inversion, self.plant = built, inversion, inversion.plant
         self.states: Mapping[str, ca.SX] = {}
         """The plant's, as they are measured."""
 
+    @cached_property
+    def _p(self) -> ca.SX:
+        """The plant's parameters: those that openings depend on are the controller's, too."""
+        openings = self.plant.openings
+        parts = [e for o in openings for e in (o.forward, *o.inverse)]
+        parts += [e for c in self.inversion.carried.values() for e in (c.entered, c.left)]
+        used = {s.name() for s in ca.symvar(ca.vertcat(*parts))} if parts else set()
+        return ca.SX(
+            ca.vertcat(
+                *(
+                    self._parameter(v) if v.name in used else float(v.start or 0.0)
+                    for v in self.plant.parameters
+                )
+            )
+        )
+
+    def _parameter(self, v: Variable) -> ca.SX:
+        return self.built.parameter(
+            v.name,
+            float(v.start or 0.0),
+            unit=v.unit,
+            min=v.min,
+            max=v.max,
+            nominal=v.nominal,
+            tunable=True,
+            description=v.description,
+        )
+
+    def _column(self, states: Mapping[str, ca.SX]) -> ca.SX:
+        """The plant's states; start values for those that nobody gives."""
+        known = (states.get(v.name, v.start or 0.0) for v in self.plant.states)
+        return ca.SX(ca.vertcat(*known))
+
     def inside(self, states: Mapping[str, ca.SX]) -> ca.SX:
         """States of the plant as they count in openings."""
-        moved = {n: c.entered for n, c in self._carried.items()}
-        own = {v.name: states[v.name] for v in self.plant.states}
-        return ca.vertcat(
-            *(self._here([moved[n]], own)[0] if n in moved else s for n, s in own.items())
-        )
+        return ca.SX(self.inversion.entering()(self._column(states), self._p))
 
     def entered(self, door: Variable, declare: Callable[[Variable], ca.SX]) -> ca.SX:
         """What ``declare`` gives for a command; for an opening that of the commands declared."""
-        opening = self._openings.get(door.name)
+        opening = self.inversion.opening_of(door.name)
         if opening is None:
             return declare(door)
-        commands = [declare(self.plant.variable(c)) for c in opening.commands]
-        known = dict(zip(opening.commands, commands, strict=True))
-        return self._here([opening.forward], {**self.states, **known})[0]
+        names = self.inversion.commands_of(opening)
+        commands = ca.vertcat(*(declare(self.plant.variable(c)) for c in names))
+        forward = self.inversion.forward(opening)
+        return ca.SX(forward(commands, self._p, self._column(self.states)))
 
     def sent(self, door: Variable, wanted: ca.SX) -> ca.SX:
         """Declare the command, or the commands of an opening, as outputs; returns what is held."""
-        held = wanted if math.isinf(door.min) else ca.fmax(wanted, door.min)
-        held = held if math.isinf(door.max) else ca.fmin(held, door.max)
-        opening = self._openings.get(door.name)
-        if opening is None:
-            self._output(door, held)
-            return held
-        for name, command in zip(opening.commands, self._inverse(opening, held), strict=True):
-            self._output(self.plant.variable(name), command)
+        held: ca.SX = clipped(wanted, [door.min], [door.max])
+        known = self._p, self._column(self.states)
+        for command, value in sent_by(self.inversion, {door.name: held}, known):
+            self.built.output(
+                command.name,
+                value,
+                unit=command.unit,
+                nominal=command.nominal,
+                description=command.description,
+            )
         return held
-
-    def _output(self, command: Variable, value: ca.SX) -> None:
-        self.built.output(
-            command.name,
-            value,
-            unit=command.unit,
-            nominal=command.nominal,
-            description=command.description,
-        )
-
-    def _inverse(self, opening: Opening, held: ca.SX) -> list[ca.SX]:
-        return self._here(
-            ca.substitute(list(opening.inverse), [opening.symbol], [held]), self.states
-        )
-
-    def _here(self, expressions: list[ca.SX], known: Mapping[str, ca.SX]) -> list[ca.SX]:
-        """Expressions of the plant with this controller's symbols: parameters are declared."""
-        parameters = {v.name: v for v in self.plant.parameters}
-        used = {s.name() for s in ca.symvar(ca.vertcat(*expressions))}
-        for name, variable in parameters.items():
-            if name in used and name not in self._own:
-                self._own[name] = self.built.parameter(
-                    name,
-                    float(variable.start or 0.0),
-                    unit=variable.unit,
-                    min=variable.min,
-                    max=variable.max,
-                    nominal=variable.nominal,
-                    tunable=True,
-                    description=variable.description,
-                )
-        new = {n: s for n, s in {**self._own, **known}.items() if n in used}
-        old = [self.plant.expression(n) for n in new]
-        return list(ca.substitute(expressions, old, list(new.values())))

@@ -5,7 +5,7 @@ stiffness).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, TypeAlias
 
@@ -16,12 +16,18 @@ from numpy.typing import NDArray
 from ..core.block import Block
 from ..core.errors import InputError
 from ..core.stop import locked
-from ..core.variables import Variable
 from ..plants.plant import Plant, require_plant
-from .blocks.draft import Draft, Symbol, per
+from .blocks.draft import Draft, Symbol, as_output, per
 from .blocks.kinds import BLOCKS
 
-__all__ = ["InverseDynamics", "at_an_end", "pressures_of", "wanted_motion", "wanted_stiffness"]
+__all__ = [
+    "InverseDynamics",
+    "at_an_end",
+    "pressures_of",
+    "stiffness_of",
+    "wanted_motion",
+    "wanted_stiffness",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -269,6 +275,12 @@ def wanted_motion(
     return moved[0], moved[1], acceleration
 
 
+def stiffness_of(plant: Plant) -> float:
+    """The stiffness of a pair at its start values."""
+    at: Any = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression("stiffness")])
+    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))
+
+
 def wanted_stiffness(
     draft: Draft, plant: Plant, start: float | None, first: str = "wanted"
 ) -> Symbol:
@@ -318,21 +330,10 @@ def inverse_dynamics(
     x, v, a = wanted_motion(draft, inverse, (start, 0.0, 0.0))
     k = None
     if len(inverse.muscles) == 2:
-        at = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression("stiffness")])
-        rest = float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))
-        k = wanted_stiffness(draft, plant, rest)
+        k = wanted_stiffness(draft, plant, stiffness_of(plant))
     p = pressures_of(draft, inverse, x, v, a, k)
     for i, m in enumerate(inverse.muscles):
-        pressure = plant.variable(f"{m}.pressure")
-        about = Variable(
-            f"wanted.{m}.pressure",
-            "output",
-            unit="Pa",
-            start=pressure.start,
-            min=pressure.min,
-            max=pressure.max,
-            nominal=pressure.nominal,
-            description=f"gauge pressure of {m} that the motion needs",
-        )
-        draft.output(about, p[i])
+        pressure = as_output(plant.variable(f"{m}.pressure"))
+        words = f"gauge pressure of {m} that the motion needs"
+        draft.output(replace(pressure, name=f"wanted.{pressure.name}", description=words), p[i])
     return draft.block()

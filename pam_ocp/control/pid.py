@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -16,14 +17,14 @@ from ..core.stop import turns
 from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
-from .blocks.draft import Draft, Symbol, as_output, compensated, sent_by
+from .blocks.draft import Draft, Symbol, as_output, compensated
 from .blocks.kinds import BLOCKS, law_of
 from .blocks.running import ByBlock, Running
 from .controller import Measured
 from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
 from .references import Reference
 
-__all__ = ["PID", "PositionController", "PressureLoop", "pid_law"]
+__all__ = ["PID", "PositionController", "PressureLoop", "pid_law", "saturating"]
 
 Array: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = Mapping[str, Any]
@@ -48,9 +49,6 @@ class PID:
     ki: float = 0.0
     kd: float = 0.0
     filter_time: float = 2e-3
-    _integral: float = field(default=0.0, repr=False)
-    _slope: float = field(default=0.0, repr=False)
-    _last: float | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("kp", "ki", "kd"):
@@ -71,17 +69,27 @@ class PID:
 
     def reset(self) -> None:
         """Forget the past."""
-        self._integral, self._slope, self._last = 0.0, 0.0, None
+        self._law.reset()
 
     def __call__(self, error: float, sample_time: float, saturated: bool = False) -> float:
         """The output for an error, ``sample_time`` seconds after the call before."""
-        if self._last is not None:
-            share = self.filter_time / (self.filter_time + sample_time)
-            self._slope = share * self._slope + (1 - share) * (error - self._last) / sample_time
-        self._last = error
-        if not (saturated and error * self._integral > 0):
-            self._integral += error * sample_time
-        return self.kp * error + self.ki * self._integral + self.kd * self._slope
+        law = self._law
+        law.parameters[:] = self.kp, self.ki, self.kd, self.filter_time
+        law.tell({"error": error, "sample_time": sample_time, "saturated": saturated})
+        return float(law.step()[0])
+
+    @cached_property
+    def _law(self) -> Running:
+        return self._running()
+
+    @turns
+    def _running(self) -> Running:
+        """The law of the block, told its sample time with each error."""
+        draft = Draft("pid", 1.0, "PID controller")
+        error, time, saturated = (draft.input(n) for n in ("error", "sample_time", "saturated"))
+        value = pid_law(draft, self, error, saturated, time=time)
+        draft.output(Variable("command", "output"), value)
+        return Running(draft.block(), ())
 
 
 class PressureLoop:
@@ -262,12 +270,17 @@ def pid(
 
 
 def pid_law(
-    draft: Draft, controller: PID, error: Symbol, saturated: Symbol, sent: Symbol | None = None
+    draft: Draft,
+    controller: PID,
+    error: Symbol,
+    saturated: Symbol,
+    sent: Symbol | None = None,
+    time: Symbol | None = None,
 ) -> Symbol:
     """The PID's output for an error; ``saturated`` is what became of its last one.
 
     sent : the output that acted in its place while something else was sent; the integral follows
-    it. None: the integral is empty then.
+    it. None: the integral is empty then. time : since the last one; None: the draft's sample time.
     """
     kp, ki, kd = (
         draft.parameter(n, getattr(controller, n), description=words)
@@ -276,12 +289,12 @@ def pid_law(
     filter_time = draft.parameter(
         "filter_time", controller.filter_time, unit="s", min=0.0, description="of the derivative"
     )
-    time = draft.sample_time
+    time = draft.sample_time if time is None else time
     integral = draft.memory("integral", description="integral of the error")
     carry = draft.memory("carry", description="what rounding took from the integral")
     slope = draft.memory("slope", description="filtered derivative of the error")
     last = draft.memory("last_error", description="error of the last step")
-    started = draft.memory("started", description="1 after the first step")
+    started = draft.started
     share = filter_time / (filter_time + time)
     turned = share * slope + (1 - share) * (error - last) / time
     slope_now = ca.if_else(started, turned, slope)
@@ -298,8 +311,13 @@ def pid_law(
     draft.next("carry", ca.if_else(draft.active, left, 0))
     draft.next("slope", slope_now)
     draft.next("last_error", error)
-    draft.next("started", draft.kind(1))
     return kp * error + ki * now + kd * slope_now
+
+
+def saturating(draft: Draft) -> Symbol:
+    """Whether the last output could not be had: said by the memory ``saturated``, or the guard."""
+    saturated = draft.memory("saturated", description="what was asked for was beyond its range")
+    return ca.logic_or(saturated, draft.held_back)
 
 
 @BLOCKS.register("PositionController")
@@ -316,9 +334,7 @@ def position_controller(controller: PositionController, name: str = "position") 
     inverse.require_stiffness(stiffness)
     k = wanted_stiffness(draft, plant, stiffness) if len(inverse.muscles) == 2 else None
     error = x - draft.like(plant.variable(inverse.position))
-    saturated = draft.memory("saturated", description="a pressure was at an end of its range")
-    frozen = ca.logic_or(saturated, draft.held_back)
-    more = pid_law(draft, c.pid, error, frozen)
+    more = pid_law(draft, c.pid, error, saturating(draft))
     if not c.feedforward:
         at = c.reference(0.0)
         x, v, a = (
@@ -337,8 +353,7 @@ def _send(draft: Draft, loop: PressureLoop, wanted: dict[str, Symbol], plant: Pl
         for m in wanted
         if plant.variable(f"{m}.pressure").causality == "state"
     }
-    for variable, value in sent_by(loop.inversion, loop.inputs(wanted, measured), draft):
-        draft.output(as_output(variable), value, command=True)
+    draft.drive(loop.inversion, loop.inputs(wanted, measured))
 
 
 @BLOCKS.register("PressureLoop")

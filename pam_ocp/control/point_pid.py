@@ -21,7 +21,7 @@ from .blocks.kinds import BLOCKS, law_of
 from .blocks.running import ByBlock, Running
 from .controller import Measured
 from .kinds import CONTROLLERS
-from .pid import PID, pid_law
+from .pid import PID, pid_law, saturating
 from .references import Source
 from .state_feedback import acting, at_rest
 
@@ -198,10 +198,8 @@ def point_pid(controller: PointPid, name: str = "pid") -> Block:
     )
     size = ca.sumsqr(w)
     acted = ca.dot(w, acting(draft, inversion, chosen) - u0) / ca.if_else(size > 0, size, 1)
-    saturated = draft.memory("saturated", description="all inputs were beyond their ranges")
     error = wanted - draft.like(position)
-    frozen = ca.logic_or(saturated, draft.held_back)
-    u = u0 + w * pid_law(draft, controller.pid, error, frozen, acted)
+    u = u0 + w * pid_law(draft, controller.pid, error, saturating(draft), acted)
     sent = clipped(u, [v.min for v in chosen], [v.max for v in chosen])
     beyond = [sent[i] != u[i] for i, v in enumerate(chosen) if v.name in weights]
     draft.next("saturated", ca.mmin(ca.vertcat(1, *beyond)))

@@ -16,7 +16,7 @@ from ..core.stop import verb
 from ..operating.linear import LinearGrid, linearize_grid
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .blocks.draft import Draft, Symbol
+from .blocks.draft import Draft, Symbol, about
 from .blocks.kinds import BLOCKS
 from .blocks.running import ByBlock
 from .controller import Measured
@@ -143,13 +143,8 @@ def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -
     places = []
     for n, axis in family.axes.items():
         v = plant.variable(n)
-        s = draft.input(
-            f"place.{n}",
-            start[n],
-            unit=v.unit,
-            nominal=v.nominal,
-            description="where the plant is to be: it chooses the gains",
-        )
+        words = about(v, "where the plant is to be: it chooses the gains")
+        s = draft.input(f"place.{n}", start[n], **words)
         places.append(ca.fmin(ca.fmax(s, float(axis[0])), float(axis[-1])))
     at = ca.vertcat(*places)
     axes = [np.asarray(axis, dtype=float).tolist() for axis in family.axes.values()]

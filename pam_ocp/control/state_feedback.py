@@ -15,7 +15,7 @@ from ..core.errors import InputError
 from ..core.variables import Variable
 from ..operating.resting_point import OperatingPoint
 from ..plants.inversion import Inversion
-from .blocks.draft import Draft, Symbol, compensated, least_norm, opened_by
+from .blocks.draft import Draft, Symbol, about, compensated, least_norm, opened_by
 from .blocks.kinds import BLOCKS
 from .blocks.running import ByBlock
 from .controller import Measured
@@ -282,11 +282,7 @@ def at_rest(
     return ca.vertcat(
         *(
             draft.parameter(
-                f"{name}.{v.name}",
-                float(value),
-                unit=v.unit,
-                nominal=v.nominal,
-                description=f"{v.name} at the equilibrium",
+                f"{name}.{v.name}", float(value), **about(v, f"{v.name} at the equilibrium")
             )
             for v, value in zip(variables, values, strict=True)
         )

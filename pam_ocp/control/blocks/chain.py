@@ -14,6 +14,7 @@ from ...core.errors import InputError, UnknownNameError
 from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable
+from .draft import about
 from .kinds import law_of
 
 __all__ = ["chain"]
@@ -159,14 +160,8 @@ class _Chain:
     def _late(self, i: int, k: int) -> Variable:
         b = self.blocks[i]
         v = b.outputs[k]
-        return Variable(
-            f"{b.name}.last.{v.name}",
-            "state",
-            unit=v.unit,
-            start=v.start or 0.0,
-            nominal=v.nominal,
-            description=f"{v.name} of the last step",
-        )
+        words = about(v, f"{v.name} of the last step")
+        return Variable(f"{b.name}.last.{v.name}", "state", start=v.start or 0.0, **words)
 
     def _outputs(self) -> tuple[list[Variable], list[str]]:
         names = [v.name for b in self.blocks for v in b.outputs]

@@ -17,7 +17,7 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant
 from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
-__all__ = ["Draft", "clipped", "compensated", "least_norm", "per"]
+__all__ = ["Draft", "about", "as_output", "clipped", "compensated", "least_norm", "per", "sent_by"]
 
 Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
@@ -60,24 +60,13 @@ class Draft:
 
     def like(self, variable: Variable, prefix: str = "", **more: Any) -> Symbol:
         """The input that measures (or prescribes) a variable of a plant: no range, it may err."""
-        return self.input(
-            prefix + variable.name,
-            variable.start or 0.0,
-            unit=variable.unit,
-            nominal=variable.nominal,
-            description=variable.description,
-            **more,
-        )
+        start = variable.start or 0.0
+        return self.input(prefix + variable.name, start, **about(variable), **more)
 
     def wanted(self, variable: Variable, start: float, first: str = "wanted") -> Symbol:
         """The input ``wanted.NAME``: what a variable of a plant is to reach."""
-        return self.input(
-            f"{first}.{variable.name}",
-            start,
-            unit=variable.unit,
-            nominal=variable.nominal,
-            description=f"to be reached: {variable.description}",
-        )
+        words = f"to be reached: {variable.description}"
+        return self.input(f"{first}.{variable.name}", start, **about(variable, words))
 
     def column(self, variables: Iterable[Variable], prefix: str = "", **more: Any) -> Symbol:
         """Inputs that measure these, as a column."""
@@ -122,6 +111,12 @@ class Draft:
         """A number that is carried to the next step; it stays as it is unless ``next`` is told."""
         return self._enter(Variable(name, "state", start=float(start), **about))
 
+    @property
+    def started(self) -> Symbol:
+        """The memory that is 0 in the first step and 1 after it."""
+        self.next("started", self.kind(1))
+        return self.memory("started", description="1 after the first step")
+
     def next(self, name: str, value: Symbol) -> None:
         """What the memory ``name`` is in the next step."""
         self._next[name] = value
@@ -149,24 +144,13 @@ class Draft:
 
     def estimate(self, variable: Variable, value: Symbol) -> None:
         """The output ``estimate.NAME`` of a variable of a plant."""
-        self._outputs.append(
-            (
-                Variable(
-                    f"estimate.{variable.name}",
-                    "output",
-                    unit=variable.unit,
-                    nominal=variable.nominal,
-                    description=f"estimated: {variable.description}",
-                ),
-                value,
-            )
-        )
+        words = about(variable, f"estimated: {variable.description}")
+        self.output(Variable(f"estimate.{variable.name}", "output", **words), value)
 
     def deviation(self, variable: Variable, value: Symbol) -> None:
         """The output ``deviation.NAME``, standard deviation of an estimate."""
-        name, unit, nominal = f"deviation.{variable.name}", variable.unit, variable.nominal
-        told = Variable(name, "output", unit=unit, nominal=nominal, min=0.0, start=0.0)
-        self._outputs.append((told, value))
+        name, words = f"deviation.{variable.name}", about(variable, "")
+        self.output(Variable(name, "output", min=0.0, start=0.0, **words), value)
 
     def repeats(self, what: str, count: int) -> None:
         """What is done ``count`` times in a step, besides what was told before."""
@@ -209,9 +193,19 @@ class Draft:
             for i, variable in enumerate(inner):
                 self.output(as_output(variable), u[i], command=True)
             return
-        chosen = {v.name: u[i] for i, v in enumerate(inner)}
-        for variable, value in sent_by(inversion, chosen, self, known):
-            self.output(as_output(variable), value, command=True)
+        self.drive(inversion, {v.name: u[i] for i, v in enumerate(inner)}, known)
+
+    def drive(
+        self,
+        inversion: Inversion,
+        chosen: Mapping[str, Symbol],
+        known: tuple[Symbol, Symbol] | None = None,
+    ) -> None:
+        """The commands of inputs by inner name; those that are there already stay as they are."""
+        there = set(self._commands)
+        for variable, value in sent_by(inversion, chosen, known or beside(inversion, self)):
+            if variable.name not in there:
+                self.output(as_output(variable), value, command=True)
 
     def states(self, inversion: Inversion | None, variables: Iterable[Variable]) -> Symbol:
         """Measured states as a column, those of spools as they count in openings."""
@@ -272,27 +266,24 @@ def _column(kind: Any, entries: list[Symbol]) -> Symbol:
 
 def as_output(variable: Variable) -> Variable:
     """An input of a plant as the command that a block gives."""
-    return Variable(
-        variable.name,
-        "output",
-        unit=variable.unit,
-        start=variable.start,
-        min=variable.min,
-        max=variable.max,
-        nominal=variable.nominal,
-        description=variable.description,
-    )
+    v = variable
+    return Variable(v.name, "output", start=v.start, min=v.min, max=v.max, **about(v))
+
+
+def about(variable: Variable, description: str | None = None) -> dict[str, Any]:
+    """What a variable of a block takes over from one of a plant that it stands for."""
+    words = variable.description if description is None else description
+    return {"unit": variable.unit, "nominal": variable.nominal, "description": words}
 
 
 def sent_by(
-    inversion: Inversion,
-    chosen: Mapping[str, Symbol],
-    draft: Draft,
-    known: tuple[Symbol, Symbol] | None = None,
+    inversion: Inversion, chosen: Mapping[str, Symbol], known: tuple[Symbol, Symbol]
 ) -> list[tuple[Variable, Symbol]]:
-    """(input of the plant, value) of inputs by inner name, openings through their inverse."""
-    plant = inversion.plant
-    p, x = known or (plant.vector("parameter"), states_beside(inversion, draft))
+    """(input of the plant, value) of inputs by inner name, openings through their inverse.
+
+    known : parameters and states of the plant.
+    """
+    plant, (p, x) = inversion.plant, known
     results: list[tuple[Variable, Symbol]] = []
     for name, value in chosen.items():
         opening = inversion.opening_of(name)
@@ -305,12 +296,13 @@ def sent_by(
     return results
 
 
-def states_beside(inversion: Inversion, draft: Draft) -> Symbol:
-    """The plant's states, measured where an opening needs them beside its commands."""
-    states = inversion.plant.states
-    if not inversion.by_states:
-        return ca.DM([v.start or 0.0 for v in states])
-    return draft.column(states)
+def beside(inversion: Inversion, draft: Draft) -> tuple[Symbol, Symbol]:
+    """Parameters and states of the plant, these measured where an opening needs them beside its
+    commands.
+    """
+    plant = inversion.plant
+    p, x = plant.vector("parameter"), ca.DM([v.start or 0.0 for v in plant.states])
+    return p, draft.column(plant.states) if inversion.by_states else x
 
 
 def opened_by(
@@ -326,7 +318,7 @@ def opened_by(
     if not inversion:
         return named
     inner: dict[str, Symbol] = {}
-    p, x = known or (plant.vector("parameter"), states_beside(inversion, draft))
+    p, x = known or beside(inversion, draft)
     for variable in inversion.inner.inputs:
         opening = inversion.opening_of(variable.name)
         if opening is None:

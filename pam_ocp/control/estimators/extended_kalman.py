@@ -380,7 +380,7 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
         for i in range(n)
     ]
     p = ca.vertcat(*(ca.horzcat(*row) for row in rows))
-    started = draft.memory("started", description="1 after the first step")
+    started = draft.started
     sent = draft.sent(filter.given.controls)
     q = ca.DM(filter.given.vector())
     moved, p_moved, _ = filter.going(z, sent, q, p)
@@ -397,7 +397,6 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
             draft.next(f"covariance.c{i}_{j}", p[i, j])
     for i, v in enumerate(estimated):
         draft.deviation(v, ca.sqrt(ca.fmax(p[i, i], 0)) * float(filter._scale[i]))
-    draft.next("started", draft.kind(1))
     return draft.block()
 
 

@@ -425,7 +425,7 @@ def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
             for v in estimated
         )
     )
-    started = draft.memory("started", description="1 after the first step")
+    started = draft.started
     acted = opened_by(filter.inversion, whole, draft)
     u = ca.vertcat(*(acted.get(v.name, v.start or 0.0) for v in plant.inputs))
     predicted, moved = filter.prediction()(deviation, u)
@@ -440,7 +440,6 @@ def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
     for i, v in enumerate(estimated):
         draft.next(f"deviation.{v.name}", after[i])
         draft.estimate(v, estimate[i])
-    draft.next("started", draft.kind(1))
     return draft.block()
 
 

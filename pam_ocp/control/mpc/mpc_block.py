@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 
@@ -12,7 +11,7 @@ from ...core.errors import InputError, require_count, require_instance
 from ...core.stop import turns
 from ...core.variables import Variable
 from ...plants.plant import Plant
-from ..blocks.draft import Draft, Symbol, opened_by
+from ..blocks.draft import Draft, Symbol, about, opened_by
 from ..blocks.kinds import BLOCKS
 from .mpc import Mpc
 from .real_time import FACTS, PATIENCE, RealTimeIteration
@@ -118,13 +117,8 @@ def mpc_block(
 def _wanted(draft: Draft, variable: Variable, steps: int, horizon: int) -> Symbol:
     """A row of references at the nodes: those given, or the present one at each."""
     start = variable.start or 0.0
-    first = draft.like(variable, "wanted.")
-    about: dict[str, Any] = {
-        "unit": variable.unit,
-        "nominal": variable.nominal,
-        "description": variable.description,
-    }
-    ahead = [draft.input(f"ahead.{variable.name}.k{k + 1}", start, **about) for k in range(steps)]
+    first, name = draft.like(variable, "wanted."), f"ahead.{variable.name}"
+    ahead = [draft.input(f"{name}.k{k + 1}", start, **about(variable)) for k in range(steps)]
     return ca.horzcat(first, *(ahead or [first] * horizon))
 
 
@@ -139,8 +133,7 @@ def _told(draft: Draft, plant: Plant, name: str, estimated: bool) -> Symbol:
     v = plant.variable(name)
     if v.disturbance or estimated:
         return draft.like(v)
-    about = {"unit": v.unit, "nominal": v.nominal, "description": v.description}
-    return draft.parameter(name, v.start or 0.0, min=v.min, max=v.max, **about)
+    return draft.parameter(name, v.start or 0.0, min=v.min, max=v.max, **about(v))
 
 
 def _bounds(draft: Draft, core: RealTimeIteration) -> Symbol:
@@ -148,9 +141,8 @@ def _bounds(draft: Draft, core: RealTimeIteration) -> Symbol:
     ends = []
     for bound in core.bounds:
         v, side = bound.limit.variable, "high" if bound.high else "low"
-        words = f"{side}est {v.name} planned"
-        about = {"unit": v.unit, "nominal": v.nominal, "description": words}
-        ends.append(draft.parameter(f"{side}.{v.name}", bound.value, **about))
+        words = about(v, f"{side}est {v.name} planned")
+        ends.append(draft.parameter(f"{side}.{v.name}", bound.value, **words))
     return ca.vertcat(*ends)
 
 
@@ -160,7 +152,6 @@ def _fallback(draft: Draft, mpc: Mpc) -> Symbol:
     starts = dict(zip((v.name for v in mpc.model.inputs), rest, strict=True))
     inputs = []
     for v in mpc.given.controls:
-        words = f"{v.name} where programs fail for too long"
-        about = {"unit": v.unit, "nominal": v.nominal, "description": words}
-        inputs.append(draft.parameter(f"fallback.{v.name}", float(starts[v.name]), **about))
+        words = about(v, f"{v.name} where programs fail for too long")
+        inputs.append(draft.parameter(f"fallback.{v.name}", float(starts[v.name]), **words))
     return ca.vertcat(*inputs)
