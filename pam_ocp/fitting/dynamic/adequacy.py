@@ -409,7 +409,7 @@ class _Case:
         """Schwarz' criterion of the model with all suspects of a cause at their least squares."""
         n = sum(len(m.error) for m in self.motions)
         squares = self.evidence.squares_with(cause)
-        return float(n * np.sum(np.log(np.maximum(squares, 1e-300)))) + more * np.log(n)
+        return float(n * np.sum(np.log(np.maximum(squares, 1e-300))) + more * np.log(n))
 
     def noises(self, fit: _Regressed) -> list[Noise]:
         lost = (fit.columns) / len(self.weights)

@@ -40,10 +40,12 @@ ROUNDS = 30
 """
 GAINED = 1e-4
 """Of the sum of squares, below which they end."""
-TRIALS = ((1.0, 0.0), (0.3, 0.0), (0.1, 0.0), (1.0, 0.01), (1.0, 0.1), (1.0, 1.0), (1.0, 10.0))
+TRIALS = (*((s, 0.0) for s in (1.0, 0.3, 0.1)), *((1.0, d) for d in (1e-4, 0.01, 0.1, 1.0, 10.0)))
 """(Part of a step, Levenberg's damping in squared lengths of columns), one after the other."""
 ENOUGH = 0.02
 """Of the sum of squares, gained by a damped step with which no other is tried."""
+SHORT = 1e-2
+"""Length of a column, in that of the longest, below which damping holds it the more."""
 UNSEEN = 1e-10
 """Length of a column, in that of the longest, below which it is rounding."""
 EDGE = 1e-9
@@ -248,11 +250,13 @@ def solved(matrix: Array, right: Array, damping: float = 0.0) -> Array:
     """
     size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > UNSEEN * size.max(initial=0.0), size, np.inf)
+    if damping:
+        seen = np.where(np.isfinite(size), size, 0.0)
+        size = np.maximum(size, SHORT * seen.max(initial=0.0))
     even = matrix / size
     if damping:
-        k = even.shape[1]
-        even = np.vstack([even, np.sqrt(damping) * np.eye(k)])
-        right = np.concatenate([right, np.zeros(k)])
+        even = np.vstack([even, np.sqrt(damping) * np.eye(len(size))])
+        right = np.concatenate([right, np.zeros(len(size))])
     return np.asarray(np.linalg.lstsq(even, right, rcond=NEGLIGIBLE)[0] / size)
 
 
@@ -333,15 +337,20 @@ def _shown(values: Array, runs: Runs, sensors: Sensors | None, weights: Array) -
 
 
 def _squares(modelled: Sequence[Array], runs: Runs, weights: Array) -> float:
-    modelled = np.asarray(modelled)
+    values = np.asarray(modelled)
     with np.errstate(over="ignore"):  # a step too long
-        found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
-    lost = np.isnan(modelled) & ~np.isnan(runs.measured)
+        found = float(np.nansum(((values - runs.measured) * weights) ** 2))
+    lost = np.isnan(values) & ~np.isnan(runs.measured)
     return np.inf if lost.any() or not np.isfinite(found) else found
 
 
 def _bounded(
-    blocks: Sequence[Motion], weights: Array, k: int, low: Array, high: Array, damping: float
+    blocks: Sequence[Motion],
+    weights: Array,
+    k: int,
+    low: Array,
+    high: Array,
+    damping: float = 0.0,
 ) -> Array:
     """The step within its range, of values and of starts: those that would leave it go to its edge,
     one set after the other.
@@ -435,14 +444,14 @@ def _squares_with(
         g for g, s in zip(found.groups[count:], found.suspects, strict=True) if s.cause == cause
     )
     u = case.unknowns
+    at = [count] * len(chosen)
     unknowns = replace(
         u,
         groups=(*u.groups, *chosen),
         names=(*u.names[:count], *(g.name for g in chosen), *u.names[count:]),
-        **{
-            name: np.insert(getattr(u, name), [count] * len(chosen), value)
-            for name, value in (("scale", 1.0), ("low", -np.inf), ("high", np.inf))
-        },
+        scale=np.insert(u.scale, at, 1.0),
+        low=np.insert(u.low, at, -np.inf),
+        high=np.insert(u.high, at, np.inf),
     )
     wide = replace(
         case,
@@ -458,10 +467,14 @@ def _squares_with(
         own = [c for s, c in sensor_suspects(named, modelled, _rows(runs)) if s.cause == cause]
         return [np.stack(c, axis=2) for c in zip(*own, strict=True)]
 
+    has = any(s.cause == cause for s, _ in sensor_suspects(named, _rows(runs), _rows(runs)))
     later = wide.runs(runs.horizons[0] if runs.horizons else None)
     more = len(found.plant.states) - x0.shape[1]
     begun = np.hstack([x0, np.zeros((len(x0), more))])
-    has = any(s.cause == cause for s, _ in sensor_suspects(named, _rows(runs), _rows(runs)))
-    at = np.insert(z, [count] * len(chosen), 0.0)
-    *_, modelled = _least_squares(wide, later, later, at, begun, sensors if has else None)
+    try:
+        *_, modelled = _least_squares(
+            wide, later, later, np.insert(z, at, 0.0), begun, sensors if has else None
+        )
+    except FitError:
+        modelled = list(_with_starts(case, runs).rollout(runs).predicted(np.append(z, x0)))
     return np.asarray(np.nanmean((np.asarray(modelled) - runs.measured) ** 2, axis=(0, 1)))

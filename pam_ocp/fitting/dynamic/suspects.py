@@ -101,7 +101,7 @@ def suspected(
     delays: Mapping[str, float],
     outputs: Sequence[str] = (),
 ) -> Suspected:
-    """delays : of inputs [s]. records : whose inputs are all columns. outputs : what is measured."""
+    """delays : of inputs [s]. records : whose inputs are all columns. outputs : measured."""
     b = _Builder(plant)
     clocks = [b.input(c) for c in _clocks(records)]
     for g in groups:
