@@ -1,6 +1,6 @@
 """Does a dynamic fit say when its model is inadequate, and do its intervals hold the truth?
 
-    python benchmarks/adequacy_study.py [--seed N] [--rigs 300] [--fault NAME]
+    python benchmarks/adequacy_study.py [--seed N] [--rigs 300] [--fault NAME ...]
 
 Random rigs (hanging loads, slides, joints, springs over a muscle; catalogue muscles, masses, lags,
 damping, noise, excitation, what is measured, what is free, which fit) with one of eight faults in
@@ -270,13 +270,13 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--seed", type=int, default=time.time_ns() // 10**9)
     options.add_argument("--rigs", type=int, default=300)
-    options.add_argument("--fault", choices=list(FAULTS))
+    options.add_argument("--fault", choices=list(FAULTS), nargs="+", default=list(FAULTS))
     given = options.parse_args()
     warnings.simplefilter("ignore")
     print("seed", given.seed)
     found, refused = [], 0
     for k in range(given.rigs):
-        fault = given.fault or list(FAULTS)[k % len(FAULTS)]
+        fault = given.fault[k % len(given.fault)]
         try:
             row = one(given.seed, k, fault)
         except PamError as error:

@@ -15,6 +15,7 @@ import scipy.optimize
 import pam_ocp as pam
 from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
 from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise, residual_adequacy
+from pam_ocp.fitting.dynamic.evidence import solved
 
 TRUE = {"damping": 80.0, "muscle.lag": 0.08}
 PATTERN = {"damping": 80.0, "muscle*.lag": 0.08}
@@ -76,6 +77,39 @@ def test_what_the_model_lacks_is_named(fault: str, cause: str) -> None:
     assert fit.adequacy.sentence in str(fit)
     if fault == "scale":
         assert fit.adequacy.subject == "x"
+
+
+def test_friction_inside_a_muscle_is_no_lag_though_its_force_sensor_feels_it() -> None:
+    """The sensor shows the muscle's force less the friction: it jumps as the motion turns."""
+
+    def slide(losses: Any = ()) -> pam.Plant:
+        feed = pam.feeds.PairRegulator(0.08, base=2.5e5)
+        return pam.AntagonisticSlide("DMSP-20-400N", 3.0, damping=80.0, feed=feed, losses=losses)
+
+    rig, model = slide(pam.losses.CoulombFriction(15.0, speed=5e-3)), slide()
+    random, t = np.random.default_rng(2), 0.01 * np.arange(600)
+    (command,) = (v.name for v in model.inputs)
+    u = np.repeat(random.uniform(-1e5, 1e5, 15), 40)
+    start = rig.equilibrium({command: u[0]})
+    run = pam.simulate(rig, {command: u}, t=t, start=start, interpolation="previous", rtol=1e-9)
+    noise = {"x": NOISE, "muscle1.force": 1.0}
+    columns = {n: run[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
+    columns[command] = u
+    shown = pam.Trajectory(t, columns, [model.variable(n) for n in columns], "previous")
+    asked = {"outputs": list(noise), "horizon": None, "judge": False}
+    free = ["base_pressure", "damping", "muscle*.lag"]
+    assert fit_free_run(model, shown, free, **asked).adequacy.cause == "friction or hysteresis"
+
+
+def test_damped_least_squares_are_those_of_levenberg() -> None:
+    """Of orthogonal columns each is 1/(1 + damping) of what it is undamped; what is hardly seen is
+    held.
+    """
+    matrix, right = np.array([[2.0, 0.0], [0.0, 1e-8], [0.0, 0.0]]), np.array([4.0, 1.0, 7.0])
+    assert solved(matrix, right) == pytest.approx([2.0, 1e8])
+    held = solved(matrix, right, damping=1.0)
+    assert held[0] == pytest.approx(1.0)
+    assert abs(held[1]) < 1e-3
 
 
 def test_an_adequate_model_is_called_so_and_its_noise_is_that_of_the_sensor() -> None:

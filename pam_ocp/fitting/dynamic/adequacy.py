@@ -21,7 +21,7 @@ import numpy as np
 from ..static.correlation import neighbours
 from ..statistics import Array
 from .evidence import Evidence, Motion, projected, solved
-from .suspects import CAUSES, Suspect
+from .suspects import CAUSES, Suspect, sensor_suspects
 
 __all__ = ["Adequacy", "AdequacyTest", "Noise", "adequacy_of", "noise_of", "residual_adequacy"]
 
@@ -405,6 +405,12 @@ class _Case:
         sigma = np.sqrt(np.sum(every**2, axis=0) / max(len(every) * dof / error.size, 1.0))
         return _Regressed(found, residuals, float(left @ left), dof, rank, np.asarray(sigma))
 
+    def criterion(self, cause: str, more: int) -> float:
+        """Schwarz' criterion of the model with all suspects of a cause at their least squares."""
+        n = sum(len(m.error) for m in self.motions)
+        squares = self.evidence.squares_with(cause)
+        return float(n * np.sum(np.log(np.maximum(squares, 1e-300))) + more * np.log(n))
+
     def noises(self, fit: _Regressed) -> list[Noise]:
         lost = (fit.columns) / len(self.weights)
         return [
@@ -435,41 +441,13 @@ def _whitened(m: Motion, columns: Array, weights: Array, noises: Sequence[Noise]
 
 
 def _columns(evidence: Evidence) -> tuple[tuple[Suspect, list[Array]], ...]:
-    """Suspects of the plant, and those of sensors, whose slopes the modelled values are."""
+    """Suspects of the plant, and those of sensors, with their slopes in each motion."""
     found = [
         (s, [m.suspects[..., i] for m in evidence.motions]) for i, s in enumerate(evidence.suspects)
     ]
-    total = float(sum(len(m.error) for m in evidence.motions))
-    firsts = np.cumsum([0, *(len(m.error) for m in evidence.motions)])
     modelled = [m.error + y for m, y in zip(evidence.motions, evidence.measured, strict=True)]
-    for j, name in enumerate(evidence.outputs):
-        measured = np.concatenate([y[:, j] for y in evidence.measured])
-        size = max(float(measured.std()), 1e-300)
-        unit, (low, high) = evidence.units[j], np.percentile(measured, [2, 98])
-
-        def only(values: Sequence[Array], place: int = j) -> list[Array]:
-            return [
-                np.stack([v if i == place else 0 * v for i in range(len(evidence.outputs))], axis=1)
-                for v in values
-            ]
-
-        own = [y[:, j] for y in modelled]
-        clock = [(f + np.arange(len(y))) / total for f, y in zip(firsts, own, strict=False)]
-        found += [
-            (Suspect("scale", name), only(own)),
-            (Suspect("scale", name, unit, size), only([size + 0 * y for y in own])),
-            (Suspect("drift", f"the scale of {name}"), only(_times(clock, own))),
-            (Suspect("drift", f"the zero of {name}", unit, size), only([size * c for c in clock])),
-            (Suspect("lag", f"the sensor of {name}"), only([np.gradient(y) for y in own])),
-            (Suspect("floor", name), only([np.maximum(low - y, 0.0) for y in own])),
-            (Suspect("floor", name), only([np.maximum(y - high, 0.0) for y in own])),
-            (Suspect("floor", name), only([size * (y < low) for y in own])),
-        ]
-    return tuple(found)
-
-
-def _times(first: Sequence[Array], second: Sequence[Array]) -> list[Array]:
-    return [a * b for a, b in zip(first, second, strict=True)]
+    named = zip(evidence.outputs, evidence.units, strict=True)
+    return (*found, *sensor_suspects(tuple(named), modelled, evidence.measured))
 
 
 def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dict[str, float]]:
@@ -536,32 +514,29 @@ class _Cause:
 
 
 def _likeliest(case: _Case, base: _Regressed) -> _Cause:
-    """That with the suspect which takes up most, if any is more than autoregressive noise may
-    seem to be: by score tests of the residuals whitened as such.
+    """That which takes up most, if any is more than autoregressive noise may
+    seem to be: by score tests of the residuals whitened as such. Which it is the least squares
+    with each of them tell: where much is missing slopes do not reach so far, as values have moved
+    to make up for it.
     """
     from scipy.special import fdtrc
 
     noises = case.noises(base)
     white = case.regressed((), noises)
     causes = [c for c in CAUSES if case.of(c)]
-    found: dict[str, tuple[float, float]] = {}
+    more, told = {}, False
     for cause in causes:
         wider = case.regressed(case.of(cause), noises)
-        more = wider.columns - white.columns
-        if more < 1 or wider.dof < FEWEST:
+        count = wider.columns - white.columns
+        if count < 1 or wider.dof < FEWEST:
             continue
-        f = (white.squares - wider.squares) / more / (wider.squares / wider.dof)
-        if fdtrc(more, wider.dof, max(f, 0.0)) < LEVEL / len(causes):
-            # causes have more or fewer suspects: the best of each by itself is what compares
-            alone = [case.regressed((i,), noises).squares for i in case.of(cause)]
-            found[cause] = (float(min(alone)), float(f))
-    if not found:
+        f = (white.squares - wider.squares) / count / (wider.squares / wider.dof)
+        told |= bool(fdtrc(count, wider.dof, max(f, 0.0)) < LEVEL / len(causes))
+        more[cause] = count
+    if not told:
         name = "coloured noise" if any(n.order for n in noises) else "unknown"
         return _Cause(name, noises, base)
-    name = min(found, key=lambda n: found[n][0])
-    forces = [n for n in ("friction or hysteresis", "law") if n in found]
-    if name in forces:  # both push the same velocity: all suspects of each count
-        name = max(forces, key=lambda n: found[n][1])
+    name = min(more, key=lambda c: case.criterion(c, more[c]))
     fit = case.regressed(case.of(name))
     return _Cause(name, case.noises(fit), fit, case.of(name))
 

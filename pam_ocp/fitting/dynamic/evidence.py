@@ -23,7 +23,7 @@ from .rig import Rig, RunUnknowns
 from .rollout import Rollout
 from .run_statistics import LEAST_STEPS, MOST_STEPS
 from .runs import Runs, runs_of, settled_starts
-from .suspects import Suspect, suspected
+from .suspects import Suspect, Suspected, sensor_suspects, suspected
 
 __all__ = ["Evidence", "Motion", "evidence_of"]
 
@@ -40,6 +40,12 @@ ROUNDS = 30
 """
 GAINED = 1e-4
 """Of the sum of squares, below which they end."""
+TRIALS = (*((s, 0.0) for s in (1.0, 0.3, 0.1)), *((1.0, d) for d in (1e-4, 0.01, 0.1, 1.0, 10.0)))
+"""(Part of a step, Levenberg's damping in squared lengths of columns), one after the other."""
+ENOUGH = 0.02
+"""Of the sum of squares, gained by a damped step with which no other is tried."""
+SHORT = 1e-2
+"""Length of a column, in that of the longest, below which damping holds it the more."""
 UNSEEN = 1e-10
 """Length of a column, in that of the longest, below which it is rounding."""
 EDGE = 1e-9
@@ -79,6 +85,8 @@ class Evidence:
     shifts: Array
     integration: Array
     measured: tuple[Array, ...]
+    squares_with: Callable[[str], Array]
+    """(ny,) mean squares of the residuals with the suspects of a cause at their least squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +142,7 @@ def evidence_of(
             LEAST_STEPS,
         )
         runs, x0 = _followed(case)
-        z, x0 = _least_squares(case, runs, runs, case.z, x0)
+        z, x0, _ = _least_squares(case, runs, runs, case.z, x0)
         fine, ready = runs, _with_starts(case, runs)
         every = np.concatenate([z, x0.ravel()])
         modelled = ready.rollout(fine).predicted(every)
@@ -149,7 +157,7 @@ def evidence_of(
             if np.all(gap <= ACCURATE * rms) or finer.steps > MOST_STEPS:
                 break
             # values that were found with long steps leave more than they should
-            z, x0 = _least_squares(case, fine, finer, z, x0)
+            z, x0, _ = _least_squares(case, fine, finer, z, x0)
             every = np.concatenate([z, x0.ravel()])
             fine, modelled = finer, ready.rollout(finer).predicted(every)
         if not np.all(np.isfinite(gap)):
@@ -236,54 +244,114 @@ def _basis(columns: Array) -> Array:
     return np.asarray(u[:, s > NEGLIGIBLE * s[0]])
 
 
-def solved(matrix: Array, right: Array) -> Array:
+def solved(matrix: Array, right: Array, damping: float = 0.0) -> Array:
     """Least squares with columns of unit length; of what is not determined, the shortest, and
     nothing of what is not seen at all (the pressure of a slack muscle).
     """
     size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > UNSEEN * size.max(initial=0.0), size, np.inf)
-    return np.asarray(np.linalg.lstsq(matrix / size, right, rcond=NEGLIGIBLE)[0] / size)
+    if damping:
+        seen = np.where(np.isfinite(size), size, 0.0)
+        size = np.maximum(size, SHORT * seen.max(initial=0.0))
+    even = matrix / size
+    if damping:
+        even = np.vstack([even, np.sqrt(damping) * np.eye(len(size))])
+        right = np.concatenate([right, np.zeros(len(size))])
+    return np.asarray(np.linalg.lstsq(even, right, rcond=NEGLIGIBLE)[0] / size)
 
 
-def _least_squares(case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array) -> tuple[Array, Array]:
-    """Values and starts of the least squares of these motions, from those given.
+Sensors = Callable[[Sequence[Array]], Sequence[Array]]
+"""(K, ny, p) of each motion from what is modelled (K, ny): what p errors of sensors add to it."""
+
+
+def _least_squares(
+    case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array, sensors: Sensors | None = None
+) -> tuple[Array, Array, list[Array]]:
+    """Values and starts of the least squares of these motions, from those given; what is modelled.
 
     runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little
-    off cost a step more, not accuracy.
+    off cost a step more, not accuracy. sensors : whose errors are sought, too; they are linear.
     """
     ready, k = _with_starts(case, runs), len(z)
     rollout, u = ready.rollout(runs), ready.unknowns
     motion = rollout if fine is runs else ready.rollout(fine)
     weights = 1 / rollout.spread
     best = np.concatenate([z, x0.ravel()])
-    modelled = motion.predicted(best)
+
+    def shown(point: Array, weights: Array) -> list[Array]:
+        values = motion.predicted(point)
+        return _shown(values, runs, sensors, weights)
+
+    modelled = shown(best, weights)
     for number in range(ROUNDS):
-        blocks = _blocks(rollout, best, k, 0, list(modelled))
+        blocks = _blocks(rollout, best, k, 0, modelled)
         weights = 1 / np.maximum(_roots(blocks), 1e-12 * rollout.spread)
-        last = _squares(modelled, runs, weights)
-        step, gained = (
-            _bounded(blocks, weights, k if number else 0, u.low - best, u.high - best),
-            0.0,
+        last, more = _squares(modelled, runs, weights), 0
+        if sensors:
+            columns = sensors([m.error + y for m, y in zip(blocks, _rows(runs), strict=True)])
+            more = columns[0].shape[2]
+            blocks = [
+                replace(m, values=np.concatenate([m.values, c], axis=2))
+                for m, c in zip(blocks, columns, strict=True)
+            ]
+        low, high = (
+            np.insert(edge - best, [k] * more, far)
+            for edge, far in ((u.low, -np.inf), (u.high, np.inf))
         )
-        for size in (1.0, 0.3, 0.1, 0.02):
-            trial = motion.predicted(best + size * step)
+        gained, moved = 0.0, k + more if number else 0
+        for size, damping in TRIALS:
+            step = _bounded(blocks, weights, moved, low, high, damping)
+            point = best + size * np.delete(step, slice(k, k + more))
+            trial = shown(point, weights)
             squares = _squares(trial, runs, weights)
-            if squares < last:
-                best, modelled, gained = best + size * step, trial, 1 - squares / last
+            if squares < last * (1 - gained):
+                found, gained = (point, trial), 1 - squares / last
+            if gained > ENOUGH or (gained and not damping):
                 break
+        if gained:
+            best, modelled = found
         if number and gained < GAINED:
             break
-    return best[:k], best[k:].reshape(x0.shape)
+    return best[:k], best[k:].reshape(x0.shape), modelled
 
 
-def _squares(modelled: Array, runs: Runs, weights: Array) -> float:
+def _rows(runs: Runs) -> list[Array]:
+    return [r[:n] for r, n in zip(runs.measured, runs.length, strict=True)]
+
+
+def _shown(values: Array, runs: Runs, sensors: Sensors | None, weights: Array) -> list[Array]:
+    """What sensors show of a motion, with those errors that fit best."""
+    if sensors is None or not np.all(np.isfinite(values[~np.isnan(runs.measured)])):
+        return list(values)
+    rows = [v[:n] for v, n in zip(values, runs.length, strict=True)]
+    columns = sensors(rows)
+    matrix = np.concatenate([(c * weights[:, None]).reshape(-1, c.shape[2]) for c in columns])
+    error = np.concatenate(
+        [((m - y) * weights).ravel() for m, y in zip(_rows(runs), rows, strict=True)]
+    )
+    found = solved(matrix, error)
+    shown = values.copy()
+    for row, c in zip(shown, columns, strict=True):
+        row[: len(c)] += c @ found
+    return list(shown)
+
+
+def _squares(modelled: Sequence[Array], runs: Runs, weights: Array) -> float:
+    values = np.asarray(modelled)
     with np.errstate(over="ignore"):  # a step too long
-        found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
-    lost = np.isnan(modelled) & ~np.isnan(runs.measured)
+        found = float(np.nansum(((values - runs.measured) * weights) ** 2))
+    lost = np.isnan(values) & ~np.isnan(runs.measured)
     return np.inf if lost.any() or not np.isfinite(found) else found
 
 
-def _bounded(blocks: Sequence[Motion], weights: Array, k: int, low: Array, high: Array) -> Array:
+def _bounded(
+    blocks: Sequence[Motion],
+    weights: Array,
+    k: int,
+    low: Array,
+    high: Array,
+    damping: float = 0.0,
+) -> Array:
     """The step within its range, of values and of starts: those that would leave it go to its edge,
     one set after the other.
     """
@@ -297,7 +365,7 @@ def _bounded(blocks: Sequence[Motion], weights: Array, k: int, low: Array, high:
             start = np.where(held[own], 0.0, m.start)
             slopes = np.where(held[:values], 0.0, m.values)
             free.append(replace(m, error=m.error + known, start=start, values=slopes))
-        moved = _step(free, weights, k)
+        moved = _step(free, weights, k, damping)
         out = ~held & ((moved < low) | (moved > high))
         if not out.any():
             return np.asarray(fixed + moved)
@@ -305,17 +373,18 @@ def _bounded(blocks: Sequence[Motion], weights: Array, k: int, low: Array, high:
         held |= out
 
 
-def _step(blocks: Sequence[Motion], weights: Array, k: int) -> Array:
+def _step(blocks: Sequence[Motion], weights: Array, k: int, damping: float) -> Array:
     """Of the values (the first k; none of them moves at first) and all starts."""
     values = blocks[0].values.shape[2]
     step = np.zeros(values)
     if k:
         error, columns = projected(blocks, weights, lambda m: m.values)
-        step = -solved(columns, error)
+        step = -solved(columns, error, damping)
     begun = [
         -solved(
             (m.start * weights[:, None]).reshape(m.error.size, -1),
             ((m.error + m.values @ step) * weights).ravel(),
+            damping,
         )
         for m in blocks
     ]
@@ -331,7 +400,7 @@ def _evidence(
 ) -> Evidence:
     ready, k = _with_starts(case, runs), len(z)
     delays = case.unknowns.rig(case.plant, runs.names, case.rig, z).delays
-    found = suspected(case.plant, case.records, case.groups, delays)
+    found = suspected(case.plant, case.records, case.groups, delays, runs.names)
     suspects = found.suspects
     u, m, count = ready.unknowns, len(suspects), len(case.groups)
     wide = replace(
@@ -361,5 +430,51 @@ def _evidence(
         suspects,
         z - case.z,
         np.asarray(gap),
-        tuple(r[:n] for r, n in zip(runs.measured, runs.length, strict=True)),
+        tuple(_rows(runs)),
+        lambda cause: _squares_with(case, runs, found, cause, z, x0),
     )
+
+
+def _squares_with(
+    case: _Case, runs: Runs, found: Suspected, cause: str, z: Array, x0: Array
+) -> Array:
+    """See :class:`Evidence`; those without where the motions with it cannot be followed."""
+    count = len(case.groups)
+    chosen = tuple(
+        g for g, s in zip(found.groups[count:], found.suspects, strict=True) if s.cause == cause
+    )
+    u = case.unknowns
+    at = [count] * len(chosen)
+    unknowns = replace(
+        u,
+        groups=(*u.groups, *chosen),
+        names=(*u.names[:count], *(g.name for g in chosen), *u.names[count:]),
+        scale=np.insert(u.scale, at, 1.0),
+        low=np.insert(u.low, at, -np.inf),
+        high=np.insert(u.high, at, np.inf),
+    )
+    wide = replace(
+        case,
+        plant=found.plant,
+        records=found.records,
+        groups=unknowns.groups,
+        unknowns=unknowns.of_motions(found.plant, 0),
+        rig=replace(case.rig, delays={**case.rig.delays, **found.delays}),
+    )
+    named = [(n, case.plant.variable(n).unit) for n in runs.names]
+
+    def sensors(modelled: Sequence[Array]) -> list[Array]:
+        own = [c for s, c in sensor_suspects(named, modelled, _rows(runs)) if s.cause == cause]
+        return [np.stack(c, axis=2) for c in zip(*own, strict=True)]
+
+    has = any(s.cause == cause for s, _ in sensor_suspects(named, _rows(runs), _rows(runs)))
+    later = wide.runs(runs.horizons[0] if runs.horizons else None)
+    more = len(found.plant.states) - x0.shape[1]
+    begun = np.hstack([x0, np.zeros((len(x0), more))])
+    try:
+        *_, modelled = _least_squares(
+            wide, later, later, np.insert(z, at, 0.0), begun, sensors if has else None
+        )
+    except FitError:
+        modelled = list(_with_starts(case, runs).rollout(runs).predicted(np.append(z, x0)))
+    return np.asarray(np.nanmean((np.asarray(modelled) - runs.measured) ** 2, axis=(0, 1)))

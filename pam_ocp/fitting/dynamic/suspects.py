@@ -22,7 +22,7 @@ from ...plants.undelayed import Redeclared
 from ..statistics import Array
 from .experiment import ParameterGroup
 
-__all__ = ["CAUSES", "Suspect", "Suspected", "suspected"]
+__all__ = ["CAUSES", "Suspect", "Suspected", "sensor_suspects", "suspected"]
 
 CAUSES = ("drift", "friction or hysteresis", "scale", "lag", "floor", "law")
 """What is looked for, besides noise that is not white. ``law``: a force that depends on position or
@@ -99,8 +99,9 @@ def suspected(
     records: Sequence[Trajectory],
     groups: Sequence[ParameterGroup],
     delays: Mapping[str, float],
+    outputs: Sequence[str] = (),
 ) -> Suspected:
-    """delays : of inputs [s]. records : whose inputs are all columns."""
+    """delays : of inputs [s]. records : whose inputs are all columns. outputs : measured."""
     b = _Builder(plant)
     clocks = [b.input(c) for c in _clocks(records)]
     for g in groups:
@@ -110,8 +111,10 @@ def suspected(
             b.meant[name] = b.meant[name] + run * (abs(g.value) or g.scale)
     for v in plant.inputs:
         _input_suspects(b, v.name, records, delays.get(v.name, 0.0), clocks)
+    shown = [n for n in outputs if plant.variable(n).causality == "output"]
+    forces = [n for n in shown if plant.variable(n).unit == "N"]
     for position, velocity in plant.positions.items():
-        _force_suspects(b, position, velocity, records)
+        _force_suspects(b, position, velocity, records, forces)
     made = b.finished()
     later = [v.name for v in made.parameters][len(plant.parameters) :]
     extra = tuple(
@@ -166,13 +169,18 @@ def _filtered(u: Array, keep: float) -> Array:
 
 
 def _force_suspects(
-    b: _Builder, position: str, velocity: str, records: Sequence[Trajectory]
+    b: _Builder,
+    position: str,
+    velocity: str,
+    records: Sequence[Trajectory],
+    shown: Sequence[str],
 ) -> None:
-    """Forces (accelerations) against the motion, and others that position and speed make."""
+    """Forces (accelerations) against the motion, and others that position and speed make. shown :
+    measured forces, which are those of a muscle with what acts inside it, or without.
+    """
     q, w = b.symbols[position], b.symbols[velocity]
-    unit = per_second(b.plant.variable(velocity).unit)
     middle, reach, speed = _sizes(b.plant, position, velocity, records)
-    held = b.again.state(f"{velocity}.suspect")
+    held = b.again.state(f"{velocity}.suspect", min=-1.0, max=1.0)
     b.memory[f"{velocity}.suspect"] = (w - ca.fabs(w) * held) / (PRESLIDING * reach)
     x, v = (q - middle) / reach, w / speed
     pushes = [
@@ -180,8 +188,10 @@ def _force_suspects(
         ("friction or hysteresis", -held),
         *(("law", f) for f in (x, x**2, x**3, -v, -v * ca.fabs(v))),
     ]
-    forces = [b.amount(cause, velocity, unit) * f for cause, f in pushes]
-    b.push[velocity] = ca.sum1(ca.vertcat(*forces))
+    units = {velocity: per_second(b.plant.variable(velocity).unit), **dict.fromkeys(shown, "N")}
+    for pushed, unit in units.items():
+        forces = [b.amount(cause, pushed, unit) * f for cause, f in pushes]
+        b.push[pushed] = b.push.get(pushed, ca.SX(0)) + ca.sum1(ca.vertcat(*forces))
 
 
 def _sizes(
@@ -202,3 +212,40 @@ def _smooth(x: Array) -> Array:
     """Means of five."""
     padded = np.concatenate([np.full(2, x[0]), x, np.full(2, x[-1])])
     return np.convolve(padded, np.full(5, 0.2), "valid")
+
+
+def sensor_suspects(
+    outputs: Sequence[tuple[str, str]], modelled: Sequence[Array], measured: Sequence[Array]
+) -> list[tuple[Suspect, list[Array]]]:
+    """What sensors may do, with its slope (K, ny) in each motion: they show modelled values.
+
+    outputs : (name, unit). modelled, measured : (K, ny) of each motion.
+    """
+    total = float(sum(map(len, modelled)))
+    firsts = np.cumsum([0, *map(len, modelled)])
+    found: list[tuple[Suspect, list[Array]]] = []
+    for j, (name, unit) in enumerate(outputs):
+        every = np.concatenate([y[:, j] for y in measured])
+        size = max(float(every.std()), 1e-300)
+        low, high = np.percentile(every, [2, 98])
+
+        def only(values: Sequence[Array], place: int = j) -> list[Array]:
+            return [
+                np.stack([v if i == place else 0 * v for i in range(len(outputs))], axis=1)
+                for v in values
+            ]
+
+        own = [y[:, j] for y in modelled]
+        clock = [(f + np.arange(len(y))) / total for f, y in zip(firsts, own, strict=False)]
+        along = [c * y for c, y in zip(clock, own, strict=True)]
+        found += [
+            (Suspect("scale", name), only(own)),
+            (Suspect("scale", name, unit, size), only([size + 0 * y for y in own])),
+            (Suspect("drift", f"the scale of {name}"), only(along)),
+            (Suspect("drift", f"the zero of {name}", unit, size), only([size * c for c in clock])),
+            (Suspect("lag", f"the sensor of {name}"), only([np.gradient(y) for y in own])),
+            (Suspect("floor", name), only([np.maximum(low - y, 0.0) for y in own])),
+            (Suspect("floor", name), only([np.maximum(y - high, 0.0) for y in own])),
+            (Suspect("floor", name), only([size * (y < low) for y in own])),
+        ]
+    return found
