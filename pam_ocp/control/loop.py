@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, require_count, require_positive, require_tolerance
+from ..core.errors import InputError, kind_of, require_count, require_positive, require_tolerance
 from ..core.plausible import outside
 from ..core.shown import shown
 from ..core.stop import verb
@@ -257,11 +257,11 @@ def _require_controller(controller: Any, plant: Any) -> None:
         )
     if not callable(controller) and not isinstance(controller, Tracking):
         raise InputError(
-            f"controller is a {type(controller).__name__}, which is not called with (t, measured); "
+            f"controller is {kind_of(controller)}, which is not called with (t, measured); "
             "give a controller, or a function"
         )
     if plant is not None and not isinstance(plant, Plant):
-        raise InputError(f"plant is a {type(plant).__name__}: give the Plant that the FMU is of")
+        raise InputError(f"plant is {kind_of(plant)}: give the Plant that the FMU is of")
 
 
 def _sample_time(
@@ -287,7 +287,7 @@ def _told(controller: Any, told: Mapping[str, Source], side: Side, preview: bool
         return controller.tracking(told, side.inputs, preview)
     if told:
         raise InputError(
-            f"reference: a {type(controller).__name__} is not told by the loop what to reach; give "
+            f"reference: {kind_of(controller)} is not told by the loop what to reach; give "
             "its reference to it"
         )
     return controller

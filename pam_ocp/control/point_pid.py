@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.block import Block
-from ..core.errors import InputError, require_finite, require_positive
+from ..core.errors import InputError, kind_of, require_finite, require_positive
 from ..core.stop import turns
 from ..operating.linear import OperatingPoint, inside, linearize, no_influence
 from ..plants.plant import Plant, Values, require_plant
@@ -71,7 +71,7 @@ class PointPid(ByBlock):
         require_plant(self.plant)
         if not isinstance(self.at, OperatingPoint | Mapping):
             raise InputError(
-                f"PointPid: at is a {type(self.at).__name__}; give an equilibrium, or conditions "
+                f"PointPid: at is {kind_of(self.at)}; give an equilibrium, or conditions "
                 "by name such as {'x': 0.04}"
             )
         for name in ("proportional", "integral", "derivative"):

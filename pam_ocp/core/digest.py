@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from .errors import kind_of
 
 __all__ = [
     "Digest",
@@ -327,7 +328,7 @@ class _Walk:
         return found
 
     def _doubt(self, value: Any, why: str) -> bytes:
-        name = getattr(value, "__qualname__", None) or f"a {type(value).__name__}"
+        name = getattr(value, "__qualname__", None) or kind_of(value)
         self.doubts.append(f"{name} {why}")
         return b"doubt"
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, TypeAlias
 
-from .errors import PamError
+from .errors import PamError, kind_of
 from .stop import LOCK
 
 __all__ = [
@@ -144,7 +144,7 @@ def _travelled(result: Any) -> Any:
     try:
         pickle.dumps(result)
     except Exception as error:
-        return PamError(f"a {type(result).__name__} does not come back from its worker: {error}")
+        return PamError(f"{kind_of(result)} does not come back from its worker: {error}")
     return result
 
 

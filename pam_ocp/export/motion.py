@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError
+from ..core.errors import InputError, kind_of
 from ..core.files import atomic_path
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
@@ -110,9 +110,7 @@ def save_input_table(
 
 def _columns(motion: Trajectory, names: Sequence[str] | None) -> list[str]:
     if not isinstance(motion, Trajectory):
-        raise InputError(
-            f"motion is a {type(motion).__name__}, not a Trajectory, such as plan.trajectory"
-        )
+        raise InputError(f"motion is {kind_of(motion)}, not a Trajectory, such as plan.trajectory")
     if names is None:
         names = motion.named("input") or motion.names
     if isinstance(names, str) or not names:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import InputError, require_instance
+from ..core.errors import InputError, kind_of, require_instance
 from ..core.files import atomic_path, write_json
 from .canvas import COLOURS, new_figure
 from .html import sheet_of
@@ -200,7 +200,7 @@ def plot_table(thing: Any) -> Figure:
     """
     if hasattr(thing, "causality") or hasattr(thing, "parameters"):
         raise InputError(
-            f"a {type(thing).__name__} holds no motion to draw; simulate or plan one, and draw that"
+            f"{kind_of(thing)} holds no motion to draw; simulate or plan one, and draw that"
         )
     table = table_of(thing)
     rows = table.rows[:MOST_ROWS]

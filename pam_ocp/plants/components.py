@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import casadi as ca
 
-from ..core.errors import InputError
+from ..core.errors import InputError, kind_of
 from ..muscles.catalogue import muscle as catalogued
 from ..muscles.pneumatic_muscle import Muscle
 from .damping import ConstantDamping, Damping, Loss
@@ -69,4 +69,4 @@ def component(argument: str, value: Any, method: str, example: str) -> Any:
 
 def _called(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= 40 else f"a {type(value).__name__}"
+    return text if len(text) <= 40 else kind_of(value)

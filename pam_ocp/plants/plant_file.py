@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from ..core.errors import InputError, UnknownNameError
+from ..core.errors import InputError, UnknownNameError, kind_of
 from ..core.files import read_toml, reading, said_in
 from ..core.own_code import module_of
 from ..core.quantities import known_keys, quantity, table
@@ -101,9 +101,7 @@ def named_plant(
 
 
 def _called(value: Any) -> str:
-    if isinstance(value, type):
-        return f"the class {value.__name__}"
-    return "None" if value is None else f"a {type(value).__name__}"
+    return f"the class {value.__name__}" if isinstance(value, type) else kind_of(value)
 
 
 def require_allowed(what: str, allow_code: bool) -> None:

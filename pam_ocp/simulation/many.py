@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.arguments import with_kinds
 from ..core.cases import Loop, Place, ending
-from ..core.errors import InputError, SimulationError, require_count
+from ..core.errors import InputError, SimulationError, kind_of, require_count
 from ..core.executors import placed
 from ..core.files import MOST_ROWS
 from ..core.interrupts import interruptible
@@ -274,7 +274,7 @@ def _checked(cases: Iterable[Case]) -> Iterator[Case]:
     for number, case in enumerate(cases):
         if not isinstance(case, Mapping):
             raise InputError(
-                f"case {number} is a {type(case).__name__}; a case is a mapping that may hold "
+                f"case {number} is {kind_of(case)}; a case is a mapping that may hold "
                 f"{', '.join(CASE_KEYS)}"
             )
         unknown = set(case) - set(CASE_KEYS)

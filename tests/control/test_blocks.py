@@ -351,14 +351,14 @@ def test_chains_that_do_not_fit_are_refused(slide):
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: pam.control.block(pam.control.PID(1.0, 0.1), plant=5), "plant is a int"),
+        (lambda: pam.control.block(pam.control.PID(1.0, 0.1), plant=5), "plant is an int"),
         (lambda: pam.control.mpc_block("x"), "mpc_block: controller is a str: give an Mpc"),
-        (lambda: pam.control.PointPid(5, {}, proportional=1.0), "plant is a int"),
+        (lambda: pam.control.PointPid(5, {}, proportional=1.0), "plant is an int"),
         (
             lambda: pam.control.PointPid(
                 pam.HangingLoad("DMSP-20-400N", 20.0), 3, proportional=1.0
             ),
-            "PointPid: at is a int",
+            "PointPid: at is an int",
         ),
         (lambda: pam.export.save_ssv({"a": 1}, "a.ssv"), "plant is a dict"),
     ],

@@ -310,8 +310,8 @@ def test_per_mass_and_efficiency_come_with_every_feed() -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: pam.fit_branches(3), "table is a int"),
-        (lambda: pam.compare_laws(None), "table is a NoneType"),
+        (lambda: pam.fit_branches(3), "table is an int"),
+        (lambda: pam.compare_laws(None), "table is None"),
         (lambda: pam.read_records([]), "sources is empty"),
         (lambda: pam.Variable("a", "foo"), "causality = 'foo'"),
         (lambda: pam.losses.Creep(-1), r"Creep\.stiffness = -1 N must be >= 0"),
@@ -327,7 +327,7 @@ def test_per_mass_and_efficiency_come_with_every_feed() -> None:
             "measured is empty",
         ),
         (lambda: pam.each(3, [1.0]), "work = 3 cannot be called"),
-        (lambda: pam.each(abs, 5), "cases is a int: give a list of cases"),
+        (lambda: pam.each(abs, 5), "cases is an int: give a list of cases"),
         (
             lambda: pam.simulate(pam.HangingLoad(MUSCLE), duration=0.1, compiled="yes"),
             "compiled = 'yes': give True, False or None",

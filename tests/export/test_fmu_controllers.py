@@ -116,7 +116,7 @@ def test_in_an_ssp_it_takes_a_heavier_slide_to_its_goal_in_fmpy_as_here(
 
 
 def test_what_is_no_state_feedback_is_refused(feedback: Any) -> None:
-    with pytest.raises(InputError, match="feedback is a AntagonisticSlide, not a StateFeedback"):
+    with pytest.raises(InputError, match="feedback is an AntagonisticSlide, not a StateFeedback"):
         state_feedback_controller(benchmark_slide())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="windup_time = 0 s must be > 0"):
         state_feedback_controller(feedback, windup_time=0.0)

@@ -142,7 +142,7 @@ def test_what_cannot_be_is_refused() -> None:
         choose(POWERS, records, folds=2)
     with pytest.raises(InputError, match="3 independent records make no 5 folds"):
         choose(POWERS, records[:3])
-    with pytest.raises(InputError, match=r"structures\['a'\] is a int"):
+    with pytest.raises(InputError, match=r"structures\['a'\] is an int"):
         choose({"a": 3}, records)  # type: ignore[dict-item]
     with pytest.raises(FitError, match="no structure could be fitted"):
         choose({"broken": Power(2, fails=True)}, records)

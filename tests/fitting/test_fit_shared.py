@@ -244,7 +244,7 @@ def test_tables_that_cannot_serve_are_refused(joint: JointForceFit) -> None:
         fit_forces(cells(TEN))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="at least two"):
         fit_forces([cells(TEN)])
-    with pytest.raises(InputError, match="table 2 is a int"):
+    with pytest.raises(InputError, match="table 2 is an int"):
         fit_forces([cells(TEN), 3])  # type: ignore[list-item]
     few = [cells(TEN).subset(slice(0, 4)), cells(TWENTY).subset(slice(0, 4))]
     with pytest.raises(InputError, match="8 taut cells, fewer than the 11 unknowns"):

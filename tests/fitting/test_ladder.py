@@ -307,7 +307,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
             UnknownNameError,
             "in bounds that no rung frees: 'gian'",
         ),
-        ({"bounds": 3}, InputError, "bounds is a int: give"),
+        ({"bounds": 3}, InputError, "bounds is an int: give"),
         ({"bounds": {"muscle*.gain": 2.0}}, InputError, r"= 2.0: give \(low, high\)"),
     ],
 )

@@ -162,9 +162,9 @@ def test_a_file_that_is_no_muscle_is_refused(name, text, words, tmp_path):
 
 
 def test_what_is_no_muscle_or_no_name_is_refused(tmp_path):
-    with pytest.raises(InputError, match="muscle is a int"):
+    with pytest.raises(InputError, match="muscle is an int"):
         save_muscle(3, tmp_path / "m.toml")
-    with pytest.raises(InputError, match="path is a int"):
+    with pytest.raises(InputError, match="path is an int"):
         load_muscle(3)
 
 

@@ -95,9 +95,9 @@ def test_file_systems_are_taken_as_folders(kind, tmp_path):
     ("into", "match"),
     [
         ("nowhere://bucket/runs", "into = nowhere://bucket/runs"),
-        (3, "into is a int"),
-        ((3, "runs"), "into is a int"),
-        ((fsspec.filesystem("memory"), 3), "the path is a int"),
+        (3, "into is an int"),
+        ((3, "runs"), "into is an int"),
+        ((fsspec.filesystem("memory"), 3), "the path is an int"),
     ],
 )
 def test_what_is_no_folder_is_said(into, match):

@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...core.block import Block
-from ...core.errors import InputError, UnknownNameError
+from ...core.errors import InputError, UnknownNameError, kind_of
 from ..kinds import BLOCKS
 
 __all__ = ["ACTIVE", "BLOCKS", "HELD_BACK", "LARGEST", "LIMITED", "SENT", "TOLD", "law_of"]
@@ -46,5 +46,5 @@ def law_of(controller: Any, **options: Any) -> Block:
                     raise UnknownNameError(f"option of a {kind.__name__}", option, known)
             return BLOCKS[kind.__name__](controller, **options)
     raise InputError(
-        f"a {type(controller).__name__} is not known as a block; there are {', '.join(BLOCKS)}"
+        f"{kind_of(controller)} is not known as a block; there are {', '.join(BLOCKS)}"
     )

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from ...core.atomic import atomic_path
-from ...core.errors import InputError, UnknownNameError, require_finite
+from ...core.errors import InputError, UnknownNameError, kind_of, require_finite
 from ...core.stop import verb
 from ...muscles.pneumatic_muscle import Muscle
 from ...numerics.buffered import Buffered
@@ -157,7 +157,7 @@ def _muscles(muscles: MujocoMuscle | Sequence[MujocoMuscle]) -> MujocoMuscles:
     for muscle in given:
         if not isinstance(muscle, MujocoMuscle):
             raise InputError(
-                f"muscles holds a {type(muscle).__name__}; MuJoCo has the masses and takes muscles "
+                f"muscles holds {kind_of(muscle)}; MuJoCo has the masses and takes muscles "
                 "alone: give MujocoMuscle(name, muscle, way, ...)"
             )
     names = [m.name for m in given]

@@ -21,6 +21,7 @@ from ...core.calibration import AMBIENT
 from ...core.errors import (
     InputError,
     UnknownNameError,
+    kind_of,
     require_finite,
     require_numbers,
     require_positive,
@@ -545,5 +546,5 @@ def joined_floor(tables: Sequence[ForceTable]) -> dict[str, Any]:
 def require_table(value: Any, argument: str = "table") -> ForceTable:
     """``value``, or an InputError when it is no ForceTable."""
     if not isinstance(value, ForceTable):
-        raise InputError(f"{argument} is a {type(value).__name__}; read it with read_table(...)")
+        raise InputError(f"{argument} is {kind_of(value)}; read it with read_table(...)")
     return value
