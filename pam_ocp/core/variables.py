@@ -53,7 +53,8 @@ class Variable:
     widest : for parameters that round off a kink: the width at which planning a motion begins, to
         be narrowed to the parameter's value; 0 for all others.
     relaxed : for parameters that make a motion hard to plan: the value from which they are led to
-        their own together with the widths, and where that leads to nothing, not; 0 for all others.
+        their own together with the widths, and where that leads to nothing, not; without widths
+        only where the plant's own program is not solved. 0 for all others.
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
 
     Examples

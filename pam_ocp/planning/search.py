@@ -144,10 +144,7 @@ class Search:
         if given is not None:
             self._led(given)
         if given is None or (self.starts or 1) > 1:
-            self._start(near is not None)
-        if not self.met and self.nonsmooth and has_relaxed(self.problem):
-            self.engine.relaxed, self._began = False, []
-            self._start(False)
+            self._by_ways(near is not None)
         if self._is_enough():
             return
         if self.met or (self.tolerance is None and self.found.best is not None):
@@ -156,6 +153,23 @@ class Search:
             if self.met or count >= self.settings.candidates:
                 return
             self._led(c)
+
+    def _by_ways(self, known: bool) -> None:
+        """With what is relaxed led along the path and without, until there is a plan: first along,
+        where there are roundings to be narrowed anyway.
+        """
+        smooth = not self.nonsmooth
+        ways = (not smooth, smooth) if has_relaxed(self.problem) else (False,)
+        for relaxed in ways:
+            self._goes(relaxed)
+            self._start(known)
+            if self.met:
+                return
+        self._goes(relaxed=False)
+
+    def _goes(self, relaxed: bool) -> None:
+        self.engine.relaxed, self._began = relaxed, []
+        self.place = 0.0 if self.nonsmooth or relaxed else 1.0
 
     def _start(self, known: bool) -> None:
         """From all starts until that is enough; known : whether a plan is given as well."""
@@ -181,7 +195,8 @@ class Search:
         """To the end: by arcs where these were asked for, with held inputs in place of polynomials
         that do not meet the tolerance.
         """
-        if c.mesh.form == BY_ARCS and np.isfinite(self.meshes.tolerance) and not self.nonsmooth:
+        own = c.place == 1.0 and not self.nonsmooth
+        if c.mesh.form == BY_ARCS and np.isfinite(self.meshes.tolerance) and own:
             if self._by_arcs(c):
                 return
             finer = self.engine.refined(c, guarded(c.mesh), "by arcs it is not met")

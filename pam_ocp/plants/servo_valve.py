@@ -88,6 +88,9 @@ class ServoValve(SpoolValve):
         for key, value, unit, nominal, found in errors:
             if not value:
                 continue
+            top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
+            length = next(v.start for v in plant.variables if v.name == f"{name}.rest_length")
+            reach = top if key == "pressure" else muscle.contraction_range[1] * (length or 0.0)
             gain = plant.parameter(
                 f"{name}.{key}_gain",
                 value,
@@ -95,9 +98,9 @@ class ServoValve(SpoolValve):
                 display_unit="1/bar" if unit == "Pa" else "1/m",
                 nominal=1 / nominal,
                 tunable=True,
+                relaxed=1 / reach if value * reach > 1 else 0.0,
                 description=f"feedback of {key} ({name}): opening per {unit}",
             )
-            top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
             about: dict[str, Any] = {
                 "unit": unit,
                 "nominal": nominal,

@@ -18,6 +18,7 @@ import pam_ocp as pam
 from pam_ocp.planning.candidate import Engine
 from pam_ocp.planning.continuation import Continuation
 from pam_ocp.planning.planner import Planner
+from pam_ocp.planning.search import Search
 from pam_ocp.planning.settings import SETTINGS, Settings
 from pam_ocp.planning.smoothing import smoothed
 from pam_ocp.planning.transcription.mesh import Collocation
@@ -41,9 +42,9 @@ def rubbing(widest: float = 0.3, relaxed: float = 0.0) -> pam.Plant:
     return plant
 
 
-def planner(relaxed: float = 0.0, **wish: Any) -> Planner:
+def planner(relaxed: float = 0.0, widest: float = 0.3, **wish: Any) -> Planner:
     wish = {"duration": 0.6, "minimise": "effort", "method": Collocation(8, 3), **wish}
-    return Planner(rubbing(relaxed=relaxed), [{"x": 0.0}, {"x": 0.1}], **wish)
+    return Planner(rubbing(widest, relaxed), [{"x": 0.0}, {"x": 0.1}], **wish)
 
 
 def places(plan: pam.planning.Plan) -> list[float]:
@@ -97,6 +98,23 @@ def test_what_is_relaxed_is_led_along_and_left_where_nothing_is_found_with_it(
     starts = [s for s in plan.statistics["stages"] if s["name"] == "starts"]
     assert starts[0]["solved"] is (relaxed < 1.0)
     assert starts[-1]["solved"]
+
+
+@pytest.mark.parametrize("solved", [True, False])
+def test_a_smooth_plant_is_relaxed_where_its_own_program_is_not_solved(
+    solved: bool, monkeypatch: Any
+) -> None:
+    usual = Search._solved
+
+    def own_only(self: Search, *starts: Any) -> list[Any]:
+        return usual(self, *starts) if solved or self.place < 1.0 else []
+
+    monkeypatch.setattr(Search, "_solved", own_only)
+    plan, plain = planner(0.25, widest=0.0)(), planner(widest=0.0)
+    assert plan.verified
+    assert places(plan)[-1:] == ([] if solved else [1.0])
+    monkeypatch.undo()
+    assert plan.objective == pytest.approx(plain().objective, rel=1e-4)
 
 
 def test_relaxed_values_go_to_their_own_evenly_in_their_logarithms() -> None:

@@ -182,6 +182,26 @@ def test_a_servo_without_gains_is_refused() -> None:
         pam.feeds.ServoValve(pressure_gain=0.0)
 
 
+@pytest.mark.parametrize("gains", [(2e-5, 0.0), (0.0, 40.0), (2e-5, -40.0)])
+def test_a_plan_of_a_servo_begins_with_gains_that_never_open_it_fully(
+    gains: tuple[float, float],
+) -> None:
+    """Beyond full opening a command has no slope; the muscle's range is 0 .. 6 bar, 0 .. 25 %."""
+    valve = pam.feeds.ServoValve(pressure_gain=gains[0], position_gain=gains[1])
+    plant = pam.HangingLoad(MUSCLE, 20.0, feed=valve)
+    relaxed = {v.name: v.relaxed for v in plant.parameters if v.relaxed}
+    muscle = pam.muscle(MUSCLE)
+    ends = {
+        "muscle.pressure_gain": muscle.pressure_range[1],
+        "muscle.position_gain": muscle.contraction_range[1] * muscle.rest_length,
+    }
+    own = dict(zip(ends, gains, strict=True))
+    assert relaxed == {
+        n: pytest.approx(1 / ends[n], rel=1e-12) for n, gain in own.items() if gain > 0
+    }
+    assert all(0 < value < own[name] for name, value in relaxed.items())
+
+
 # ---- what cannot ------------------------------------------------------------------------------
 
 
