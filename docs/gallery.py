@@ -217,7 +217,8 @@ def run_page(name: str, folder: Path) -> Path:
     from nbformat import v4
 
     codes = [(kind, code) for _, kind, code in blocks((HERE / f"{name}.md").read_text("utf-8"))]
-    source = hashlib.sha256(json.dumps(codes).encode()).hexdigest()
+    plain = [(kind, code.removeprefix(BASH)) for kind, code in codes]  # whoever runs it
+    source = hashlib.sha256(json.dumps(plain).encode()).hexdigest()
     target = folder / f"{name}.json"
     if target.is_file() and json.loads(target.read_text("utf-8"))["source"] == source:
         return target
