@@ -140,7 +140,7 @@ def drawing(graph: Mapping[str, set[str]]) -> str:
     levels, box, step = floors(graph), (96, 26), 52
     width = 120 * max(map(len, levels))
     at = {
-        room: (width * (i + 1) / (len(level) + 1), step * row + 20)
+        room: (width / 2 + 120 * (i - (len(level) - 1) / 2), step * row + 20)
         for row, level in enumerate(levels)
         for i, room in enumerate(level)
     }
