@@ -16,6 +16,8 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
 import gallery  # noqa: E402
+import rooms as imports  # noqa: E402
+from sphinx.ext.autosummary import autosummary_toc  # noqa: E402
 
 import pam_ocp  # noqa: E402
 from pam_ocp.cli import components  # noqa: E402
@@ -47,8 +49,6 @@ myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"  # the gallery's notebooks come with what they printed
 nb_merge_streams = True
-# Mermaid is drawn where the page is read on its forge
-suppress_warnings = ["misc.highlighting_failure"]
 autosummary_generate = True
 autodoc_typehints = "none"  # the stubs have them
 autodoc_default_options = {"members": True, "member-order": "bysource"}
@@ -181,10 +181,24 @@ def with_outputs(app: Any, name: str, text: list[str]) -> None:
         text[0] = gallery.with_shown(text[0], found["shown"])
 
 
+def shown(writer: Any, node: Any) -> None:
+    """Of a node of which its content alone is written."""
+
+
+def with_drawing(app: Any, name: str, text: list[str]) -> None:
+    """The picture of the rooms, which a forge draws by Mermaid."""
+    if name == "architecture":
+        graph = imports.rooms(imports.behind_the_door(imports.arrows(HERE.parent / "pam_ocp")))
+        text[0] = imports.page(text[0], imports.drawing(graph))
+
+
 def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", plain)
+    app.connect("source-read", with_drawing)
     app.connect("source-read", to_the_gallery)
     app.connect("source-read", with_outputs)
+    if tags.has("print"):  # noqa: F821, from Sphinx: in print single names stand behind their room
+        app.add_node(autosummary_toc, override=True, html=(shown, shown))
 
 
 write_reference()

@@ -25,6 +25,12 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 EXAMPLES = HERE.parent / "examples"
 TITLE = re.compile(r"(.+?)[:.](?:\s|$)", re.S)
+SHORT = r"""
+import warnings
+
+warnings.formatwarning = lambda message, kind, *_: f"{kind.__name__}: {message}\n"
+"""
+"""Warnings without the place in a kernel's file."""
 
 
 def groups() -> dict[str, list[str]]:
@@ -82,7 +88,7 @@ def notebook(path: Path) -> Any:
     first, *others = re.split(r"^# %%.*\n", code, flags=re.M)
     said = f"# {title}\n\n{text}\n\nAs a script: `examples/{path.name}`."
     cells = [v4.new_markdown_cell(said)]
-    ready = "%matplotlib inline\nimport sys\n\nsys.argv[1:] = ['.']  # results go here"
+    ready = f"%matplotlib inline\n{SHORT}\nimport sys\n\nsys.argv[1:] = ['.']  # results go here"
     cells.append(v4.new_code_cell(ready, metadata={"tags": ["remove-cell"]}))
     for part in (first, *others):
         comment = re.match(r"(?:#.*\n)*", part)[0] if part is not first else ""  # type: ignore[index]
@@ -182,13 +188,11 @@ PAGES = (
 )
 """Run for the site, the long ones first; fragments (``<!-- a fragment -->``) are left out."""
 BLOCK = re.compile(r"(<!-- a fragment -->\n)?^```(python|sh|toml)\n(.*?)^```\n", re.S | re.M)
-READY = """
-import warnings
-
+READY = f"""
 import matplotlib
 
 matplotlib.use("agg")
-warnings.formatwarning = lambda message, kind, *_: f"{kind.__name__}: {message}\\n"
+{SHORT}
 """
 BASH = f"""%%bash
 set -e
@@ -217,7 +221,8 @@ def run_page(name: str, folder: Path) -> Path:
     from nbformat import v4
 
     codes = [(kind, code) for _, kind, code in blocks((HERE / f"{name}.md").read_text("utf-8"))]
-    source = hashlib.sha256(json.dumps(codes).encode()).hexdigest()
+    plain = [(kind, code.removeprefix(BASH)) for kind, code in codes]  # whoever runs it
+    source = hashlib.sha256(json.dumps(plain).encode()).hexdigest()
     target = folder / f"{name}.json"
     if target.is_file() and json.loads(target.read_text("utf-8"))["source"] == source:
         return target

@@ -119,17 +119,53 @@ def floors(graph: Mapping[str, set[str]]) -> list[list[str]]:
     return [sorted(r for r in graph if depth[r] == level) for level in range(top, -1, -1)]
 
 
+def direct(graph: Mapping[str, set[str]]) -> list[tuple[str, str]]:
+    """(room, room below) of the arrows that do not follow from others, the highest first."""
+    return [
+        (room, other)
+        for room in (r for level in floors(graph) for r in level)
+        for other in sorted(graph[room])
+        if not any(other in reachable(graph, via) for via in graph[room] - {other})
+    ]
+
+
 def drawn(graph: Mapping[str, set[str]]) -> str:
     """A Mermaid picture without the arrows that follow from others."""
-    lines = ["```mermaid", "flowchart TD"]
-    for room in (r for level in floors(graph) for r in level):
-        direct = {
-            other
-            for other in graph[room]
-            if not any(other in reachable(graph, via) for via in graph[room] - {other})
-        }
-        lines += [f"    {room} --> {other}" for other in sorted(direct)]
+    lines = ["```mermaid", "flowchart TD", *(f"    {a} --> {b}" for a, b in direct(graph))]
     return "\n".join([*lines, "```"])
+
+
+def drawing(graph: Mapping[str, set[str]]) -> str:
+    """The same as an SVG in the colours of the page around it, for the site."""
+    levels, box, step = floors(graph), (96, 26), 52
+    width = 120 * max(map(len, levels))
+    at = {
+        room: (width / 2 + 120 * (i - (len(level) - 1) / 2), step * row + 20)
+        for row, level in enumerate(levels)
+        for i, room in enumerate(level)
+    }
+    lines = []
+    for a, b in direct(graph):
+        (x, y), (u, v) = at[a], at[b]
+        y, v = y + box[1] / 2, v - box[1] / 2
+        lines += [f'<path d="M{x:g} {y:g}C{x:g} {y + 26:g} {u:g} {v - 26:g} {u:g} {v:g}"/>']
+    rooms = []
+    for room, (x, y) in at.items():
+        corner = f'x="{x - box[0] / 2:g}" y="{y - box[1] / 2:g}"'
+        rooms += [f'<rect {corner} width="{box[0]}" height="{box[1]}" rx="4"/>']
+        rooms += [f'<text x="{x:g}" y="{y + 4:g}">{room}</text>']
+    size = f'viewBox="0 0 {width} {step * len(levels)}"'
+    said = "; ".join(f"{a} imports {b}" for a, b in direct(graph))
+    return "\n".join(
+        [
+            "```{raw} html",
+            f'<svg class="rooms" role="img" aria-label="{said}" {size}>',
+            *lines,
+            *rooms,
+            "</svg>",
+            "```",
+        ]
+    )
 
 
 def page(text: str, picture: str) -> str:

@@ -103,6 +103,22 @@ def test_the_picture_of_the_rooms_is_drawn_from_the_imports():
     assert drawing.page(text, drawn) == text, "run `python docs/rooms.py`"
 
 
+def test_the_site_draws_the_arrows_of_the_page_downwards():
+    graph = {"a": {"b", "c", "d"}, "b": {"d"}, "c": {"d"}, "d": set()}
+    made = drawing.drawing(graph)
+    ends = re.findall(r'"M([\d.]+) ([\d.]+)C.* ([\d.]+) ([\d.]+)"/>', made)
+    at = {n: (x, float(y)) for x, y, n in re.findall(r'<text x="([\d.]+)" y="([\d.]+)">(\w)', made)}
+    under = {
+        (a, b)
+        for x, y, u, v in ends
+        for a in at
+        for b in at
+        if (at[a][0], at[b][0]) == (x, u) and at[a][1] < float(y) + 5 <= float(v) + 5 < at[b][1]
+    }
+    assert {("a", "b"), ("a", "c"), ("b", "d"), ("c", "d")} <= under
+    assert len(ends) == 4  # a over d follows from others
+
+
 def test_modules_are_named_in_strings_only_where_names_load_lazily_and_by_what_serves_others():
     """Such arrows are not seen: a name that is loaded lazily, a registry's room, a child's work."""
     named = {

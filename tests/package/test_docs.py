@@ -132,3 +132,33 @@ def test_names_that_pages_speak_of_exist():
             for part in name.split("."):
                 assert hasattr(place, part), (page.name, name)
                 place = getattr(place, part)
+
+
+SINGLE = """<div class="toctree-wrapper"><span id="document-one"></span><section id="same">
+<a href="#same">here</a> <a href="#document-two#same">there</a> <a href="#document-gone">gone</a>
+</section><span id="document-two"></span><section id="same"><a href="#document-one">up</a></section>
+</div><h3>Table of Contents</h3><p>Guides</p><a href="#document-two">two</a></div>"""
+
+
+@pytest.fixture
+def pdf(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    import pdf
+
+    return pdf
+
+
+def test_in_the_pdf_every_link_leads_to_its_own_page(pdf):
+    made = pdf.with_places(pdf.with_chapters(SINGLE))
+    places = re.findall(r'id="([^"]+)"', made)
+    assert places == ["document-one", "one--same", "document-two", "two--same"]
+    links = re.findall(r'href="#([^"]+)"', made)
+    assert links == ["document-two", "one--same", "two--same", "document-one", "document-two"]
+    assert made.index("Guides") < made.index("document-one")
+
+
+def test_without_a_browser_there_is_no_pdf_and_it_is_said(pdf, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(pdf.shutil, "which", lambda name: None)
+    assert pdf.main(tmp_path / "pages.pdf") == 0
+    assert capsys.readouterr().out.startswith("SKIPPED")
+    assert not any(tmp_path.iterdir())
