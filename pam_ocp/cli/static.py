@@ -76,8 +76,8 @@ def add_fit(commands: Any) -> None:
         "--save",
         type=Path,
         metavar="FILE",
-        help="write the fit itself: data, intervals, residuals (.json, which 'report' takes, .html, "
-        ".csv, .txt)",
+        help="write the fit itself: data, intervals, residuals (.json for 'report', .html, .csv, "
+        ".txt)",
     )
     fit.add_argument(
         "--ssv",

@@ -339,8 +339,8 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """Read what :meth:`save` wrote. Columns of a CSV are outputs; units that are not of SI, such
-        as ``[bar]``, are converted.
+        """Read what :meth:`save` wrote. Columns of a CSV are outputs; units that are not of SI are
+        converted, such as ``[bar]``.
         """
         source = require_file(path)
         readers = {".csv": cls._read_csv, ".npz": cls._read_npz, ".parquet": cls._read_parquet}

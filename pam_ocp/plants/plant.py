@@ -72,6 +72,10 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
     )
 
 
+def _a(noun: str) -> str:
+    return f"an {noun}" if noun[0] in "aeiou" else f"a {noun}"
+
+
 @shown
 @locked
 class Plant(Travelling):
@@ -131,6 +135,26 @@ class Plant(Travelling):
         other._variables = changed
         return other
 
+    def with_output(self, name: str, expression: Any, **attributes: Any) -> Plant:
+        """A copy with one more output, an expression of this plant's (:meth:`expression`).
+
+        So a finished arrangement gets what a controller is to track or to keep in bounds, such as a
+        cost term of your own. attributes : ``unit``, ``nominal``, ...; see :class:`Variable`.
+
+        Examples
+        --------
+        >>> total = slide.expression("muscle1.pressure") + slide.expression("muscle2.pressure")
+        >>> plant = slide.with_output("total", total, unit="Pa", nominal=1e5)
+        >>> mpc = pam.Mpc(plant, horizon=5, sample_time=0.01, track={"x": 1.0, "total": 0.1})
+        """
+        self._finished()
+        other = self._sharing(self)
+        other._variables, other._expressions = dict(self._variables), dict(self._stated)
+        other._gathered, other._system = [], None
+        other.output(name, expression, **attributes)
+        other._finished()
+        return other
+
     def vector(
         self, causality: Causality, values: Given | None = None, attribute: str = "start"
     ) -> NDArray[np.float64]:
@@ -145,7 +169,10 @@ class Plant(Travelling):
         for name, value in by_name(causality, values, causality).items():
             variable = self.variable(name)
             if variable.name not in position:
-                raise InputError(f"{variable.name} is a {variable.causality}, not a {causality}")
+                raise InputError(
+                    f"{variable.name} is {_a(variable.causality)}, not {_a(causality)}; name "
+                    f"{causality}s alone: {', '.join(position) or 'the plant has none'}"
+                )
             array[position[variable.name]] = variable.check(value)
         return array
 
