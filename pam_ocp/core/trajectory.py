@@ -88,7 +88,8 @@ class Trajectory:
         keep it: .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
     events : zero crossings that a simulation located (they are not saved to files).
     signals : the inputs (in the order of their columns) exactly as they ran, also between samples;
-        None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
+        None when all that is known are the samples. Kept in .npz and .parquet; of lines that jump
+        at a sample, .csv has it twice, with the values before and after.
 
     ``trajectory["x"]`` gives the samples of one variable; ``_`` may stand for ``.`` in names.
 

@@ -381,6 +381,14 @@ class Plant(Travelling):
         sent = ca.substitute(list(opening.inverse), [opening.symbol], [instead.value])
         return list(zip(symbols, sent, strict=True))
 
+    def report(self) -> str:
+        """Its variables by name, each with its start value (or its unit) and description."""
+        lines = [repr(self), *([self.description] if self.description else [])]
+        for v in self._variables.values():
+            value = v.display_unit if v.start is None else v.shown(v.start)
+            lines.append(f"  {v.causality:<10} {v.name:<28} {value:<16} {v.description}".rstrip())
+        return "\n".join(lines)
+
     def __repr__(self) -> str:
         kinds: tuple[Causality, ...] = ("state", "input", "parameter", "output")
         counts = ", ".join(f"{len(self._of(kind))} {kind}s" for kind in kinds)

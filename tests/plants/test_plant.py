@@ -397,3 +397,10 @@ def test_a_cost_term_of_ones_own_is_tracked_by_an_mpc(long_muscle):
     summed = loop["muscle1.pressure"] + loop["muscle2.pressure"]
     assert loop["theta"][-1] == pytest.approx(0.15, abs=1e-4)
     assert summed[-1] == pytest.approx(5e5, rel=1e-3)
+
+
+def test_the_report_of_a_plant_names_each_variable_with_its_value(hanging):
+    text = hanging.with_values(mass=7.5).report()
+    for variable in hanging.variables:
+        assert f" {variable.name} " in text
+    assert "parameter  mass                         7.5 kg" in text
