@@ -133,7 +133,7 @@ def table_of(world: World, item: Mapping[str, Any]) -> ForceTable:
         raise InputError(seen.problem)
     if not isinstance(seen.result, ForceTable):
         raise InputError(f"{item['name']} is a record in time, no force table")
-    table = seen.result
+    table = replace(seen.result, source=str(item["name"]))  # not the name it is stored by
     off = [i for i in item.get("off", ()) if isinstance(i, int) and 0 <= i < len(table)]
     if not off:
         return table

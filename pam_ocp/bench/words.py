@@ -56,6 +56,12 @@ def _columns(found: re.Match[str]) -> str:
     return f"{_verb(found[1])} {what}in the menu 'is' of {column}"
 
 
+def _constants(found: re.Match[str]) -> str:
+    """``fixed={'radius': ...}``, or ``fixed=...``."""
+    names = re.findall(r"'(\w+)':", found[1] or "")
+    return f"{', '.join(names)} in the fields Known constants".removeprefix(" in ")
+
+
 def _verb(said: str) -> str:
     """ "give" and "say" are choices of a menu."""
     return {"give": "choose", "say": "choose", "Say": "Choose"}.get(said, said)
@@ -81,7 +87,7 @@ REMEDIES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
         lambda m: f"{'choose ' * bool(m[1])}'{FLOORS[m[2]]}' in the menu Slack cells read",
     ),
     (r"or give platforms='native'", "or choose 'this machine' in the menu Runs on"),
-    (r"\b(?:fixed=\.\.\.|fixed=\{[^{}]*\})", "the fields Known constants"),
+    (r"\bfixed=(?:\.\.\.|\{([^{}]*)\})", _constants),
     (r"try another method=.*?options=\{[^{}]*\}", "try another Mesh, other times or other stops"),
     (r"as in method=\w+\(intervals=\d+\)", "in the menu Mesh"),
     (r"give duration=0.5, say, or minimise=\{[^{}]*\}", "give legs a time, or weigh time, too"),

@@ -100,6 +100,7 @@ def add_export(commands: Any) -> None:
     add_plant(export)
     export.add_argument(
         "--fmi",
+        type=lambda text: f"{text}.0" if text in ("2", "3") else text,
         choices=("2.0", "3.0"),
         help="version of the standard (default: 2.0, which every tool reads)",
     )

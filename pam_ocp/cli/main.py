@@ -39,6 +39,7 @@ from .rig import add_rig, add_twin
 from .simulate import add_compare, add_simulate
 from .static import add_campaign, add_fit, add_fit_forces, add_fit_holds
 from .study import add_study, add_tour
+from .words import command_words
 
 __all__ = ["main"]
 
@@ -71,7 +72,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     try:
         seconds = None if options.command == "check" else options.time_limit
         with (
-            _plain_warnings(),
+            _plain_warnings(options),
             _terminable(),
             logged(options.verbose),
             bars(not options.quiet),
@@ -83,7 +84,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             finish(options)
             return code
     except PamError as error:
-        _tell_error(f"pam-ocp {options.command}: {error}")
+        _tell_error(f"pam-ocp {options.command}: {command_words(str(error), options)}")
         return 2
     except KeyboardInterrupt:
         _tell_error("interrupted")
@@ -97,7 +98,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         found = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)$", message)
-        near = nearest(found[1], re.findall(r"[\w-]+", found[2]), 0.6) if found else []
+        near = nearest(found[1], re.findall(r"[\w.-]+", found[2]), 0.6) if found else []
         hint = f" did you mean {' or '.join(near)}?" if near else ""
         super().error(f"{message}{hint}")
 
@@ -125,12 +126,12 @@ def _give_fonts_a_place() -> None:
 
 
 @contextmanager
-def _plain_warnings() -> Iterator[None]:
+def _plain_warnings(options: argparse.Namespace) -> Iterator[None]:
     """A warning is a line that says what it says, without a place in our code."""
     before = warnings.formatwarning
 
     def plain(message: Warning | str, *_: Any, **__: Any) -> str:
-        return f"pam-ocp: {message}\n"
+        return f"pam-ocp: {command_words(str(message), options)}\n"
 
     warnings.formatwarning = plain
     try:

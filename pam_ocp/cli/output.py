@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.files import spelled
+from .words import command_words
 
 __all__ = ["add_json", "coefficients", "escaping", "finish", "logged", "tell", "wrote"]
 
@@ -38,7 +39,7 @@ def tell(
         else:
             options.said = said
     elif not options.quiet:
-        print(text, flush=True)
+        print(command_words(str(text), options), flush=True)
 
 
 @contextmanager

@@ -73,6 +73,13 @@ def add_fit(commands: Any) -> None:
         help="write the muscle file (.toml, .json) that the other commands take",
     )
     fit.add_argument(
+        "--save",
+        type=Path,
+        metavar="FILE",
+        help="write the fit itself: data, intervals, residuals (.json for 'report', .html, .csv, "
+        ".txt)",
+    )
+    fit.add_argument(
         "--ssv",
         type=Path,
         metavar="FILE.ssv",
@@ -228,7 +235,7 @@ def _fit(options: argparse.Namespace) -> int:
     from ..muscles.muscle_file import save_muscle
     from ..studies.file_kinds import require_role
 
-    require_places(options.out, options.plot, options.ssv, options.excel)
+    require_places(options.out, options.save, options.plot, options.ssv, options.excel)
     length = length_of("--rest-length", options.rest_length)
     diameter = length_of("--diameter", options.diameter)
     require_role(options.table, "table")
@@ -256,6 +263,8 @@ def _fit(options: argparse.Namespace) -> int:
         name = options.name or Path(options.table).stem
         muscle = fitted.muscle(rest_length=length, diameter=diameter, name=name)
         wrote(options, save_muscle(muscle, options.out))
+    if options.save:
+        wrote(options, fitted.save(options.save))
     if options.ssv:
         wrote(options, fitted.save_ssv(options.ssv, options.muscles, rest_length=length))
     return 0

@@ -42,6 +42,7 @@ __all__ = [
     "VibrationError",
     "WriteError",
     "kind_of",
+    "one",
     "require_count",
     "require_ends",
     "require_finite",
@@ -58,10 +59,14 @@ LEAST_TOLERANCE = 1e-14
 """Some fifty times the spacing of numbers; below, an integrator counts rounding errors."""
 
 
+def one(noun: str) -> str:
+    """A noun with its article: ``an input``, ``a state``."""
+    return f"a{'n' if noun[0] in 'aeiouAEIO' else ''} {noun}"
+
+
 def kind_of(value: Any) -> str:
     """The kind of a value for a sentence: ``an int``, ``a Plan``, ``None``."""
-    name = type(value).__name__
-    return "None" if value is None else f"a{'n' if name[0] in 'aeiouAEIO' else ''} {name}"
+    return "None" if value is None else one(type(value).__name__)
 
 
 def require_instance(

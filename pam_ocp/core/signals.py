@@ -64,8 +64,15 @@ class PiecewisePolynomial:
 
     def __call__(self, t: ArrayLike) -> Array:
         """Values (number of times, number of signals); the right-hand value at a jump."""
+        return self._at(t, "right")
+
+    def before(self, t: ArrayLike) -> Array:
+        """The same, but the left-hand value at a jump."""
+        return self._at(t, "left")
+
+    def _at(self, t: ArrayLike, side: Literal["left", "right"]) -> Array:
         inside = np.clip(np.atleast_1d(np.asarray(t, float)), self.breaks[0], self.breaks[-1])
-        piece = np.searchsorted(self.breaks, inside, side="right") - 1
+        piece = np.searchsorted(self.breaks, inside, side=side) - 1
         piece = np.clip(piece, 0, len(self.breaks) - 2)
         s = inside - self.breaks[piece]
         powers = s[:, None] ** np.arange(self.degree + 1)
@@ -178,7 +185,10 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
         )
     missing = [v.name for v in plant.inputs if v.name not in inputs]
     if missing:
-        raise InputError(f"inputs: the trajectory holds no column {missing[0]!r}")
+        raise InputError(
+            f"inputs: the trajectory holds no column {missing[0]!r} but {', '.join(inputs.names)}; "
+            "name its columns as the plant's inputs"
+        )
     return {v.name: (inputs.t, inputs[v.name]) for v in plant.inputs}
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
+from . import units
 from .errors import InputError, UnknownNameError, require_numbers
 from .files import (
     MOST_NAME,
@@ -87,7 +88,8 @@ class Trajectory:
         keep it: .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
     events : zero crossings that a simulation located (they are not saved to files).
     signals : the inputs (in the order of their columns) exactly as they ran, also between samples;
-        None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
+        None when all that is known are the samples. Kept in .npz and .parquet; of lines that jump
+        at a sample, .csv has it twice, with the values before and after.
 
     ``trajectory["x"]`` gives the samples of one variable; ``_`` may stand for ``.`` in names.
 
@@ -288,13 +290,23 @@ class Trajectory:
         marked = self.interpolation_known and bool(self.named("input"))
         mark = [HELD] if marked else []
         held = np.full((len(self), len(mark)), float(self.interpolation == "previous"))
+        rows = np.column_stack([self.t, self.array(self.names), held])
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["time [s]", *(f"{v.name} [{v.unit}]" for v in self.variables), *mark])
-            writer.writerows(
-                [repr(float(c)) for c in line]
-                for line in np.column_stack([self.t, self.array(self.names), held])
-            )
+            writer.writerows([repr(float(c)) for c in line] for line in self._with_both_sides(rows))
+
+    def _with_both_sides(self, rows: Array) -> Array:
+        """Rows of a table; where inputs that are joined by lines jump, the row before it, too."""
+        if self.signals is None or self.interpolation == "previous":
+            return rows
+        inputs = [1 + self.names.index(name) for name in self.named("input")]
+        before = rows.copy()
+        before[:, inputs] = self.signals.before(self.t)
+        scale = np.max(np.abs(rows[:, inputs]), axis=0, initial=0.0)
+        jumps = np.any(np.abs(before - rows)[:, inputs] > 1e-9 * scale, axis=1)
+        jumps[[0, -1]] = False
+        return np.insert(rows, np.flatnonzero(jumps), before[jumps], axis=0)
 
     def _packed(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """What :func:`write_npz` writes."""
@@ -328,7 +340,9 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """Read what :meth:`save` wrote. A CSV keeps names and units; its columns are outputs."""
+        """Read what :meth:`save` wrote. Columns of a CSV are outputs; units that are not of SI are
+        converted, such as ``[bar]``.
+        """
         source = require_file(path)
         readers = {".csv": cls._read_csv, ".npz": cls._read_npz, ".parquet": cls._read_parquet}
         reader = readers.get(source.suffix.lower())
@@ -347,7 +361,7 @@ class Trajectory:
         require_size(path.name, len(lines), len(header))
         if any(len(head) > MOST_NAME for head in header):
             raise InputError(f"{path.name}: a header has more than {MOST_NAME} characters")
-        if not header or header[0].partition(" ")[0] != "time":
+        if not header or header[0].partition(" [")[0] != "time":
             seen = str(header[:1])[:MOST_NAME]
             raise InputError(f"{path.name}: the first column is {seen}, it must be 'time [s]'")
         try:
@@ -361,9 +375,14 @@ class Trajectory:
             between = interpolation_of(data[:, header.index(HELD)], path.name)
             data = np.delete(data, header.index(HELD), axis=1)
             header.remove(HELD)
-        for head in header[1:]:
-            name, _, unit = head.partition(" [")
-            variables.append(Variable(name, "output", unit=unit.rstrip("]") or "1"))
+        for i, head in enumerate(header):
+            name, _, said = head.partition(" [")
+            measured = units.unit(said.strip().removesuffix("]") or ("1" if i else "s"))
+            if i == 0 and not measured.compatible(units.unit("s")):
+                raise InputError(f"{path.name}: the first column is {head!r}, it must be a time")
+            data[:, i] *= measured.factor
+            if i:
+                variables.append(Variable(name, "output", unit=units.si_unit(measured.name)))
         if np.any(np.diff(data[:, 0]) == 0.0):
             return cls._with_jumps(data, variables)
         columns = {v.name: data[:, i + 1] for i, v in enumerate(variables)}

@@ -18,6 +18,7 @@ __all__ = [
     "display_unit",
     "per_second",
     "quantity_of",
+    "si_unit",
     "significant",
     "unit",
 ]
@@ -173,6 +174,34 @@ _READ = {shown: si for si, shown in _DISPLAY.items()}
 def quantity_of(unit: str) -> str:
     """What is measured in a unit of SI, or in the one that people read; "" without a usual name."""
     return _QUANTITIES.get(_READ.get(unit, unit), "")
+
+
+_SI = {unit(si).exponents: si for si in reversed((*_QUANTITIES, *_DISPLAY))}
+
+
+def si_unit(name: str) -> str:
+    """The unit of SI for what a unit measures.
+
+    Examples
+    --------
+    >>> si_unit("bar"), si_unit("l/min"), si_unit("%"), si_unit("N.s/m")
+    ('Pa', 'm3/s', '1', 'N.s/m')
+    """
+    found = unit(name)
+    if found.factor == 1.0:
+        return name
+    if found.exponents in _SI:
+        return _SI[found.exponents]
+    above, below = (
+        ".".join(
+            base + (str(abs(power)) if abs(power) > 1 else "")
+            for base, power in found.base_exponents.items()
+            if power * sign > 0
+        )
+        for sign in (1, -1)
+    )
+    over = f"/({below})" if "." in below else f"/{below}" if below else ""
+    return f"{above or 1}{over}"
 
 
 DIGITS = 4

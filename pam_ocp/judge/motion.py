@@ -4,7 +4,7 @@ statement asked for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import SimulationError
-from ..core.signals import PiecewisePolynomial
+from ..core.errors import InputError, SimulationError, kind_of
+from ..core.signals import Inputs, PiecewisePolynomial, signals
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
-from ..plants.plant import Plant, require_plant
+from ..plants.plant import Given, Plant, require_plant
 from ..plants.stillness import totals
 from .asked import Asked, Goal, Limit, Span, asked
 from .driven import Driven, driven, roughly
@@ -26,6 +26,8 @@ from .statement import Profile, Statement
 __all__ = ["Finding", "Judgement", "Motion", "judge"]
 
 Array: TypeAlias = NDArray[np.float64]
+ROUNDING = 1e-9
+"""A smaller violation, scaled by nominals, is nothing to tell people."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,33 @@ class Motion:
     start: Array
     inputs: PiecewisePolynomial
     durations: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.inputs, PiecewisePolynomial):
+            raise InputError(
+                f"inputs of the motion is {kind_of(self.inputs)}: Motion.of(plant, start, "
+                "inputs, durations) takes what simulate does"
+            )
+
+    @classmethod
+    def of(cls, plant: Plant, start: Given, inputs: Inputs, durations: Sequence[float]) -> Motion:
+        """A motion from elsewhere.
+
+        start : states by name, or a point; start values for what is not named. inputs : as
+        :func:`pam_ocp.simulate` takes them, such as {name: (times, values)}, held, or a Trajectory.
+
+        Examples
+        --------
+        >>> times = ([0.0, 0.1], [3e5, 3e5])
+        >>> held = {"muscle1.command": times, "muscle2.command": times}
+        >>> own = pam.judge.Motion.of(slide, {"x": 0.0}, held, [0.1])
+        >>> own.inputs(0.05).tolist()
+        [[300000.0, 300000.0]]
+        """
+        require_plant(plant)
+        whole = np.array([0.0, sum(durations)])
+        driving = signals(plant, inputs, whole)
+        return cls(plant.vector("state", start), driving, tuple(map(float, durations)))
 
 
 @dataclass(frozen=True)
@@ -86,6 +115,15 @@ class Judgement:
     apart: float = 0.0
     """By how much an ordinary integration parts from the tight one, scaled by nominals: large for
     a motion along which errors grow."""
+
+    def __str__(self) -> str:
+        lines = [
+            f"objective {self.objective:.6g}, largest violation {self.violation:.3g} of nominal"
+            + (f" ({self.constraint})" if self.constraint else "")
+        ]
+        told = (f for f in self.findings if f.by > ROUNDING)
+        lines += [f"  {f.label}: {f.by:.3g}" + " (as stated)" * f.said for f in told]
+        return "\n".join(lines)
 
     @property
     def violation(self) -> float:

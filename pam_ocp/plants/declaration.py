@@ -355,7 +355,8 @@ class Declaration:
         if self._system is not None:
             raise InputError(
                 f"plant {self.name!r} is in use and cannot be changed any more; "
-                "declare everything before the first simulate, plan, linearize or export"
+                "declare everything before its first use (also before expression()); with_output() "
+                "gives a copy with one more output"
             )
 
     def _add(self, variable: Variable) -> None:

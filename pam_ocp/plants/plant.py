@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, kind_of
+from ..core.errors import InputError, kind_of, one
 from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality
@@ -131,6 +131,26 @@ class Plant(Travelling):
         other._variables = changed
         return other
 
+    def with_output(self, name: str, expression: Any, **attributes: Any) -> Plant:
+        """A copy with one more output, an expression of this plant's (:meth:`expression`).
+
+        So a finished arrangement gets what a controller is to track or to keep in bounds, such as a
+        cost term of your own. attributes : ``unit``, ``nominal``, ...; see :class:`Variable`.
+
+        Examples
+        --------
+        >>> total = slide.expression("muscle1.pressure") + slide.expression("muscle2.pressure")
+        >>> plant = slide.with_output("total", total, unit="Pa", nominal=1e5)
+        >>> mpc = pam.Mpc(plant, horizon=5, sample_time=0.01, track={"x": 1.0, "total": 0.1})
+        """
+        self._finished()
+        other = self._sharing(self)
+        other._variables, other._expressions = dict(self._variables), dict(self._stated)
+        other._gathered, other._system = [], None
+        other.output(name, expression, **attributes)
+        other._finished()
+        return other
+
     def vector(
         self, causality: Causality, values: Given | None = None, attribute: str = "start"
     ) -> NDArray[np.float64]:
@@ -145,7 +165,10 @@ class Plant(Travelling):
         for name, value in by_name(causality, values, causality).items():
             variable = self.variable(name)
             if variable.name not in position:
-                raise InputError(f"{variable.name} is a {variable.causality}, not a {causality}")
+                raise InputError(
+                    f"{variable.name} is {one(variable.causality)}, not {one(causality)}; name "
+                    f"{causality}s alone: {', '.join(position) or 'the plant has none'}"
+                )
             array[position[variable.name]] = variable.check(value)
         return array
 
@@ -353,6 +376,14 @@ class Plant(Travelling):
         symbols = (self._symbols[c] for c in opening.commands)
         sent = ca.substitute(list(opening.inverse), [opening.symbol], [instead.value])
         return list(zip(symbols, sent, strict=True))
+
+    def report(self) -> str:
+        """Its variables by name, each with its start value (or its unit) and description."""
+        lines = [repr(self), *([self.description] if self.description else [])]
+        for v in self._variables.values():
+            value = v.display_unit if v.start is None else v.shown(v.start)
+            lines.append(f"  {v.causality:<10} {v.name:<28} {value:<16} {v.description}".rstrip())
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         kinds: tuple[Causality, ...] = ("state", "input", "parameter", "output")

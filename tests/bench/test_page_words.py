@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pam_ocp as pam
 from pam_ocp.bench import look
 from pam_ocp.bench.jobs.data import look_at
+from pam_ocp.bench.jobs.export import report
+from pam_ocp.bench.jobs.muscle import fit_law
 from pam_ocp.bench.made import World
 from pam_ocp.bench.session import Session
 from pam_ocp.bench.words import page_words
 from pam_ocp.core.errors import PamError
+from pam_ocp.muscles.laws.user_defined import law_named
 
 FOLDER = Path("/home/anna/bench/20261127-1200-ab12cd34")
 
@@ -33,6 +37,7 @@ def shown(text, **names):
         ("give floor=None", "choose 'a force' in the menu Slack cells read"),
         ("choose one with sheet='A'", "choose one with 'A' in the field Sheet"),
         ("hold some with fixed=...", "hold some with the fields Known constants"),
+        ("needs fixed={'radius': ...}", "needs radius in the fields Known constants"),
         ("use cyclic=True", "tick Returns"),
         ("or give platforms='native'", "or choose 'this machine' in the menu Runs on"),
         # a variable of the plant, and what no menu of the page offers, stay as they are
@@ -84,6 +89,54 @@ def test_what_a_reader_says_of_a_dropped_file_holds_no_python_and_no_path(kind, 
         assert file[:10] not in words
         for word in ("read_table", "read_record", "={", "=[", "='", "rest_length"):
             assert word not in words.replace("constants={", "")  # the page has no such field
+
+
+# ---- fits ----------------------------------------------------------------------------------------
+def slack_session(folder):
+    """A session with the fit of a table whose slack cells read 6 N, not 0."""
+    law = pam.muscle("DMSP-20-300").law
+    rows = ["p [bar],contraction [%],F [N]"]
+    for p in range(7):
+        for kappa in range(0, 26, 5):
+            tension = float(law.tension(1e5 * p, kappa / 100))
+            rows.append(f"{p},{kappa},{max(tension, 0.0) + 6 + 0.1 * ((p + kappa) % 3):.2f}")
+    session = Session.new(folder)
+    file = session.store("my rig.csv", "\n".join(rows).encode())
+    item = {"name": "my rig.csv", "file": file, "said": {"rest_length": 0.3}}
+    return session, {"table": item, "law": "six-parameter", "fixed": {}}
+
+
+def quietly(job, *arguments):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return job(lambda *said: None, *arguments)
+
+
+def test_residuals_of_the_page_are_those_of_taut_cells(tmp_path):
+    tab = pytest.importorskip("pam_ocp.bench.tabs.muscle")
+    session, said = slack_session(tmp_path)
+    found = quietly(fit_law, World(session.folder), said)
+    law = law_named("six-parameter")(**{c["name"]: c["value"] for c in found["coefficients"]})
+    residuals, rmse = tab._residuals(law, found)
+    assert (len(residuals), rmse) == (found["n"], pytest.approx(found["rmse"]))
+    assert len(residuals) < 42
+    assert sum(len(group["x"]) for group in tab._measured(found)) == len(residuals)
+
+
+def test_the_report_of_a_session_has_its_fit_under_the_name_of_the_dropped_file(tmp_path):
+    session, said = slack_session(tmp_path)
+    found = quietly(fit_law, World(session.folder), said)
+    names = ("pressure_range", "contraction_range", "source")
+    fitted = {"kind": "fit", **said, **{k: found[k] for k in names}, "name": "M"}
+    fitted |= {"coefficients": {c["name"]: c["value"] for c in found["coefficients"]}}
+    session.change("fit", muscle={**fitted, "rest_length": 0.3, "diameter": None})
+    made = quietly(report, World(session.folder, session.state), "")
+    page = (session.folder / "exports" / made["file"]).read_text("utf-8")
+    assert "95 % interval" in page
+    a3 = next(c for c in found["coefficients"] if c["name"] == "a3")
+    assert f"{a3['low']:.4g} .. {a3['high']:.4g}" in page
+    assert "fitted to my rig.csv" in page
+    assert "Force table my rig.csv" in page
 
 
 # ---- pictures ------------------------------------------------------------------------------------

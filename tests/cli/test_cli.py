@@ -36,6 +36,17 @@ def test_fit_prints_a_report_and_writes_the_muscle(capsys, tmp_path):
     assert plot.stat().st_size > 20_000
 
 
+def test_a_saved_fit_goes_into_a_report(capsys, tmp_path):
+    file, page = tmp_path / "fit.json", tmp_path / "fit.html"
+    code, _, err = run(capsys, "fit", TABLE, "--rest-length", 0.25, "--save", file)
+    assert (code, err) == (0, "")
+    saved = pam.load(file)
+    assert run(capsys, "report", file, "--out", page)[0] == 0
+    low, high = saved.interval("a3")
+    assert low < saved.law.values["a3"] < high
+    assert f"{low:.4g} .. {high:.4g}" in page.read_text("utf-8")
+
+
 def test_a_fitted_muscle_goes_into_an_fmu(capsys, tmp_path):
     muscle, fmu = tmp_path / "muscle.toml", tmp_path / "load.fmu"
     run(capsys, "fit", TABLE, "--rest-length", 0.25, "--out", muscle)
@@ -87,7 +98,7 @@ def test_export_takes_a_plant_from_a_users_file(capsys, tmp_path):
         "plant.der(x, -x)\n"
     )
     given = f"{file}:plant", "--out", tmp_path / "m.fmu"
-    code, _, err = run(capsys, "export --platform native --fmi 3.0", *given)
+    code, _, err = run(capsys, "export --platform native --fmi 3", *given)
     assert (code, err) == (0, "")
     assert pam.check_fmu(tmp_path / "m.fmu").ok
 
@@ -96,7 +107,7 @@ def test_export_takes_a_plant_from_a_users_file(capsys, tmp_path):
     ("arguments", "message"),
     [
         (["fit", "nowhere.csv", "--rest-length", "0.3"], "nowhere.csv"),
-        (["fit", TABLE], "rest_length"),
+        (["fit", TABLE], "give --rest-length, as --rest-length '300 mm'"),
         (["fit", TABLE, "--rest-length", "0.2"], "rest"),
         (["fit", TABLE, "--rest-length", "0.25", "--law", "six-paramter"], "six-parameter"),
         (["export", "hanging_lod"], "HangingLoad"),

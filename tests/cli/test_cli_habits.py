@@ -105,7 +105,7 @@ WRONG = [
     (("fit-forces", TABLE, *LENGTH, "--law", "six"), "unknown force law 'six'"),
     (("fit-forces", TABLE, *LENGTH, "--shared", "a9"), "give at least two"),
     (("fit-forces", TABLE, "--rest-length", "A=3 kg"), "something else than 'm'"),
-    (("fit-forces", TABLE, "--rest-length", "B=0.3"), "rest_length"),
+    (("fit-forces", TABLE, "--rest-length", "B=0.3"), "give --rest-length"),
     (("study", "none.toml"), "none.toml"),
     (("study", "."), "."),
     (("study", "a.toml", "--scheduler", "tcp://127.0.0.1:1"), "no scheduler answers"),

@@ -1,10 +1,12 @@
 """pam-ocp look says what is understood, and its exit code whether that suffices."""
 
 import json
+from argparse import Namespace
 
 import pytest
 
 from pam_ocp.cli.main import main
+from pam_ocp.cli.words import command_words
 
 RIG = "Druck;Länge;Kraft\nbar;mm;N\n2,0;300;1.021,7\n4,0;285;1.689,2\n6,0;255;1.512,9\n"
 
@@ -44,7 +46,7 @@ def test_columns_units_and_several_files_are_taken(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert shown.count("p 0.5..4 bar") == 2
     assert main(["look", str(tmp_path / "a.txt")]) == 1
-    assert "columns=['length [mm]'" in capsys.readouterr().out
+    assert "as --columns 'length [mm]' 'pressure [bar]'" in capsys.readouterr().out
 
 
 def test_what_cannot_be_meant_is_one_sentence_with_exit_code_2(tmp_path, rig, capsys):
@@ -66,3 +68,31 @@ def test_fit_takes_the_same_words(tmp_path, capsys):
     said = ["--columns", "pressure [V]", "kappa", "F [N]", "--units", "pressure=V * 2 bar/V"]
     assert main(["fit", str(file), *said]) == 0
     assert "6.196" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("python", "shell"),
+    [
+        ("choose one with sheet='M 3'", "choose one with --sheet 'M 3'"),
+        ("give units={'pressure': 'kPa', 'force': ...}", "give --units pressure=kPa force=..."),
+        ("say columns=['x [mm]', 'p [bar]']", "say --columns 'x [mm]' 'p [bar]'"),
+        ("missing=[9999, 'off'] or missing=None", "--missing 9999 off or --missing"),
+        ("  call: read_table('a', sheet='M3')", "  call: read_table('a', sheet='M3')"),
+        ("law='all', table.floor='zero'", "law='all', table.floor='zero'"),
+    ],
+)
+def test_messages_name_options_of_the_command(python, shell):
+    options = dict.fromkeys(("sheet", "units", "columns", "missing", "floor"))
+    assert command_words(python, Namespace(**options)) == shell
+    assert command_words(python, Namespace(out=None)) == python
+
+
+def test_a_sheet_is_asked_for_by_its_option(tmp_path, capsys):
+    book = pytest.importorskip("openpyxl").Workbook()
+    for sheet in (book.active, book.create_sheet("M2")):
+        for row in (("p [bar]", "kappa [%]", "F [N]"), (1, 2, 30), (2, 2, 60), (3, 4, 80)):
+            sheet.append(row)
+    book.active.title = "M1"
+    book.save(tmp_path / "rig.xlsx")
+    assert main(["look", str(tmp_path / "rig.xlsx")]) == 1
+    assert "choose one with --sheet M1" in capsys.readouterr().out

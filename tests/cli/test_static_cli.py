@@ -96,7 +96,8 @@ def test_fit_and_look_say_what_slack_cells_read(tmp_path, capsys):
         words = capsys.readouterr().out
         count = int(re.search(r"(\d+) cells read [\d.]+ ± [\d.]+ N where the muscle", words)[1])
         assert slack <= count <= slack + 3
-        assert "floor='zero'" in words
+        assert "--floor zero" in words
+        assert "floor=" not in words
     assert main(["fit", str(path), "--floor", "zero", "--json"]) == 0
     mended = json.loads(capsys.readouterr().out)
     assert mended["cells"] == len(force) - count

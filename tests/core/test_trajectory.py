@@ -5,6 +5,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import InputError, Trajectory, UnknownNameError, Variable
+from pam_ocp.core import units
 from pam_ocp.core.signals import signals
 
 VARIABLES = (
@@ -128,3 +129,43 @@ def test_the_last_sample_of_a_held_input_is_its_end_not_an_interval(slide):
 def test_bad_inputs_are_refused_with_a_reason(slide, inputs, message):
     with pytest.raises(InputError, match=message):
         pam.simulate(slide, inputs, t=[0.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("header", "factors"),
+    [
+        ("time [s],u [Pa],x [m]", (1, 1, 1)),
+        ("time [ms],u [bar],x [mm]", (1e-3, 1e5, 1e-3)),
+        ("time,u [kPa],x [%]", (1, 1e3, 1e-2)),
+        ("time [min],u [l/min],x [N/mm]", (60, 1e-3 / 60, 1e3)),
+    ],
+)
+def test_units_of_a_table_are_converted_to_si(tmp_path, header, factors):
+    rows = np.array([[0.0, 1.5, 2.0], [0.5, 3.0, 4.0]])
+    table = tmp_path / "inputs.csv"
+    table.write_text(header + "\n" + "".join(f"{a},{b},{c}\n" for a, b, c in rows))
+    found = pam.Trajectory.load(table)
+    assert found.t == pytest.approx(factors[0] * rows[:, 0])
+    assert found["u"] == pytest.approx(factors[1] * rows[:, 1])
+    assert found["x"] == pytest.approx(factors[2] * rows[:, 2])
+    assert all(units.unit(v.unit).factor == 1.0 for v in found.variables)
+
+
+def test_a_table_whose_first_column_is_no_time_is_refused(tmp_path):
+    for head in ("time [mm]", "time (ms)"):
+        table = tmp_path / "inputs.csv"
+        table.write_text(f"{head},x [m]\n0,1\n1,2\n")
+        with pytest.raises(pam.PamError, match="time"):
+            pam.Trajectory.load(table)
+
+
+def test_inputs_that_jump_stand_twice_in_a_table_and_move_the_plant_again(hanging, tmp_path):
+    table = tmp_path / "inputs.csv"
+    table.write_text("time [s],muscle.command [bar]\n0,1.5\n0.5,1.5\n0.5,3\n1,3\n1.5,2\n")
+    motion = pam.simulate(hanging, pam.Trajectory.load(table), rtol=1e-10)
+    lag = hanging.variable("muscle.lag").start
+    after = 3e5 - 1.5e5 * np.exp(-0.5 / lag)  # of a first-order lag, from 1.5 bar
+    assert motion.at([1.0])["muscle.pressure"][0] == pytest.approx(after, rel=1e-4)
+    again = pam.Trajectory.load(motion.save(tmp_path / "motion.csv"))
+    assert len(again) == len(motion)
+    assert pam.simulate(hanging, again, rtol=1e-10).compare(motion).largest < 1e-7

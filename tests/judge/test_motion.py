@@ -315,3 +315,28 @@ def test_what_swings_many_times_between_two_points_is_seen_and_counted():
     assert found.objective == pytest.approx(0.5 + np.sin(2 * swing) / (4 * swing), rel=1e-6)
     assert found.constraint == "x"
     assert found.violation == pytest.approx(0.1, rel=1e-3)
+
+
+# ---- motions from elsewhere ----------------------------------------------------------------------
+def test_a_motion_from_elsewhere_is_made_of_what_simulate_takes():
+    plant = pam.Plant("mass", "a mass that a force pushes")
+    x, v, f = plant.state("x"), plant.state("v"), plant.input("f")
+    plant.der(x, v)
+    plant.der(v, f)
+    held = {"f": ([0.0, 1.0, 2.0], [1.0, -1.0, -1.0])}  # 1 m in 2 s, by hand
+    motion = Motion.of(plant, {"x": 0.25}, held, [2.0])
+    assert motion.start.tolist() == [0.25, 0.0]
+    statement = Statement([{"x": 0.25}, {"x": 1.5}])
+    found = judge(plant, statement, motion)
+    assert found.constraint == "stop 2: x"  # it comes to rest at 1.25 m
+    assert found.violation == pytest.approx(0.25, rel=1e-6)
+    assert "stop 2: x: 0.25" in str(found)
+    run = pam.simulate(plant, held, start={"x": 0.25}, duration=2.0)
+    again = judge(plant, statement, Motion.of(plant, {"x": 0.25}, run, [2.0]))
+    assert again.violation == pytest.approx(found.violation)
+
+
+def test_a_motion_of_something_else_names_what_takes_it(slide):
+    run = pam.simulate(slide, duration=0.1)
+    with pytest.raises(pam.InputError, match=r"is a Trajectory: Motion\.of\(plant"):
+        Motion(run.array(["x"])[0], run, (0.1,))

@@ -1,5 +1,7 @@
 """Plant: declaring, values, errors; and the two plants against their equations by hand."""
 
+import pickle
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -359,3 +361,46 @@ def test_without_totals_there_are_no_sums(cls, long_muscle):
     names = {v.name for v in plant.variables}
     assert "muscle.power" in names
     assert not {n for n in names if "work" in n or "efficiency" in n}
+
+
+def test_a_finished_plant_gets_one_more_output_in_a_copy(long_muscle):
+    plant = pam.AntagonisticSlide(long_muscle, mass=2.0, feed=pam.feeds.SpoolValve())
+    difference = plant.expression("muscle1.pressure") - plant.expression("muscle2.pressure")
+    more = plant.with_output("difference", difference, unit="Pa", nominal=1e5)
+    assert [v.name for v in more.outputs] == [*(v.name for v in plant.outputs), "difference"]
+    assert "difference" not in [v.name for v in plant.variables]
+    start = {"muscle1.pressure": 3e5, "muscle2.pressure": 1e5}
+    for each in (more, more.in_openings(), pickle.loads(pickle.dumps(more))):
+        run = pam.simulate(each, start=start, duration=0.05)
+        apart = run["muscle1.pressure"] - run["muscle2.pressure"]
+        assert run["difference"][0] == 2e5
+        assert np.array_equal(run["difference"], apart)
+    with pytest.raises(InputError, match="declared twice"):
+        plant.with_output("x", difference)
+    with pytest.raises(InputError, match=r"in use .* with_output\(\)"):
+        plant.output("difference", difference)
+
+
+def test_a_cost_term_of_ones_own_is_tracked_by_an_mpc(long_muscle):
+    joint = pam.AntagonisticJoint(long_muscle)
+    total = joint.expression("muscle1.pressure") + joint.expression("muscle2.pressure")
+    joint = joint.with_output("total", total, unit="Pa", nominal=1e5)
+    rest = joint.equilibrium(theta=0.0, stiffness=30.0)
+    mpc = pam.Mpc(
+        joint.with_values(rest),
+        horizon=15,
+        sample_time=0.02,
+        track={"theta": 1.0, "total": 0.05},
+        rate=dict.fromkeys(("muscle1.command", "muscle2.command"), 0.05),
+    )
+    loop = mpc.closed_loop(joint, {"theta": 0.15, "total": 5e5}, 1.0, start=rest)
+    summed = loop["muscle1.pressure"] + loop["muscle2.pressure"]
+    assert loop["theta"][-1] == pytest.approx(0.15, abs=1e-4)
+    assert summed[-1] == pytest.approx(5e5, rel=1e-3)
+
+
+def test_the_report_of_a_plant_names_each_variable_with_its_value(hanging):
+    text = hanging.with_values(mass=7.5).report()
+    for variable in hanging.variables:
+        assert f" {variable.name} " in text
+    assert "parameter  mass                         7.5 kg" in text

@@ -34,6 +34,7 @@ from ..session import safe_name
 from ..work import Say, job
 from .control import controller_of, loop_figures, loop_of
 from .motion import motion_figures, plan_of
+from .muscle import fit_of
 
 __all__ = [
     "AGREES",
@@ -151,6 +152,7 @@ def report(say: Say, world: World, title: str) -> dict[str, Any]:
     if state["muscle"]["kind"] == "fit":
         item = state["muscle"]["table"]
         things["Measured table"] = table_of(world, item)
+        things["Fit"] = fit_of(world, state["muscle"])
         if "file" in item:
             sources.append(source_of(world, item))
     things["Muscle"] = muscle

@@ -24,6 +24,7 @@ __all__ = [
     "CURVE",
     "design",
     "fit_law",
+    "fit_of",
     "fitted_kappa",
     "levels_of",
     "muscle_file",
@@ -66,7 +67,7 @@ def rank_laws(
 @job("Fitting {}", warm="muscle")
 def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
     """A fit as plain values: coefficients with intervals, curves with bands, residuals, words."""
-    fit = _fit(world, said)
+    fit = fit_of(world, said)
     table, cells = fit.table, fit.cells
     say(0.5, "intervals")
     try:
@@ -108,6 +109,7 @@ def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
             "pressure": table.pressure,
             "contraction": table.contraction,
             "force": table.force,
+            "slack": table.slack,
             "branch": list(table.branch),
         },
         "rest_length": table.rest_length,
@@ -123,7 +125,7 @@ def design(
     say: Say, world: World, said: Mapping[str, Any], count: int, criterion: str
 ) -> dict[str, Any]:
     """Cells to measure next, and the standard errors that they promise."""
-    found = design_cells(_fit(world, said), count, criterion=criterion)  # type: ignore[arg-type]
+    found = design_cells(fit_of(world, said), count, criterion=criterion)  # type: ignore[arg-type]
     length = found.cells.rest_length
     return {
         "pressure": found.cells.pressure,
@@ -153,7 +155,7 @@ def muscle_file(say: Say, world: World) -> bytes:
 @job("Writing the workbook", warm="muscle")
 def workbook(say: Say, world: World, said: Mapping[str, Any]) -> bytes:
     """The fit as a workbook (XLSX)."""
-    fit: Any = _fit(world, said)
+    fit: Any = fit_of(world, said)
     with tempfile.TemporaryDirectory() as temporary:
         path = Path(temporary) / "fit.xlsx"
         fit.to_excel(path)
@@ -178,7 +180,8 @@ def fitted_kappa(contraction: Any) -> Any:
     return np.linspace(min(low, 0.0), high + margin, CURVE)
 
 
-def _fit(world: World, said: Mapping[str, Any]) -> ForceFit:
+def fit_of(world: World, said: Mapping[str, Any]) -> ForceFit:
+    """The fit of a law to a table of the session, as ``said`` by the state's muscle."""
     read = ("bundled", "file", "name", "said", "off")
     item = {k: v for k, v in said["table"].items() if k in read}
     return _kept_fit(world, item, said["law"], dict(said["fixed"]))

@@ -210,7 +210,7 @@ class Data(Tab):
             self._column_table(item, seen)
         with self._said:
             self._understood(seen)
-        self._words.set_text(seen.get("reads_as") or self.bench.words(seen["problem"]))
+        self._words.set_text(self.bench.words(seen.get("reads_as") or seen["problem"]))
         if "records" in seen:
             self._plot.draw(_record_figure(seen), "Curves of the record")
         else:

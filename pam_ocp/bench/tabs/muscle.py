@@ -371,7 +371,7 @@ class MuscleTab(Tab):
         picture = look.figure(data, *axes, height=420, keep=str(said["law"]), yaxis=ends)
         self._force.draw(picture)
         residuals, rmse = _residuals(muscle.law, fit)
-        taut = fit["cells"]["force"] > 0
+        taut = ~np.asarray(fit["cells"]["slack"])
         markers = {"size": 6}
         one = look.points(fit["cells"]["force"][taut], residuals, marker=markers)
         self._rest.draw(look.figure([one], "measured force [N]", "residual [N]", height=300))
@@ -527,7 +527,7 @@ def _measured(fit: Mapping[str, Any]) -> list[dict[str, Any]]:
     p = np.asarray(cells["pressure"], float)
     nearest = np.argmin(np.abs(p[:, None] - levels[None, :]), axis=1)
     near = np.abs(p - levels[nearest]) <= 0.03 * levels[nearest]
-    taut = np.asarray(cells["force"], float) > 0
+    taut = ~np.asarray(cells["slack"])
     made = []
     groups = [(near & taut & (nearest == i), i) for i in range(len(levels))]
     for chosen, i in [(~near & taut, -1), *groups]:
@@ -550,7 +550,7 @@ def _measured(fit: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _residuals(law: ForceLaw, fit: Mapping[str, Any]) -> tuple[Any, float]:
     """Measured minus tension of the taut cells [N], and their RMSE."""
     cells = fit["cells"]
-    taut = cells["force"] > 0
+    taut = ~np.asarray(cells["slack"])
     tension = law.tension(cells["pressure"][taut], cells["contraction"][taut])
     residuals = cells["force"][taut] - np.asarray(tension, float)
     return residuals, float(np.sqrt(np.mean(residuals**2)))
