@@ -205,6 +205,10 @@ def closed_loop(
     True
     """
     _require_controller(controller, plant)
+    if estimator is not None and not hasattr(estimator, "deviations"):
+        raise InputError(
+            f"estimator is a {type(estimator).__name__}: give an estimator, such as a KalmanFilter"
+        )
     own = getattr(side, "sample_time", None) if isinstance(side, HasSide) else None
     sample_time = _sample_time(controller, estimator, sample_time, own)
     samples = round(require_positive("duration", duration, "s") / sample_time)

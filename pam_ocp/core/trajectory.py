@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
-from .errors import InputError, UnknownNameError, require_numbers
+from .errors import InputError, UnknownNameError, require_count, require_instance, require_numbers
 from .files import (
     MOST_NAME,
     atomic_path,
@@ -33,7 +33,7 @@ from .files import (
 from .foreign import frame, read_frame
 from .shown import shown
 from .signals import Interpolation, PiecewisePolynomial
-from .variables import Causality, Variable, variable_of
+from .variables import Causality, Variable, require_causality, variable_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -124,6 +124,7 @@ class Trajectory:
             raise InputError(f"interpolation = {interpolation!r}: choose 'previous' or 'linear'")
         self.interpolation_known = interpolation is not None or signals is not None
         self.interpolation: Interpolation = interpolation or "linear"
+        require_instance("columns", columns, Mapping, "give {name: samples}")
         if variables is None:
             variables = [Variable(name, "output") for name in columns]
         self.variables: tuple[Variable, ...] = tuple(variables)
@@ -173,6 +174,7 @@ class Trajectory:
 
     def named(self, causality: Causality) -> tuple[str, ...]:
         """Names of all columns of a causality ("state", "input", "output")."""
+        require_causality(causality)
         return tuple(v.name for v in self.variables if v.causality == causality)
 
     def array(self, names: Sequence[str]) -> Array:
@@ -180,7 +182,8 @@ class Trajectory:
         return np.column_stack([self[n] for n in names]) if names else np.empty((len(self), 0))
 
     def row(self, index: int) -> dict[str, float]:
-        """All values at one sample, by name."""
+        """All values at one sample, by name; negative ones count from the end."""
+        index = require_count("index", index, -len(self), len(self) - 1)
         return {name: float(column[index]) for name, column in self._columns.items()}
 
     def at(self, t: ArrayLike) -> Trajectory:

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arguments import with_kinds
 from ..core.errors import (
     InputError,
     SimulationError,
@@ -101,6 +102,7 @@ class FmuCheck:
         return "\n".join(map(printable, lines))
 
 
+@with_kinds
 def check_fmu(
     path: str | os.PathLike[str],
     against: Trajectory | None = None,

@@ -10,6 +10,7 @@ from typing import Any
 
 import tomli_w
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, UnknownNameError, require_finite, require_instance
 from ..core.files import (
     atomic_path,
@@ -47,6 +48,7 @@ _RANGES = ("pressure_range", "contraction_range")
 ENDINGS = (".toml", ".json")
 
 
+@with_kinds
 def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
     """Write a muscle with its law and coefficients (SI): TOML or JSON, as the file's name ends.
 
@@ -89,6 +91,7 @@ def _ending(path: str | os.PathLike[str]) -> str:
     return ending
 
 
+@with_kinds
 def load_muscle(path: str | os.PathLike[str]) -> Muscle:
     """Read what :func:`save_muscle` wrote. Raises InputError when it is something else.
 

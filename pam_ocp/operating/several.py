@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, require_count
+from ..core.errors import InputError, require_count, require_numbers
 from ..core.shown import shown
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..plants.plant import Plant, Values
@@ -222,7 +222,10 @@ def equilibrium_path(
     points: list[OperatingPoint] = []
     done: list[float] = []
     end = ""
-    for value in values:
+    asked = np.ravel(require_numbers("values", list(values)))
+    if not asked.size:
+        raise InputError("values is empty: give at least one")
+    for value in asked:
         if points and deadline().over:
             end = f"{deadline()} was over"
             break

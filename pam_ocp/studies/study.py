@@ -22,6 +22,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
+from ..core.arguments import with_kinds
 from ..core.atomic import in_use
 from ..core.cases import results_of
 from ..core.digest import file_digest, own_digest
@@ -47,6 +48,7 @@ REPORT = "report.html"
 SUMMARY = "summary.csv"
 
 
+@with_kinds
 def run_study(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
