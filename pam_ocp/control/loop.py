@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, require_count, require_positive, require_tolerance
+from ..core.errors import (
+    InputError,
+    UnknownNameError,
+    require_count,
+    require_positive,
+    require_tolerance,
+)
 from ..core.plausible import outside
 from ..core.shown import shown
 from ..core.stop import verb
@@ -336,7 +342,17 @@ class _Run:
 
     def sample(self, t: float, look: bool) -> None:
         """Measure, estimate, control; and leave the inputs of the coming sample with the side."""
-        asked = self.inputs(t, self.controller(t, self.measure(t)))
+        measured = self.measure(t)
+        try:
+            wanted = self.controller(t, measured)
+        except KeyError as error:
+            name = error.args[0] if error.args else None
+            if not isinstance(name, str) or name in measured:
+                raise
+            raise UnknownNameError(
+                "measurement that the controller asks for", name, measured
+            ) from error
+        asked = self.inputs(t, wanted)
         if hasattr(self.controller, "expected"):
             self.expected.append(self.controller.expected())
         self.waiting.append(asked)

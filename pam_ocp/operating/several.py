@@ -65,6 +65,7 @@ def equilibria(
     given = {**(conditions or {}), **more}
     search = posed(Search, plant, given, free, memory=memory or "virgin")
     require_count("starts", starts, 1)
+    require_count("seed", seed, 0)
     found: list[Array] = []
     bands: tuple[Band, ...] = ()
     ended = ""
