@@ -29,8 +29,8 @@ from .ladder import add_ladder
 from .linearize import add_linearize
 from .mpc import add_mpc
 from .muscles import add_loads, add_muscles
-from .options import require_outputs
-from .output import escaping, finish, logged
+from .options import require_outputs, seconds
+from .output import as_options, escaping, finish, logged
 from .plan import add_plan
 from .quick import add_quick
 from .reading import add_look
@@ -62,7 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     made = _parser()
-    options = made.parse_args(arguments)
+    options, unknown = made.parse_known_args(arguments)
+    if unknown:
+        _refuse(made, options, unknown)
     if not hasattr(options, "run"):
         made.print_help()
         return 2
@@ -83,11 +85,30 @@ def _run(arguments: Sequence[str] | None) -> int:
             finish(options)
             return code
     except PamError as error:
-        _tell_error(f"pam-ocp {options.command}: {error}")
+        _tell_error(f"pam-ocp {options.command}: {as_options(str(error), _command(options))}")
         return 2
     except KeyboardInterrupt:
         _tell_error("interrupted")
         return 130
+
+
+def _command(options: argparse.Namespace) -> argparse.ArgumentParser:
+    """The parser of the command that was given."""
+    (commands,) = (a for a in options.parser._actions if a.dest == "command")
+    found: argparse.ArgumentParser = commands.choices[options.command]
+    return found
+
+
+def _refuse(
+    made: argparse.ArgumentParser, options: argparse.Namespace, unknown: Sequence[str]
+) -> NoReturn:
+    """The end of a command with words that it does not know, and the options nearest to them."""
+    options.parser, near = made, list[str]()
+    if options.command is not None:
+        known = [o for a in _command(options)._actions for o in a.option_strings]
+        near = [n for w in unknown if w.startswith("--") for n in nearest(w, known, 0.75)[:1]]
+    hint = f"; did you mean {' or '.join(near)}?" if near else ""
+    made.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -183,9 +204,9 @@ def _parser() -> argparse.ArgumentParser:
         if name != "check":  # its own
             command.add_argument(
                 "--time-limit",
-                type=float,
+                type=seconds,
                 metavar="S",
-                help="end after so many seconds (default: no limit)",
+                help="end after so many seconds, or as '5 min' (default: no limit)",
             )
         command.add_argument(
             "-q", "--quiet", action="store_true", help="print errors only (and --json)"

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..core.files import spelled
 
-__all__ = ["add_json", "coefficients", "escaping", "finish", "logged", "tell", "wrote"]
+__all__ = [
+    "add_json",
+    "as_options",
+    "coefficients",
+    "escaping",
+    "finish",
+    "logged",
+    "tell",
+    "wrote",
+]
 
 
 def add_json(command: argparse.ArgumentParser) -> None:
@@ -92,6 +104,40 @@ def plain(value: Any) -> Any:
     if isinstance(value, Sequence):
         return [plain(v) for v in value]
     return str(value)
+
+
+def as_options(words: str, command: argparse.ArgumentParser) -> str:
+    """A sentence whose remedies are arguments of Python, in the options of the command:
+    ``clock='cut'`` as ``--clock cut``.
+    """
+    words = re.sub(r"\bread_\w+\(\.\.\., (\w+=[^)]*)\)", r"\1", words)
+    for action in command._actions:
+        long = next((o for o in action.option_strings if o.startswith("--")), None)
+        if long is not None:
+            words = words.replace(f"{action.dest}=True", long)
+            # mass=2.0 alone is an example of NAME=VALUE
+            plain = r"|[\d.]*\d" if "_" in action.dest else ""
+            value = rf"(\{{[^}}]*\}}|\[[^\]]*\]|'[^']*'|\.\.\.{plain})(?!\w)"
+            shown = partial(_as_option, long)
+            words = re.sub(rf"(?<![\w.]){action.dest}={value}", shown, words)
+    return words
+
+
+def _as_option(option: str, value: re.Match[str]) -> str:
+    try:
+        given = ast.literal_eval(value[1])
+    except (SyntaxError, ValueError):
+        return f"{option} {value[1]}"
+    if isinstance(given, dict):
+        parts = [f"{n}={'...' if v is ... else v}" for n, v in given.items()]
+    else:
+        several = given if isinstance(given, list) else [given]
+        parts = ["..." if v is ... else str(v) for v in several]
+    return " ".join([option, *map(_quoted, parts)])
+
+
+def _quoted(part: str) -> str:
+    return f"'{part}'" if set(part) & set(" *[]()") else part
 
 
 def coefficients(fit: Any) -> dict[str, Any]:

@@ -81,7 +81,6 @@ def add_fit(commands: Any) -> None:
     fit.add_argument(
         "--muscles",
         nargs="+",
-        default=["muscle"],
         metavar="NAME",
         help="names of the muscles in that FMU, such as muscle1 muscle2 (default: muscle)",
     )
@@ -223,6 +222,8 @@ def _fixed(texts: Sequence[str], laws: Iterable[str]) -> dict[str, float]:
 
 
 def _fit(options: argparse.Namespace) -> int:
+    if options.muscles and options.ssv is None:
+        raise InputError("--muscles names those of an FMU: give --ssv, the file for it")
     from ..fitting.static.static import fit_force
     from ..fitting.tables.force_table import read_table
     from ..muscles.muscle_file import save_muscle
@@ -257,7 +258,9 @@ def _fit(options: argparse.Namespace) -> int:
         muscle = fitted.muscle(rest_length=length, diameter=diameter, name=name)
         wrote(options, save_muscle(muscle, options.out))
     if options.ssv:
-        wrote(options, fitted.save_ssv(options.ssv, options.muscles, rest_length=length))
+        wrote(
+            options, fitted.save_ssv(options.ssv, options.muscles or ["muscle"], rest_length=length)
+        )
     return 0
 
 

@@ -402,7 +402,9 @@ class _Run:
             motion,
             wanted=wanted,
             inputs=[n for n in self._controls if n not in self.disturbances],
-            limits=getattr(self.controller, "limits", {}),
+            limits={
+                n: ends for n, ends in getattr(self.controller, "limits", {}).items() if n in motion
+            },
             noise=noise,
             calls=None if statistics is None else statistics.counts,
             predicted={n: [row[n] for row in self.expected] for n in names},

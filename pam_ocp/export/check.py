@@ -205,7 +205,7 @@ def check_fmus(
 def _readable(file: Path) -> Path:
     require_local(file)
     if not file.is_file():
-        raise InputError(f"{file}: no such file")
+        raise InputError(f"{file}: {'a folder, no FMU' if file.is_dir() else 'no such file'}")
     if not os.access(file, os.R_OK):
         raise InputError(f"{file}: this file cannot be read as an FMU (no permission)")
     if not zipfile.is_zipfile(file):

@@ -128,7 +128,7 @@ def judge_loop(
     """
     noise = noise or {}
     require_names("inputs", inputs)
-    for name in (*inputs, *(limits or {}), *noise):
+    for name in (*inputs, *(limits or {})):
         motion.variable(name)
     missed, words = _missed(motion, wanted, noise, behind)
     faults, kept = list(words.values()), []

@@ -110,11 +110,11 @@ def run_study(
         raise InputError("give shard or merge, not both")
     share = None if shard is None else shard_of(shard)
     study = read_study(Path(path))
+    kept = Kept(cache)  # before the folder: where it cannot be, there is nothing to clear away
     target = make_folder(Path(study.path.stem) if out is None else out)
     if merge:
         found = merged_cache(target, file_digest(study.path))
-        cache = found if cache is None else cache
-    kept = Kept(cache)
+        kept = Kept(found) if cache is None else kept
     record = None
     if share is not None:
         record = ShardRecord(target, share, file_digest(study.path), kept.folder)
