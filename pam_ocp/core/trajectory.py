@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import os
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
-from .errors import InputError, UnknownNameError, require_count, require_instance, require_numbers
+from .errors import InputError, UnknownNameError, require_count, require_numbers
 from .files import (
     MOST_NAME,
     atomic_path,
@@ -124,7 +125,8 @@ class Trajectory:
             raise InputError(f"interpolation = {interpolation!r}: choose 'previous' or 'linear'")
         self.interpolation_known = interpolation is not None or signals is not None
         self.interpolation: Interpolation = interpolation or "linear"
-        require_instance("columns", columns, Mapping, "give {name: samples}")
+        if not isinstance(columns, Mapping):
+            raise InputError(f"columns = {reprlib.repr(columns)}: give a mapping {{name: samples}}")
         if variables is None:
             variables = [Variable(name, "output") for name in columns]
         self.variables: tuple[Variable, ...] = tuple(variables)

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, require_count, require_numbers
+from ..core.errors import InputError, require_count
 from ..core.shown import shown
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..plants.plant import Plant, Values
@@ -223,10 +223,7 @@ def equilibrium_path(
     points: list[OperatingPoint] = []
     done: list[float] = []
     end = ""
-    asked = np.ravel(require_numbers("values", list(values)))
-    if not asked.size:
-        raise InputError("values is empty: give at least one")
-    for value in asked:
+    for value in values:
         if points and deadline().over:
             end = f"{deadline()} was over"
             break
@@ -247,4 +244,6 @@ def equilibrium_path(
                 break
             points.append(rest.point(point))
         done.append(float(value))
+    if not points:
+        raise InputError("values is empty: give at least one")
     return EquilibriumPath(plant.variable(name).name, np.array(done), tuple(points), end)

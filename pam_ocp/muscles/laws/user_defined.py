@@ -227,8 +227,6 @@ def own_law(
     >>> print(f"{pam.fit_force(table, law).rmse:.0f} N")
     91 N
     """
-    if not coefficients:
-        raise InputError("coefficients is empty: name at least one, as {'area': coefficient(...)}")
     for key in coefficients:
         if not key.isidentifier() or key in ("p", "kappa", "slack_width", "pre_contraction"):
             raise InputError(f"coefficient {key!r}: choose another name; it is no name or is taken")
@@ -245,6 +243,8 @@ def own_law(
         symbols = {key: ca.SX.sym(key) for key in coefficients}
         _require_arguments(formula, tuple(coefficients))
         expression_of(f"law {name!r}", formula, ca.SX.sym("p"), ca.SX.sym("kappa"), **symbols)
+    if not coefficients:
+        raise InputError("coefficients is empty: name at least one, as {'area': coefficient(...)}")
     law = made_law(
         "OwnLaw",
         dict(coefficients),
