@@ -680,7 +680,7 @@ CALLS: dict[str, tuple[Call, str]] = {
     "state(start=5, max=1)": (lambda: pam.Plant("p").state("x", start=5, max=1), "is outside"),
     "add_muscle(shortening='x')": (
         lambda: pam.Plant("p").add_muscle("m", NAME, shortening="x", rate=0.0),
-        "m: shortening: str is no expression",
+        "m: shortening: a str is no expression",
     ),
     "add_sensor('x', 3)": (lambda: plant().add_sensor("x", 3), "give a Sensor"),  # type: ignore[arg-type]
     "vector('states')": (lambda: plant().vector("states"), "causality = 'states': choose one of"),  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.block import Block
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, kind_of, require_positive
 from ..core.stop import turns, verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -199,8 +199,7 @@ def tvlqr(
     require_plant(plant)
     if not isinstance(motion, Trajectory):
         raise InputError(
-            f"motion is a {type(motion).__name__}, not a Trajectory of the plant, such as "
-            "plan.trajectory"
+            f"motion is {kind_of(motion)}, not a Trajectory of the plant, such as plan.trajectory"
         )
     sample_time = require_positive("sample_time", sample_time, "s")
     if sample_time >= motion.duration:

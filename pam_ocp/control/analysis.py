@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.cases import Place, results_of
-from ..core.errors import InputError, require_count, require_ends, require_positive
+from ..core.errors import InputError, kind_of, require_count, require_ends, require_positive
 from ..core.shown import shown
 from ..core.stop import verb
 from ..operating.linear import linearize, modes
@@ -96,7 +96,7 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
 
     if not isinstance(loop, control.StateSpace):
         raise InputError(
-            f"margins: loop is a {type(loop).__name__}, not a control.StateSpace, such as "
+            f"margins: loop is {kind_of(loop)}, not a control.StateSpace, such as "
             "StateFeedback.loop"
         )
     if loop.ninputs != loop.noutputs:

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, kind_of, require_positive
 from ..core.stop import verb
 from ..core.variables import Variable
 from ..plants.inversion import Inversion
@@ -164,8 +164,7 @@ def state_feedback_controller(
     """
     if not isinstance(feedback, StateFeedback):
         raise InputError(
-            f"feedback is a {type(feedback).__name__}, not a StateFeedback, such as lqr(plant, "
-            "point)"
+            f"feedback is {kind_of(feedback)}, not a StateFeedback, such as lqr(plant, point)"
         )
     windup_time = require_positive("windup_time", windup_time, "s")
     plant, point = feedback.point.plant, feedback.point

@@ -16,6 +16,7 @@ from .. import courtesy
 from ..core.errors import (
     InputError,
     UnknownNameError,
+    kind_of,
     require_count,
     require_positive,
     require_tolerance,
@@ -213,7 +214,7 @@ def closed_loop(
     _require_controller(controller, plant)
     if estimator is not None and not hasattr(estimator, "deviations"):
         raise InputError(
-            f"estimator is a {type(estimator).__name__}: give an estimator, such as a KalmanFilter"
+            f"estimator is {kind_of(estimator)}: give an estimator, such as a KalmanFilter"
         )
     own = getattr(side, "sample_time", None) if isinstance(side, HasSide) else None
     sample_time = _sample_time(controller, estimator, sample_time, own)
@@ -267,11 +268,11 @@ def _require_controller(controller: Any, plant: Any) -> None:
         )
     if not callable(controller) and not isinstance(controller, Tracking):
         raise InputError(
-            f"controller is a {type(controller).__name__}, which is not called with (t, measured); "
+            f"controller is {kind_of(controller)}, which is not called with (t, measured); "
             "give a controller, or a function"
         )
     if plant is not None and not isinstance(plant, Plant):
-        raise InputError(f"plant is a {type(plant).__name__}: give the Plant that the FMU is of")
+        raise InputError(f"plant is {kind_of(plant)}: give the Plant that the FMU is of")
 
 
 def _sample_time(

@@ -19,6 +19,7 @@ from ..core.errors import (
     InputError,
     SimulationError,
     UnknownNameError,
+    kind_of,
     require_count,
     require_instance,
     require_positive,
@@ -346,7 +347,7 @@ class Actuators:
     def __call__(self, t: float, answer: Mapping[str, float]) -> dict[str, float]:
         if not isinstance(answer, Mapping):
             raise InputError(
-                f"the controller's answer at t = {t:g} s is a {type(answer).__name__}: give "
+                f"the controller's answer at t = {t:g} s is {kind_of(answer)}: give "
                 f"inputs by name, such as {{{next(iter(self._range), 'name')!r}: 3e5}}"
             )
         if self._inversion:

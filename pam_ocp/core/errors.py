@@ -41,6 +41,7 @@ __all__ = [
     "UnknownNameError",
     "VibrationError",
     "WriteError",
+    "kind_of",
     "require_count",
     "require_ends",
     "require_finite",
@@ -57,13 +58,18 @@ LEAST_TOLERANCE = 1e-14
 """Some fifty times the spacing of numbers; below, an integrator counts rounding errors."""
 
 
+def kind_of(value: Any) -> str:
+    """What a value is, in words: "a Muscle", "None"."""
+    return "None" if value is None else f"a {type(value).__name__}"
+
+
 def require_instance(
     argument: str, value: Any, kinds: type | tuple[type, ...], remedy: str, none: bool = False
 ) -> Any:
     """``value``, or an InputError when it is none of ``kinds`` (with ``none``: nor None)."""
     if isinstance(value, kinds) or (none and value is None):
         return value
-    raise InputError(f"{argument} is a {type(value).__name__}: {remedy}")
+    raise InputError(f"{argument} is {kind_of(value)}: {remedy}")
 
 
 def require_count(argument: str, value: Any, least: int = 1, most: int | None = None) -> int:

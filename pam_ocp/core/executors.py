@@ -20,7 +20,7 @@ from concurrent.futures import (
 from pickle import loads
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
-from .errors import InputError, PamError, require_count
+from .errors import InputError, PamError, kind_of, require_count
 from .stop import ask, check, yielded
 from .tasks import GIVEN_UP, TRIES, Answer, Finish, Task, Work, finished, packed, remote
 from .workers import in_workers
@@ -58,7 +58,7 @@ def placed(executor: Any) -> Executor | int | None:
     if isinstance(executor, Client):
         return executor.get_executor(pure=False)
     raise InputError(
-        f"executor is a {type(executor).__name__}: give a number of processes (0: this one alone), "
+        f"executor is {kind_of(executor)}: give a number of processes (0: this one alone), "
         "an executor of concurrent.futures, a client of Dask, or None for all processors"
     )
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError, require_numbers
+from .errors import InputError, kind_of, require_numbers
 from .quantities import is_quantity
 from .system import HasInputs
 from .variables import Causality
@@ -173,7 +173,7 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
         return given
     if not hasattr(inputs, "interpolation"):
         raise InputError(
-            f"inputs is a {type(inputs).__name__}: give {{name: value}}, such as "
+            f"inputs is {kind_of(inputs)}: give {{name: value}}, such as "
             f"{{{plant.inputs[0].name if plant.inputs else 'name'!r}: 3e5}}, or a Trajectory"
         )
     missing = [v.name for v in plant.inputs if v.name not in inputs]

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from .atomic import atomic_path, is_url, spelled
-from .errors import InputError
+from .errors import InputError, kind_of
 from .exceptions import WriteError
 
 __all__ = ["Folder", "Remote", "Store", "folder_of", "opened", "write_bytes"]
@@ -132,7 +132,7 @@ def folder_of(label: str, given: Store) -> Folder:
         return _of_url(label, text) if is_url(text) else Path(text)
     fs, path = given if isinstance(given, tuple) and len(given) == 2 else (given, "")
     if not isinstance(path, str | os.PathLike):
-        raise InputError(f"{label}: the path is a {type(path).__name__}; {GIVE}")
+        raise InputError(f"{label}: the path is {kind_of(path)}; {GIVE}")
     if hasattr(fs, "base_fs") and hasattr(fs, "base_path"):  # pyarrow's SubTreeFileSystem
         fs, path = fs.base_fs, posixpath.join(fs.base_path, os.fspath(path))
     fs = _of_fsspec(label, fs)
@@ -195,7 +195,7 @@ def _of_fsspec(label: str, fs: Any) -> Any:
             return ArrowFSWrapper(fs)
         except Exception:  # another thing of pyarrow's
             pass
-    raise InputError(f"{label} is a {type(fs).__name__}; {GIVE}")
+    raise InputError(f"{label} is {kind_of(fs)}; {GIVE}")
 
 
 def _fsspec(label: str) -> Any:

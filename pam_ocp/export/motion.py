@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arguments import with_kinds
-from ..core.errors import InputError
+from ..core.errors import InputError, kind_of
 from ..core.files import atomic_path, require_ending
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
@@ -113,9 +113,7 @@ def save_input_table(
 
 def _columns(motion: Trajectory, names: Sequence[str] | None) -> list[str]:
     if not isinstance(motion, Trajectory):
-        raise InputError(
-            f"motion is a {type(motion).__name__}, not a Trajectory, such as plan.trajectory"
-        )
+        raise InputError(f"motion is {kind_of(motion)}, not a Trajectory, such as plan.trajectory")
     if names is None:
         names = motion.named("input") or motion.names
     if isinstance(names, str) or not names:

@@ -17,7 +17,7 @@ from typing import Any
 
 from .. import __version__
 from ..core.atomic import atomic_path
-from ..core.errors import InputError, require_instance
+from ..core.errors import InputError, kind_of, require_instance
 from ..core.files import require_ending
 from ..core.stop import verb
 from .html import html_of
@@ -88,7 +88,7 @@ def write_report(
     for i, (heading, thing) in enumerate(things.items()):
         if not hasattr(thing, "_repr_html_"):
             raise InputError(
-                f"things[{heading!r}] is a {type(thing).__name__}, which shows nothing; give a "
+                f"things[{heading!r}] is {kind_of(thing)}, which shows nothing; give a "
                 "muscle, table, fit, plant, plan, trajectory or the like"
             )
         parts.append(

@@ -51,7 +51,7 @@ def common_and_difference(p1: ArrayLike, p2: ArrayLike) -> tuple[Array, Array]:
 
 def _alike(**pressures: Any) -> list[Array]:
     """Pressures [Pa] as arrays that go together."""
-    arrays = {name: require_numbers(name, p, "Pa") for name, p in pressures.items()}
+    arrays = {name: np.asarray(require_numbers(name, p, "Pa")) for name, p in pressures.items()}
     try:
         np.broadcast_shapes(*(a.shape for a in arrays.values()))
     except ValueError:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, require_instance, require_positive
+from ..core.errors import InputError, kind_of, require_instance, require_positive
 from ..core.plausible import outside
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -589,7 +589,7 @@ def modes(system: control.StateSpace) -> list[tuple[float, float]]:
     """
     if not callable(getattr(system, "poles", None)):
         raise InputError(
-            f"modes: system is a {type(system).__name__}, not a control.StateSpace, such as "
+            f"modes: system is {kind_of(system)}, not a control.StateSpace, such as "
             "plant.linearize(point)"
         )
     poles = np.asarray(system.poles())

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError
+from ..core.errors import InputError, kind_of
 from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality, require_causality
@@ -51,7 +51,7 @@ def require_plant(value: Any) -> Plant:
         if isinstance(value, Muscle)
         else ", such as HangingLoad(muscle) or one of your own"
     )
-    raise InputError(f"plant is a {type(value).__name__}, not a Plant{hint}")
+    raise InputError(f"plant is {kind_of(value)}, not a Plant{hint}")
 
 
 def by_name(argument: str, values: Any, causality: Causality | None = None) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
         wanted = _FREE if causality is None else (causality,)
         return {n: v for n, v in point.items() if kinds[n] in wanted}
     raise InputError(
-        f"{argument} is a {type(values).__name__}: give values by name, such as {{'x': 0.01}}, or "
+        f"{argument} is {kind_of(values)}: give values by name, such as {{'x': 0.01}}, or "
         "an operating point"
     )
 

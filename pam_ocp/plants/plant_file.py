@@ -104,7 +104,7 @@ def named_plant(
 def _called(value: Any) -> str:
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    return "None" if value is None else f"a {type(value).__name__}"
+    return kind_of(value)
 
 
 def require_allowed(what: str, allow_code: bool) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..control.loop import closed_loop
 from ..control.sides import Side
-from ..core.errors import InputError
+from ..core.errors import InputError, kind_of
 from ..core.trajectory import Trajectory
 from ..plants.plant import Given, by_name
 from .channels import Command
@@ -101,8 +101,7 @@ def player(
     if not isinstance(motion, Trajectory):
         if not callable(inputs):
             raise InputError(
-                f"inputs is a {type(inputs).__name__}: give a function of time, a trajectory, or a "
-                "plan"
+                f"inputs is {kind_of(inputs)}: give a function of time, a trajectory, or a plan"
             )
         return (lambda t, seen: inputs(t)), None
     names = [n for n in motion.named("input") if n in commands]

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, require_numbers
+from ..core.errors import InputError, kind_of, require_numbers
 from ..core.signals import PiecewisePolynomial, signals
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
@@ -163,7 +163,7 @@ def keep_of(plant: Plant, keep: Keep) -> dict[str, Reduction | Callable[[Traject
             found[name] = said
         else:
             raise InputError(
-                f"keep[{name!r}] is a {type(said).__name__}: give words such as 'x.final', or a "
+                f"keep[{name!r}] is {kind_of(said)}: give words such as 'x.final', or a "
                 "function of a Trajectory"
             )
     return found

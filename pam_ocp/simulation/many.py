@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.arguments import require_known_keywords, with_kinds
 from ..core.cases import Loop, Place, ending
-from ..core.errors import InputError, SimulationError, require_count
+from ..core.errors import InputError, SimulationError, kind_of, require_count
 from ..core.executors import placed
 from ..core.files import MOST_ROWS
 from ..core.interrupts import interruptible
@@ -81,7 +81,8 @@ def sweep(**values: Sequence[float]) -> list[dict[str, Any]]:
     >>> len(cases), cases[0]
     (4, {'parameters': {'mass': 1.0, 'muscle_lag': 0.05}})
     """
-    for name, several in values.items():
+    given: Mapping[str, Any] = values
+    for name, several in given.items():
         if isinstance(several, str) or not isinstance(several, Iterable):
             raise InputError(f"{name} = {several!r}: give a list of values")
     return [
@@ -284,7 +285,7 @@ def _checked(cases: Iterable[Case]) -> Iterator[Case]:
     for number, case in enumerate(cases):
         if not isinstance(case, Mapping):
             raise InputError(
-                f"case {number} is a {type(case).__name__}; a case is a mapping that may hold "
+                f"case {number} is {kind_of(case)}; a case is a mapping that may hold "
                 f"{', '.join(CASE_KEYS)}"
             )
         unknown = set(case) - set(CASE_KEYS)

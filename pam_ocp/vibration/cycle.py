@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, VibrationError, require_count, require_positive
+from ..core.errors import InputError, VibrationError, kind_of, require_count, require_positive
 from ..core.shown import shown
 from ..core.signals import signals
 from ..core.stop import turns, verb
@@ -186,7 +186,7 @@ def limit_cycle(
     require_count("degree", degree, 2, 9)
     require_plant(plant)
     if not isinstance(guess, (HopfPoint, Trajectory)):
-        raise InputError(f"guess is a {type(guess).__name__}, not a Trajectory or a HopfPoint")
+        raise InputError(f"guess is {kind_of(guess)}, not a Trajectory or a HopfPoint")
     settings = Settings(degree, require_positive("tolerance", tolerance))
     try:
         if isinstance(guess, HopfPoint):

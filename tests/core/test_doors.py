@@ -345,7 +345,7 @@ def test_per_mass_and_efficiency_come_with_every_feed() -> None:
     ("call", "words"),
     [
         (lambda: pam.fit_branches(3), "table is a int"),
-        (lambda: pam.compare_laws(None), "table is a NoneType"),
+        (lambda: pam.compare_laws(None), "table is None"),
         (lambda: pam.read_records([]), "sources is empty"),
         (lambda: pam.Variable("a", "foo"), "causality = 'foo'"),
         (lambda: pam.losses.Creep(-1), r"Creep\.stiffness = -1 N must be >= 0"),

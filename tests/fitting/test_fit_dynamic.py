@@ -274,9 +274,9 @@ def test_bad_arguments_are_refused_in_words(
 @pytest.mark.parametrize(
     ("plant", "given", "words"),
     [
-        (None, "the records", "plant is a NoneType: give a Plant"),
-        ("the rig", None, "records is a NoneType: give a Trajectory"),
-        ("the rig", [None], "record 1 is a NoneType"),
+        (None, "the records", "plant is None: give a Plant"),
+        ("the rig", None, "records is None: give a Trajectory"),
+        ("the rig", [None], "record 1 is None"),
     ],
 )
 def test_what_is_no_plant_and_no_record_is_named(

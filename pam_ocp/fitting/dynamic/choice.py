@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.arguments import with_kinds
 from ...core.cases import Place, ending
-from ...core.errors import FitError, InputError, PamError, require_count, require_instance
+from ...core.errors import FitError, InputError, PamError, kind_of, require_count, require_instance
 from ...core.stop import limited
 from ...core.trajectory import Trajectory
 from ..statistics import Array, student_t
@@ -297,7 +297,7 @@ def _structures(given: Any) -> dict[str, Structure]:
     for name, structure in given.items():
         if not isinstance(structure, Structure):
             raise InputError(
-                f"structures[{name!r}] is a {type(structure).__name__}: it needs fit(records), "
+                f"structures[{name!r}] is {kind_of(structure)}: it needs fit(records), "
                 "losses(model, records) and complexity"
             )
     return dict(given)

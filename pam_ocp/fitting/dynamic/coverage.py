@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...core.errors import InputError, PamError, require_positive
+from ...core.errors import InputError, PamError, kind_of, require_positive
 from ...core.signals import Inputs
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
@@ -284,9 +284,7 @@ def coverage(
     (0.0, True)
     """
     if not (hasattr(fit, "plant") and hasattr(fit, "records")):
-        raise InputError(
-            f"fit is a {type(fit).__name__}: give what fit_plant or fit_free_run returned"
-        )
+        raise InputError(f"fit is {kind_of(fit)}: give what fit_plant or fit_free_run returned")
     plant: Plant = fit.plant
     if not fit.records:
         raise InputError("the fit holds no records: give one that was fitted here or loaded whole")

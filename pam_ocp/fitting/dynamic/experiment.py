@@ -19,6 +19,7 @@ from ...core.errors import (
     InputError,
     PamError,
     UnknownNameError,
+    kind_of,
     require_ends,
     require_instance,
     require_names,
@@ -260,7 +261,7 @@ def measured_names(
         raise InputError("records is empty: give at least one Trajectory (see read_record)")
     for i, record in enumerate(records):
         if not isinstance(record, Trajectory):
-            raise InputError(f"record {i + 1} is a {type(record).__name__}; give Trajectories")
+            raise InputError(f"record {i + 1} is {kind_of(record)}; give Trajectories")
     known = [v.name for v in (*plant.states, *plant.outputs)]
     if outputs is not None:
         several = [outputs] if isinstance(outputs, str) else outputs

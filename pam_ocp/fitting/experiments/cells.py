@@ -19,6 +19,7 @@ from ...core.cases import Place
 from ...core.errors import (
     InputError,
     UnknownNameError,
+    kind_of,
     require_count,
     require_finite,
     require_positive,
@@ -311,7 +312,7 @@ def _known(
             known.table.rest_length,
         )
     if not isinstance(known, ForceLaw):
-        raise InputError(f"known is a {type(known).__name__}; give a ForceFit or a force law")
+        raise InputError(f"known is {kind_of(known)}; give a ForceFit or a force law")
     if noise is None:
         raise InputError("noise is missing: give the standard deviation of a measurement [N]")
     size = require_positive("noise", noise, "N")

@@ -15,7 +15,14 @@ from typing import Any, Literal, overload
 import casadi as ca
 import numpy as np
 
-from ...core.errors import FitError, InputError, SimulationError, UnknownNameError, require_positive
+from ...core.errors import (
+    FitError,
+    InputError,
+    SimulationError,
+    UnknownNameError,
+    kind_of,
+    require_positive,
+)
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...muscles.law import ForceLaw
@@ -491,5 +498,5 @@ def design_experiment(
     if isinstance(known, (Plant, PlantFit, Coverage)):
         return design_signal(known, *args, **options)
     raise InputError(
-        f"known is a {type(known).__name__}; give a ForceFit, a force law, a Plant or a PlantFit"
+        f"known is {kind_of(known)}; give a ForceFit, a force law, a Plant or a PlantFit"
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import InputError, PamError, require_positive
+from ...core.errors import InputError, PamError, kind_of, require_positive
 from ...core.files import require_local
 from ...core.units import unit
 from ..tables.force_table import ForceTable, joined_tables, read_table
@@ -91,7 +91,7 @@ def _sources(source: Any) -> list[tuple[str, Any]]:
         paths = sorted(p for p in folder.rglob("*") if is_readable(p))
         return [(p.name, p) for p in paths]
     if not isinstance(source, Iterable):
-        raise InputError(f"tables is a {type(source).__name__}: give a folder, files or tables")
+        raise InputError(f"tables is {kind_of(source)}: give a folder, files or tables")
     return [
         (t.source or str(i + 1), t) if isinstance(t, ForceTable) else (Path(t).name, t)
         for i, t in enumerate(source)

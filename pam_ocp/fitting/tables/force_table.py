@@ -18,12 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.arguments import with_kinds
 from ...core.calibration import AMBIENT
-from ...core.errors import (
-    InputError,
-    UnknownNameError,
-    require_numbers,
-    require_positive,
-)
+from ...core.errors import InputError, UnknownNameError, kind_of, require_numbers, require_positive
 from ...core.quantities import quantity
 from ...core.shown import shown
 from .columns import (
@@ -544,5 +539,5 @@ def joined_floor(tables: Sequence[ForceTable]) -> dict[str, Any]:
 def require_table(value: Any, argument: str = "table") -> ForceTable:
     """``value``, or an InputError when it is no ForceTable."""
     if not isinstance(value, ForceTable):
-        raise InputError(f"{argument} is a {type(value).__name__}; read it with read_table(...)")
+        raise InputError(f"{argument} is {kind_of(value)}; read it with read_table(...)")
     return value

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import InputError, UnknownNameError
+from ...core.errors import InputError, UnknownNameError, kind_of
 from ...core.files import (
     MOST_BYTES,
     MOST_JSON_PARTS,
@@ -76,7 +76,7 @@ def _loaded(source: Any, how: Reading) -> RawTable:
         raw = _from_tree(source, "the array", how)
     else:
         raise InputError(
-            f"source is a {type(source).__name__}; give a path, a pandas DataFrame or a mapping "
+            f"source is {kind_of(source)}; give a path, a pandas DataFrame or a mapping "
             "such as {'pressure_Pa': ..., 'length_m': ..., 'force_N': ...}"
         )
     require_size(raw.label, len(raw), len(raw.columns))
