@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from ..core.errors import InputError, UnknownNameError
+from ..core.errors import InputError, UnknownNameError, kind_of
 from ..core.files import read_toml, reading, said_in
 from ..core.own_code import module_of
 from ..core.quantities import known_keys, quantity, table
