@@ -20,6 +20,7 @@ import pam_ocp as pam
 
 WORKS, WARNS = "works", "warns: "
 NAME = "DMSP-20-300"
+TABLE = "DMSP-20-300_static.csv"
 Call = Callable[[], Any]
 SAID = {
     "Pa": "3 bar",
@@ -80,7 +81,26 @@ def posed(**options: Any) -> pam.Planner:
     return pam.Planner(slide(), **{"stops": [{"x": -0.01}, {"x": 0.01}], **options})
 
 
-def own_law(formula: Call) -> Any:
+@cache
+def feedback() -> Any:
+    return pam.lqr(plant(), rest())
+
+
+@cache
+def cells() -> pam.ForceTable:
+    return pam.read_table(TABLE, rest_length=0.3)
+
+
+@cache
+def fitted() -> Any:
+    return pam.fit_force(cells(), "three-element")
+
+
+def follower(reference: Any, pid: Any) -> Any:
+    return pam.control.PositionController(slide(), reference, pid, sample_time=0.01)
+
+
+def own_law(formula: Any) -> Any:
     return pam.laws.own_law("mine", formula, {"a": pam.laws.coefficient("N/Pa", 1e-3, "gain")})
 
 
@@ -586,6 +606,313 @@ CALLS: dict[str, tuple[Call, str]] = {
     "Spring('stiff')": (lambda: pam.loads.Spring("stiff"), "give a number"),
     "Spring(-1)": (lambda: pam.loads.Spring(-1), "must be >= 0"),
     "Wall(side=0)": (lambda: pam.loads.Wall(0.01, side=0), "stops motion"),
+    # ---- laws, muscles, gases --------------------------------------------------------------------
+    "in_parallel(name)": (lambda: pam.muscles.in_parallel(NAME, 2), "give a Muscle"),  # type: ignore[arg-type]
+    "in_parallel(0)": (lambda: pam.muscles.in_parallel(muscle(), 0), "count = 0: give a whole"),
+    "attribution('DMSP-20-30')": (lambda: pam.muscles.attribution("DMSP-20-30"), "did you mean"),
+    "own_law of no coefficients": (
+        lambda: pam.laws.own_law("mine", lambda p, kappa: p, {}),
+        "coefficients is empty",
+    ),
+    "own_law of a number": (
+        lambda: pam.laws.own_law("mine", lambda p, kappa, a: p * a, {"a": 3.0}),
+        "describe it by coefficient(",
+    ),
+    "own_law of another name": (
+        lambda: own_law(lambda p, kappa, b: p * b),
+        "the function has to take p, kappa, a, by these names",
+    ),
+    "coefficient(nominal=0)": (lambda: pam.laws.coefficient("N", 0.0, "gain"), "nominal = 0 must"),
+    "coefficient crossed": (
+        lambda: pam.laws.coefficient("N", 1.0, "gain", minimum=2, maximum=1),
+        "minimum = 2 must not lie above",
+    ),
+    "polynomial_law(2.5)": (lambda: pam.laws.polynomial_law(2.5), "from 0 to 12"),  # type: ignore[arg-type]
+    "spline_law falling": (lambda: pam.laws.spline_law([0.2, 0.1]), "two or more increasing"),
+    "with_bladder(muscle)": (
+        lambda: pam.laws.with_bladder(muscle(), 2e4),  # type: ignore[arg-type]
+        "must be a class of laws",
+    ),
+    "save_muscle as CSV": (lambda: pam.save_muscle(muscle(), "m.csv"), "ends in .toml or .json"),
+    "save_muscle nowhere": (lambda: pam.save_muscle(muscle(), "none/m.toml"), "create it first"),
+    "load_muscle of a folder": (lambda: pam.load_muscle("."), "ends in .toml or .json"),
+    "plot_surface('volume')": (
+        lambda: muscle().plot_surface("volume"),  # type: ignore[arg-type]
+        "choose 'force' or 'stiffness'",
+    ),
+    "Gas(volume=1e-4)": (lambda: pam.gas.Gas(volume=1e-4), "such as ConsistentVolume()"),  # type: ignore[arg-type]
+    "Gas(exponent=0.9)": (lambda: pam.gas.Gas(exponent=0.9), "must lie in 1 (isothermal)"),
+    "BraidVolume(24 for deg)": (lambda: pam.gas.BraidVolume(angle=24), "must lie in 0 .. pi/2"),
+    "flow uphill": (
+        lambda: pam.gas.conductance_from_flow("700 l/min", upstream=6e5, downstream=7e5),
+        "must be above downstream",
+    ),
+    # ---- feeds, losses, loads --------------------------------------------------------------------
+    "SpoolValve(gas=1.2)": (lambda: pam.feeds.SpoolValve(gas=1.2), "give a Gas"),  # type: ignore[arg-type]
+    "supply='compressor'": (lambda: pam.feeds.SpoolValve(supply="compressor"), "is not a number"),
+    "dead_time='3 bar'": (
+        lambda: pam.feeds.Regulator(dead_time="3 bar"),
+        "something else than 's'",
+    ),
+    "DeadTime(order=0)": (lambda: pam.feeds.DeadTime(0.01, order=0), "from 1 to 9"),
+    "valve of 1/4": (lambda: pam.feeds.valve("MPYE-5-1/4"), "did you mean"),
+    "PairRegulator for one": (
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.PairRegulator()),
+        "feeds two muscles by one command",
+    ),
+    "tube=0.01": (lambda: pam.feeds.SpoolValve(tube=0.01), "such as Tube(10e-6)"),  # type: ignore[arg-type]
+    "Creep of two and one": (lambda: pam.losses.Creep((5e2, 2e2), (1.0,)), "one of each per"),
+    "two springs": (
+        lambda: pam.HangingLoad(NAME, loads=[pam.loads.Spring(1e3), pam.loads.Spring(2e3)]),
+        "declared twice in plant 'hanging_load'; give one of the two another name",
+    ),
+    "Spring of two words": (
+        lambda: pam.HangingLoad(NAME, loads=pam.loads.Spring(1e3, name="my spring")),
+        "use letters, digits",
+    ),
+    "Regulator(lagg=1)": (
+        lambda: pam.feeds.Regulator(lagg=1),  # type: ignore[call-arg]
+        "Regulator() has no argument 'lagg'; did you mean lag?",
+    ),
+    # ---- plants of one's own ---------------------------------------------------------------------
+    "state(units='m')": (lambda: pam.Plant("p").state("x", units="m"), "did you mean unit?"),
+    "state('my state')": (lambda: pam.Plant("p").state("my state"), "use letters, digits"),
+    "state(start=5, max=1)": (lambda: pam.Plant("p").state("x", start=5, max=1), "is outside"),
+    "add_muscle(shortening='x')": (
+        lambda: pam.Plant("p").add_muscle("m", NAME, shortening="x", rate=0.0),
+        "m: shortening: a str is no expression",
+    ),
+    "add_sensor('x', 3)": (lambda: plant().add_sensor("x", 3), "give a Sensor"),  # type: ignore[arg-type]
+    "vector('states')": (lambda: plant().vector("states"), "causality = 'states': choose one of"),  # type: ignore[arg-type]
+    "vector(attribute='stop')": (
+        lambda: plant().vector("state", attribute="stop"),
+        "choose one of start, min, max, nominal",
+    ),
+    "load_plant of a text": (lambda: pam.plants.load_plant("notes.txt"), "read from .json, .npz"),
+    # ---- rest and linear models ------------------------------------------------------------------
+    "guess of another plant": (
+        lambda: pam.equilibrium(slide(), {"x": 0.0, "muscle1.pressure": 3e5}, guess=rest()),
+        "the operating point belongs to 'hanging_load', not 'antagonistic_slide'",
+    ),
+    "guess={'x': 0.02}": (
+        lambda: pam.equilibrium(plant(), x=0.02, guess={"x": 0.02}),  # type: ignore[arg-type]
+        "give an OperatingPoint",
+    ),
+    "a path of nothing": (lambda: pam.operating.equilibrium_path(plant(), "x", []), "is empty"),
+    "a branch by steps of 0": (
+        lambda: pam.operating.equilibrium_branch(plant(), "muscle.command", 3e5, 4e5, step=0),
+        "step = 0 must be > 0",
+    ),
+    "equilibria(seed=-1)": (lambda: pam.equilibria(plant(), x=0.03, seed=-1), "seed = -1: give"),
+    "Allocation(hanging)": (
+        lambda: pam.operating.Allocation(plant()),
+        "give an AntagonisticSlide or AntagonisticJoint",
+    ),
+    "pressures_of 2 and 3": (
+        lambda: pam.operating.pressures_of([1e5, 2e5], [1e4, 2e4, 3e4]),
+        "common has shape (2,), difference has shape (3,)",
+    ),
+    "common_and_difference('a', 3)": (
+        lambda: pam.operating.common_and_difference("a", 3.0),  # type: ignore[arg-type]
+        "p1 = 'a' is not a number",
+    ),
+    "linearize(units of bar)": (
+        lambda: plant().linearize(rest(), units={"x": "bar"}),
+        "units['x'] = 'bar': this measures something else",
+    ),
+    "linearize_along a table": (
+        lambda: pam.operating.linearize_along(plant(), cells()),  # type: ignore[arg-type]
+        "give a Trajectory",
+    ),
+    # ---- motions and many of them ----------------------------------------------------------------
+    "Trajectory of a list": (
+        lambda: pam.Trajectory([0, 1], [1, 2]),
+        "give a mapping {name: samples}",
+    ),  # type: ignore[arg-type]
+    "Trajectory back": (lambda: pam.Trajectory([0, 2, 1], {"x": [1, 2, 3]}), "not at sample 2"),
+    "row(10**6)": (lambda: motion().row(10**6), "index = 1000000: give a whole number from"),
+    "named('states')": (lambda: motion().named("states"), "choose one of state, input"),  # type: ignore[arg-type]
+    "at(5 s)": (lambda: motion().at(5.0), "leaves the record"),
+    "motion.save as a film": (lambda: motion().save("m.mp4"), "one of .csv, .npz, .parquet"),
+    "motion.plot([])": (lambda: motion().plot([]), "names is empty"),
+    "inputs of another plant": (
+        lambda: run(inputs=pam.simulate(slide(), duration=0.01)),
+        "holds no column 'muscle.command'",
+    ),
+    "sweep(mass='heavy')": (lambda: pam.simulation.sweep(mass="heavy"), "give a list of values"),
+    "draws of -1": (
+        lambda: pam.simulation.draws({"mass": 1.0}, [[-1.0]], 3),
+        "symmetric, without negative eigenvalues",
+    ),
+    "draws(seed=-1)": (
+        lambda: pam.simulation.draws({"mass": 1.0}, [[1.0]], 3, seed=-1),
+        "seed = -1: give a whole number >= 0",
+    ),
+    "SobolCases crossed": (
+        lambda: pam.simulation.SobolCases({"mass": (2, 1)}, 8),
+        "low = 2 must lie below high = 1",
+    ),
+    "measured(x=1e-3)": (
+        lambda: pam.simulation.measured(motion(), {"x": 1e-3}),  # type: ignore[dict-item]
+        "such as Instrument(noise=1e-5",
+    ),
+    "measured(seed=-1)": (
+        lambda: pam.simulation.measured(motion(), {"x": pam.simulation.Instrument()}, seed=-1),
+        "seed = -1: give a whole number >= 0",
+    ),
+    "max_shift=-1": (
+        lambda: pam.simulation.compare_with_record(motion(), motion(), max_shift=-1),
+        "max_shift = -1 s must be >= 0",
+    ),
+    # ---- tables, records, fits -------------------------------------------------------------------
+    "read_table('tabelle.csv')": (lambda: pam.read_table("tabelle.csv"), "unknown table file"),
+    "read_table(restlength=0.3)": (
+        lambda: pam.read_table(TABLE, restlength=0.3),  # type: ignore[call-arg]
+        "did you mean rest_length?",
+    ),
+    "read_table(skip=-1)": (lambda: pam.read_table(TABLE, skip=-1), "skip = -1: give a whole"),
+    "read_table(floor=-5)": (
+        lambda: pam.read_table(TABLE, rest_length=0.3, floor=-5),
+        "floor = -5 N must be >= 0",
+    ),
+    "with_floor('-5 N')": (lambda: cells().with_floor("-5 N"), "floor = -5 N must be >= 0"),  # type: ignore[arg-type]
+    "read_record(of a muscle)": (
+        lambda: pam.read_record({"t [s]": [0, 1], "x [m]": [0, 1]}, muscle()),  # type: ignore[arg-type]
+        "put the muscle into one",
+    ),
+    "read_folder('nowhere')": (lambda: pam.read_folder("nowhere"), "is no folder"),
+    "fit_force(path)": (lambda: pam.fit_force(TABLE), "read it with read_table"),  # type: ignore[arg-type]
+    "fit_force(loss='cauchi')": (lambda: pam.fit_force(cells(), loss="cauchi"), "choose 'squares'"),  # type: ignore[arg-type]
+    "fit_force(bounds crossed)": (
+        lambda: pam.fit_force(cells(), "three-element", bounds={"f0": (2, 1)}),
+        "must be (low, high), the first the smaller",
+    ),
+    "a level of 95": (lambda: fitted().interval("f0", level=95), "as in 0.95"),
+    "bootstrap(seed=-1)": (lambda: fitted().bootstrap(5, seed=-1), "seed = -1: give a whole"),
+    "bootstrap of pairs": (lambda: fitted().bootstrap(5, method="pairs"), "'residuals' or 'cases'"),  # type: ignore[arg-type]
+    "fit_forces of one": (lambda: pam.fit_forces({}), "one alone is for fit_force"),
+    "fit_plant(noise of 0)": (
+        lambda: pam.fit_plant(plant(), motion(), ["mass"], outputs=["x"], noise={"x": 0}),
+        "noise['x'] = 0 must be > 0",
+    ),
+    "fit_plant of a table": (
+        lambda: pam.fit_plant(plant(), cells(), ["mass"]),
+        "records is a Force",
+    ),  # type: ignore[arg-type]
+    "fit_plant('colocation')": (
+        lambda: pam.fit_plant(plant(), motion(), ["mass"], method="colocation"),  # type: ignore[arg-type]
+        "choose one of collocation",
+    ),
+    "design_cells upside down": (
+        lambda: pam.experiments.design_cells(fitted(), 8, pressure=(6e5, 1e5)),
+        "the lower must be the smaller",
+    ),
+    # ---- plans -----------------------------------------------------------------------------------
+    "one stop": (lambda: posed(stops=[{"x": 0.01}]), "stops holds 1: a motion needs at least two"),
+    "Stop(rest='yes')": (lambda: pam.Stop({"x": 0.01}, rest="yes"), "Stop.rest = 'yes': give True"),  # type: ignore[arg-type]
+    "Collocation(interval=3)": (
+        lambda: pam.Collocation(interval=3),  # type: ignore[call-arg]
+        "did you mean intervals?",
+    ),
+    "a constraint of another plant": (
+        lambda: posed(constraints=[pam.Constraint(plant().expression("x"), 0, 1)]),
+        "holds symbols that are not the plant's: x",
+    ),
+    "a constraint of words": (
+        lambda: posed(constraints=[pam.Constraint("x < 0.01", 0, 1)]),  # type: ignore[arg-type]
+        "give a scalar CasADi SX expression",
+    ),
+    "design crossed": (lambda: posed(design={"mass": (2, 1)}), "the bounds are crossed"),
+    "durations of three legs": (lambda: posed(duration=[0.1, 0.2, 0.3]), "give one per phase"),
+    "pareto of time and time": (
+        lambda: pam.pareto(slide(), [{"x": 0}, {"x": 0.01}], first="time", second="time"),
+        "first and second are both 'time'",
+    ),
+    "a film of a motion": (
+        lambda: pam.animate_plan(motion(), "a.gif"),
+        "give what plan() returned",
+    ),  # type: ignore[arg-type]
+    # ---- controllers and loops -------------------------------------------------------------------
+    "reference='sine'": (
+        lambda: follower("sine", pam.control.PID(1e5)),
+        "reference = 'sine': give a function of the time",
+    ),
+    "pid=3.0": (lambda: follower(lambda t: (0.0, 0.0, 0.0), 3.0), "give a PID"),
+    "WithEstimate(law, 3)": (lambda: pam.control.WithEstimate(feedback(), 3), "that of kalman()"),  # type: ignore[arg-type]
+    "margins over nothing": (
+        lambda: pam.control.margins_over(feedback(), [], {"x": 0.03}),
+        "margins_over: cases is empty",
+    ),
+    "frequencies downwards": (
+        lambda: pam.control.margins(feedback().loop, (100.0, 0.1)),
+        "hertz = (100.0, 0.1) must be (low, high)",
+    ),
+    "a controller of another plant": (
+        lambda: pam.closed_loop(feedback(), slide(), duration=0.02),
+        "unknown measurement that the controller asks for 'muscle.pressure'",
+    ),
+    "a controller's typo": (
+        lambda: looped(lambda t, y: {"muscle.command": 1e5 * y["xx"]}),
+        "unknown measurement that the controller asks for 'xx'",
+    ),
+    "estimator='kalman'": (lambda: looped({}, estimator="kalman"), "such as a KalmanFilter"),
+    "closed_loop(seed=-1)": (lambda: looped({}, seed=-1), "seed = -1: give a whole number >= 0"),
+    "judged by limits of y": (
+        lambda: pam.judge.judge_loop(motion(), limits={"y": (0, 1)}),
+        "unknown column of the trajectory 'y'",
+    ),
+    "Mpc(track=['x'])": (
+        lambda: pam.Mpc(plant(), horizon=5, sample_time=0.01, track=["x"]),  # type: ignore[arg-type]
+        "give {name: weight}",
+    ),
+    "mpc_block(lqr)": (lambda: pam.control.mpc_block(feedback()), "give an Mpc"),  # type: ignore[arg-type]
+    # ---- files, pictures, rigs -------------------------------------------------------------------
+    "an FMU as a zip": (
+        lambda: pam.export_fmu(plant(), "h.zip"),
+        "the name of an FMU ends in .fmu",
+    ),
+    "an FMU for win64": (
+        lambda: pam.export_fmu(plant(), "h.fmu", platforms=["win64"]),
+        "unknown pl",
+    ),
+    "check_fmu(durations=1)": (
+        lambda: pam.check_fmu("h.fmu", durations=1),  # type: ignore[call-arg]
+        "did you mean duration?",
+    ),
+    "check_fmu of a folder": (lambda: pam.check_fmu("."), "a folder, no FMU"),
+    "Modelica as text": (lambda: pam.export.export_modelica(plant(), "p.txt"), "ends in .mo"),
+    "inputs as a workbook": (
+        lambda: pam.export.save_input_table(motion(), "i.xlsx"),
+        "the name of a table of inputs ends in .csv",
+    ),
+    "a way of one joint's name": (
+        lambda: pam.export.MujocoMuscle("m", NAME, "joint"),
+        "give two sites or more",
+    ),
+    "an SSP by pairs": (
+        lambda: pam.export_ssp({"a": plant()}, [("a.x", "a.u")], "s.ssp"),  # type: ignore[arg-type]
+        "give a mapping {text: text}",
+    ),
+    "new_figure(0)": (lambda: pam.figures.new_figure(0, size=(1, 1)), "rows = 0: give a whole"),
+    "a crate without a licence": (
+        lambda: pam.figures.save_crate("c.zip", {"a": muscle()}, licence=None),  # type: ignore[arg-type]
+        "licence is missing: give an SPDX",
+    ),
+    "a report of 3": (lambda: pam.figures.write_report("r.html", {"a": 3}), "which shows nothing"),
+    "serve(port=99999)": (
+        lambda: pam.rig.serve(pam.rig.Twin(plant()), "udp", port=99999),
+        "port = 99999: give a whole number from 0 to 65535",
+    ),
+    "driver('modbuss')": (lambda: pam.rig.driver("modbuss"), "did you mean 'modbus'?"),
+    "Rig(plant)": (lambda: pam.Rig(plant()), "a driver has read, write, vent, close"),  # type: ignore[arg-type]
+    "a fault that ends before": (
+        lambda: pam.rig.Fault("stuck", "x", at=2, until=1),
+        "must be before until",
+    ),
+    "hopf downwards": (
+        lambda: pam.vibration.hopf(plant(), "masss", (10, 30), {"x": 0.03}),
+        "did you mean 'mass'?",
+    ),
 }
 
 

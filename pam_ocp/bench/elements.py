@@ -175,13 +175,17 @@ class Number:
     def read(self, said: Any, unit: str) -> float | None:
         """Of what was typed. Raises InputError."""
         text, factor = str(said).strip().replace(",", "."), unit_of(unit).factor
-        if not text and self.optional:
-            return None
+        if not text:
+            if self.optional:
+                return None
+            raise InputError(f"{self.label} is empty; give a number")
         try:
             value = float(text) * factor
         except ValueError:
             value = quantity(self.label, text, self.unit)
-        if not (math.isfinite(value) and self.low <= value <= self.high):
+        if not math.isfinite(value):
+            raise InputError(f"{self.label} = {text}: give a finite number")
+        if not self.low <= value <= self.high:
             low, high = (f"{end / factor:.6g} {unit}" for end in (self.low, self.high))
             raise InputError(f"{self.label} = {value / factor:.6g} {unit}: give {low} .. {high}")
         return value

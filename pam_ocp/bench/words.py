@@ -31,7 +31,7 @@ def page_words(text: str, folder: Path, names: Mapping[str, str]) -> str:
     folder : of the session, which is nobody's business. names : {stored file: as it was dropped}.
     """
     text = re.sub(rf"{re.escape(str(folder))}[/\\]|(?<![\w.])/(?:[\w.+-]+/)+", "", text)
-    stored = rf"(?:files/)?([0-9a-f]{{{DIGITS}}}-([\w.-]*\w))"
+    stored = rf"(?:files/)?(?<![\w.])([0-9a-f]{{{DIGITS}}}-([\w.-]*\w))"
     text = re.sub(stored, lambda found: names.get(found[1], found[2]), text)
     for pattern, words in REMEDIES:
         text = re.sub(pattern, words, text)
@@ -72,6 +72,7 @@ REMEDIES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"(?<![.\w])rest_length\b( \(in metres\))?", "Rest length"),
     (r"give Muscle\(\.\.\., diameter=\) .*?\[m\]", "fill in Inner diameter at rest (tab Muscle)"),
     (r"(\S+) units=\{([^{}]*)\}", _units),
+    (r"units\[('\w+')\] = ('[^']*') is", r"the unit of \1 in Columns, \2, is"),
     (r"units\[('\w+')\] = ", r"the unit of \1 in Columns is "),
     (r"leave units away", "choose that unit in Columns"),
     (r"with columns=\{\.\.\.\}", "in the menu 'is' of a column"),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from ..core.errors import InputError
 from ..core.files import read_toml, reading
 from ..core.quantities import known_keys, quantity, table
-from .options import require_places
+from .options import number, require_places
 from .output import add_json, tell, wrote
 from .plants import add_plant, plant_said
 
@@ -142,7 +142,7 @@ def add_check(commands: Any) -> None:
     )
     check.add_argument(
         "--time-limit",
-        type=float,
+        type=number,
         default=60.0,
         metavar="S",
         help="stop the FMU after so many seconds, which is a finding (default 60)",

@@ -29,7 +29,7 @@ from .ladder import add_ladder
 from .linearize import add_linearize
 from .mpc import add_mpc
 from .muscles import add_loads, add_muscles
-from .options import require_outputs
+from .options import require_outputs, seconds
 from .output import escaping, finish, logged
 from .plan import add_plan
 from .quick import add_quick
@@ -39,7 +39,7 @@ from .rig import add_rig, add_twin
 from .simulate import add_compare, add_simulate
 from .static import add_campaign, add_fit, add_fit_forces, add_fit_holds
 from .study import add_study, add_tour
-from .words import command_words
+from .words import command_of, command_words
 
 __all__ = ["main"]
 
@@ -63,7 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     made = _parser()
-    options = made.parse_args(arguments)
+    options, unknown = made.parse_known_args(arguments)
+    if unknown:
+        _refuse(made, options, unknown)
     if not hasattr(options, "run"):
         made.print_help()
         return 2
@@ -89,6 +91,18 @@ def _run(arguments: Sequence[str] | None) -> int:
     except KeyboardInterrupt:
         _tell_error("interrupted")
         return 130
+
+
+def _refuse(
+    made: argparse.ArgumentParser, options: argparse.Namespace, unknown: Sequence[str]
+) -> NoReturn:
+    """The end of a command with words that it does not know, and the options nearest to them."""
+    options.parser, near = made, list[str]()
+    if options.command is not None:
+        known = [o for a in command_of(options)._actions for o in a.option_strings]
+        near = [n for w in unknown if w.startswith("--") for n in nearest(w, known, 0.75)[:1]]
+    hint = f"; did you mean {' or '.join(near)}?" if near else ""
+    made.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -184,9 +198,9 @@ def _parser() -> argparse.ArgumentParser:
         if name != "check":  # its own
             command.add_argument(
                 "--time-limit",
-                type=float,
+                type=seconds,
                 metavar="S",
-                help="end after so many seconds (default: no limit)",
+                help="end after so many seconds, or as '5 min' (default: no limit)",
             )
         command.add_argument(
             "-q", "--quiet", action="store_true", help="print errors only (and --json)"

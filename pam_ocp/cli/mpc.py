@@ -10,7 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from ..core.files import read_toml, reading
-from .options import add_allow_code, add_out, add_plot, pairs, require_places, whole, written
+from .options import (
+    add_allow_code,
+    add_out,
+    add_plot,
+    pairs,
+    require_motion_ending,
+    require_places,
+    whole,
+    written,
+)
 from .output import add_json, tell, wrote
 
 __all__ = ["add_mpc"]
@@ -103,6 +112,7 @@ def add_mpc(commands: Any) -> None:
 def _mpc(options: argparse.Namespace) -> int:
     from ..studies.loop_problem import loop_text, loop_title, run_loop
 
+    require_motion_ending(options.out)
     require_places(options.out, options.plot)
     study = _study(options)
     with warnings.catch_warnings():

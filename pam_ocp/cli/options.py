@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,9 +26,12 @@ __all__ = [
     "add_rest",
     "add_rest_length",
     "length_of",
+    "number",
     "pairs",
+    "require_motion_ending",
     "require_outputs",
     "require_places",
+    "seconds",
     "whole",
     "written",
 ]
@@ -90,10 +94,37 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 def whole(text: str) -> int:
     """A whole number of at most nine digits, as argparse asks for it."""
-    number = int(text)
+    try:
+        number = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
     if abs(number) > 999_999_999:
         raise argparse.ArgumentTypeError(f"{len(text)} digits are more than a number of this kind")
     return number
+
+
+def number(text: str) -> float:
+    """A number, as argparse asks for it."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+
+
+def seconds(text: str) -> float:
+    """A time [s] of "2 min" or "120", as argparse asks for it."""
+    with suppress(ValueError):
+        return float(text)
+    try:
+        return quantity("the time", text, "s")
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def require_motion_ending(out: Path | None) -> None:
+    """InputError where --out is no name of a motion."""
+    if out is not None and out.suffix.lower() not in MOTIONS:
+        raise InputError(f"--out {out}: a trajectory is written as one of {', '.join(MOTIONS)}")
 
 
 def length_of(option: str, text: str | None) -> float | None:

@@ -14,7 +14,15 @@ from typing import Any
 from ..core.files import spelled
 from .words import command_words
 
-__all__ = ["add_json", "coefficients", "escaping", "finish", "logged", "tell", "wrote"]
+__all__ = [
+    "add_json",
+    "coefficients",
+    "escaping",
+    "finish",
+    "logged",
+    "tell",
+    "wrote",
+]
 
 
 def add_json(command: argparse.ArgumentParser) -> None:

@@ -42,7 +42,9 @@ def add_quick(commands: Any) -> None:
     quick.add_argument(
         "--platforms", nargs="+", default=["native"], metavar="NAME", help="of the FMU"
     )
-    quick.add_argument("--force", action="store_true", help="replace such files that are there")
+    quick.add_argument(
+        "--force", dest="overwrite", action="store_true", help="replace such files that are there"
+    )
     add_reading(quick)
     add_floor(quick)
     add_json(quick)
@@ -62,7 +64,7 @@ def _quick(options: argparse.Namespace) -> int:
         mass=options.mass,
         stops=options.stops,
         platforms=options.platforms,
-        overwrite=options.force,
+        overwrite=options.overwrite,
         **reading_options(options),
     )
     tell(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
-from .options import add_rest_length, pairs, whole
+from .options import add_rest_length, number, pairs, whole
 from .output import add_json, tell
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def add_look(commands: Any) -> None:
     look.add_argument(
         "--clock", choices=("mend", "cut", "refuse"), help="of a record (default: mend)"
     )
-    look.add_argument("--max-gap", type=float, metavar="S", help="longest step that is no gap")
+    look.add_argument("--max-gap", type=number, metavar="S", help="longest step that is no gap")
     look.add_argument("--sample-time", metavar="S", help="resample a record, or 'even'")
     add_json(look)
     look.set_defaults(run=_look)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.quantities import known_keys, quantity
-from .options import add_allow_code, pairs, require_places, written
+from .options import add_allow_code, number, pairs, require_places, whole, written
 from .output import add_json, tell, wrote
 from .plants import PLANT, add_plant_options, plant_named
 
@@ -52,7 +52,9 @@ def add_rig(commands: Any) -> None:
     rig.add_argument("--arm", action="store_true", help="it may move (home, identify, run)")
     rig.add_argument("--level", metavar="P", help="home: highest commands, such as '3 bar'")
     rig.add_argument("--free", nargs="+", default=[], metavar="NAME", help="identify: parameters")
-    rig.add_argument("--rounds", type=int, default=3, metavar="N", help="identify: at most so many")
+    rig.add_argument(
+        "--rounds", type=whole, default=3, metavar="N", help="identify: at most so many"
+    )
     rig.add_argument("--duration", metavar="S", help="of an excitation, a check, or a run")
     rig.add_argument(
         "--motion", type=Path, metavar="FILE", help="run: a trajectory or plan with the inputs"
@@ -164,11 +166,11 @@ def add_twin(commands: Any) -> None:
     add_plant_options(twin)
     way = twin.add_mutually_exclusive_group(required=True)
     for kind in ("modbus", "udp", "opcua"):
-        way.add_argument(f"--{kind}", type=int, metavar="PORT", help="0: any that is free")
+        way.add_argument(f"--{kind}", type=whole, metavar="PORT", help="0: any that is free")
     way.add_argument("--serial", action="store_true", help="a pseudo-terminal (not on Windows)")
     twin.add_argument("--host", default="127.0.0.1", metavar="HOST")
     twin.add_argument(
-        "--scale", type=float, default=1.0, metavar="R", help="of the muscles' forces"
+        "--scale", type=number, default=1.0, metavar="R", help="of the muscles' forces"
     )
     twin.add_argument(
         "--noise",

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import InputError
 from ..core.files import MOST_ROWS
 from ..core.quantities import quantity
-from .options import MOTIONS, add_plot, add_rest, pairs, require_places, whole, written
+from .options import (
+    add_plot,
+    add_rest,
+    number,
+    pairs,
+    require_motion_ending,
+    require_places,
+    whole,
+    written,
+)
 from .output import add_json, tell, wrote
 from .plants import add_plant, plant_said
 
@@ -49,7 +58,7 @@ def add_simulate(commands: Any) -> None:
         "--samples", type=whole, default=201, metavar="N", help="rows of the result (default: 201)"
     )
     simulate.add_argument(
-        "--rtol", type=float, default=1e-8, metavar="R", help="relative tolerance (default: 1e-8)"
+        "--rtol", type=number, default=1e-8, metavar="R", help="relative tolerance (default: 1e-8)"
     )
     simulate.add_argument(
         "--out", type=Path, metavar="FILE", help="write the motion (.csv, .npz, .parquet, .xlsx)"
@@ -62,20 +71,20 @@ def add_simulate(commands: Any) -> None:
 def _simulate(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from ..core.errors import require_count
+    from ..core.errors import require_count, require_positive
     from ..figures.saved import save_figure
     from ..simulation.simulator import simulate
 
     require_places(options.out, options.plot)
-    _require_endings(options.out)
+    require_motion_ending(options.out)
     plant = plant_said(options)
     inputs = _inputs(plant, options)
     start = plant.equilibrium(pairs("--rest", options.rest)) if options.rest else None
     if options.duration is not None:
         require_count("--samples", options.samples, 2, MOST_ROWS)
-        times: Any = np.linspace(
-            0.0, quantity("--duration", options.duration, "s"), options.samples
-        )
+        duration = quantity("--duration", options.duration, "s")
+        end = require_positive("--duration", duration, "s")
+        times: Any = np.linspace(0.0, end, options.samples)
     elif options.inputs is None:
         raise InputError("give --duration, such as --duration '500 ms', or --inputs FILE")
     else:
@@ -110,11 +119,6 @@ def _last(motion: Trajectory) -> str:
     return "\n".join(lines + [f"{n:<28}{motion.variable(n).shown(v)}" for n, v in values.items()])
 
 
-def _require_endings(out: Path | None) -> None:
-    if out is not None and out.suffix.lower() not in MOTIONS:
-        raise InputError(f"--out {out}: a trajectory is written as one of {', '.join(MOTIONS)}")
-
-
 def add_compare(commands: Any) -> None:
     """The command ``compare``."""
     compare = commands.add_parser(
@@ -131,7 +135,7 @@ def add_compare(commands: Any) -> None:
     )
     compare.add_argument(
         "--tolerance",
-        type=float,
+        type=number,
         metavar="R",
         help="largest difference allowed, in units of nominal (default: any)",
     )
@@ -141,11 +145,14 @@ def add_compare(commands: Any) -> None:
 
 
 def _compare(options: argparse.Namespace) -> int:
+    from ..core.errors import require_positive
     from ..figures.saved import save_figure
     from ..figures.trajectory import plot_comparison
     from ..studies.file_kinds import motion_in
 
     require_places(options.plot)
+    if options.tolerance is not None:
+        require_positive("--tolerance", options.tolerance, zero=True)
     one, other = motion_in(options.reference), motion_in(options.other)
     found = one.compare(other, options.names)
     rows = {

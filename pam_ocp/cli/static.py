@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
+from ..core.files import require_ending
 from ..core.quantities import quantity
 from .options import (
     add_diameter,
@@ -88,7 +89,6 @@ def add_fit(commands: Any) -> None:
     fit.add_argument(
         "--muscles",
         nargs="+",
-        default=["muscle"],
         metavar="NAME",
         help="names of the muscles in that FMU, such as muscle1 muscle2 (default: muscle)",
     )
@@ -230,12 +230,18 @@ def _fixed(texts: Sequence[str], laws: Iterable[str]) -> dict[str, float]:
 
 
 def _fit(options: argparse.Namespace) -> int:
+    if options.muscles and options.ssv is None:
+        raise InputError("--muscles names those of an FMU: give --ssv, the file for it")
     from ..fitting.static.static import fit_force
     from ..fitting.tables.force_table import read_table
-    from ..muscles.muscle_file import save_muscle
+    from ..muscles.muscle_file import ending_of, save_muscle
     from ..studies.file_kinds import require_role
 
     require_places(options.out, options.save, options.plot, options.ssv, options.excel)
+    if options.out:
+        ending_of(options.out)
+    if options.ssv:
+        require_ending(options.ssv, ".ssv", "a set of parameters")
     length = length_of("--rest-length", options.rest_length)
     diameter = length_of("--diameter", options.diameter)
     require_role(options.table, "table")
@@ -246,9 +252,10 @@ def _fit(options: argparse.Namespace) -> int:
     else:
         fixed = _fixed(options.fixed, laws)
         fitted = fit_force(table, laws[0], loss=options.loss, fixed=fixed)
+    branches = _branch_lines(fitted) if options.branches else []
     tell(options, fitted.report(), lambda: fit_data(fitted))
-    if options.branches:
-        tell(options, "\n".join(_branch_lines(fitted)))
+    if branches:
+        tell(options, "\n".join(branches))
     if options.plot:
         from ..figures.saved import save_figure
         from ..figures.trajectory import plot_fit
@@ -266,7 +273,9 @@ def _fit(options: argparse.Namespace) -> int:
     if options.save:
         wrote(options, fitted.save(options.save))
     if options.ssv:
-        wrote(options, fitted.save_ssv(options.ssv, options.muscles, rest_length=length))
+        wrote(
+            options, fitted.save_ssv(options.ssv, options.muscles or ["muscle"], rest_length=length)
+        )
     return 0
 
 

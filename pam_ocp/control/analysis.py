@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.cases import Place, results_of
-from ..core.errors import InputError, kind_of, require_positive
+from ..core.errors import InputError, kind_of, require_count, require_ends, require_positive
 from ..core.shown import shown
 from ..core.stop import verb
 from ..operating.linear import linearize, modes
@@ -102,7 +102,7 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
     if loop.ninputs != loop.noutputs:
         raise InputError(f"margins: the loop has {loop.ninputs} inputs and {loop.noutputs} outputs")
     a, b, k = (np.asarray(getattr(loop, n)) for n in ("A", "B", "C"))
-    frequency = np.geomspace(*hertz, 2000)
+    frequency = np.geomspace(*_rising(hertz), 2000)
     found = []
     for i in range(loop.ninputs):
         others = [j for j in range(loop.ninputs) if j != i]
@@ -126,6 +126,20 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
     return Margins(tuple(loop.input_labels), gain, phase, crossover, modulus, float(least))
 
 
+def _rising(hertz: Any) -> tuple[float, float]:
+    """(lowest, highest) frequency [Hz]."""
+    low, high = require_ends("hertz", hertz, "Hz")
+    if not 0 < low < high:
+        raise InputError(f"hertz = ({low:g}, {high:g}): give (lowest, highest) [Hz], both > 0")
+    return low, high
+
+
+def _some(verb: str, cases: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    if not (listed := list(cases)):
+        raise InputError(f"{verb}: cases is empty; give some, as sweep(mass=[8.0, 12.0])")
+    return listed
+
+
 @verb
 def margins_over(
     feedback: StateFeedback, cases: Iterable[Mapping[str, Any]], conditions: Values
@@ -145,7 +159,7 @@ def margins_over(
     True
     """
     results = []
-    for case in cases:
+    for case in _some("margins_over", cases):
         moved = feedback.point.plant.with_values(case.get("parameters", {}))
         point = moved.equilibrium(conditions, guess=feedback.point)
         system = linearize(moved, point, inputs=feedback.inputs)
@@ -203,9 +217,8 @@ def bode_cloud(
     >>> pam.control.bode_cloud(plant, {"x": 0.04}, cases, **names).frequency.shape
     (200,)
     """
-    if not cases:
-        raise InputError("bode_cloud: cases is empty")
-    frequency = np.geomspace(*hertz, count)
+    cases = _some("bode_cloud", cases)
+    frequency = np.geomspace(*_rising(hertz), require_count("count", count, 2))
     middle = plant.equilibrium(conditions)
 
     def response(point: OperatingPoint) -> NDArray[np.complex128]:

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, kind_of, require_count, require_positive, require_tolerance
+from ..core.errors import (
+    InputError,
+    UnknownNameError,
+    kind_of,
+    require_count,
+    require_positive,
+    require_tolerance,
+)
 from ..core.plausible import outside
 from ..core.shown import shown
 from ..core.stop import verb
@@ -205,6 +212,10 @@ def closed_loop(
     True
     """
     _require_controller(controller, plant)
+    if estimator is not None and not hasattr(estimator, "deviations"):
+        raise InputError(
+            f"estimator is {kind_of(estimator)}: give an estimator, such as a KalmanFilter"
+        )
     own = getattr(side, "sample_time", None) if isinstance(side, HasSide) else None
     sample_time = _sample_time(controller, estimator, sample_time, own)
     samples = round(require_positive("duration", duration, "s") / sample_time)
@@ -332,7 +343,17 @@ class _Run:
 
     def sample(self, t: float, look: bool) -> None:
         """Measure, estimate, control; and leave the inputs of the coming sample with the side."""
-        asked = self.inputs(t, self.controller(t, self.measure(t)))
+        measured = self.measure(t)
+        try:
+            wanted = self.controller(t, measured)
+        except KeyError as error:
+            name = error.args[0] if error.args else None
+            if not isinstance(name, str) or name in measured:
+                raise
+            raise UnknownNameError(
+                "measurement that the controller asks for", name, measured
+            ) from error
+        asked = self.inputs(t, wanted)
         if hasattr(self.controller, "expected"):
             self.expected.append(self.controller.expected())
         self.waiting.append(asked)
@@ -382,7 +403,9 @@ class _Run:
             motion,
             wanted=wanted,
             inputs=[n for n in self._controls if n not in self.disturbances],
-            limits=getattr(self.controller, "limits", {}),
+            limits={
+                n: ends for n, ends in getattr(self.controller, "limits", {}).items() if n in motion
+            },
             noise=noise,
             calls=None if statistics is None else statistics.counts,
             predicted={n: [row[n] for row in self.expected] for n in names},

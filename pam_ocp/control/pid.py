@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.block import Block
-from ..core.errors import InputError, require_finite, require_positive
+from ..core.errors import InputError, require_finite, require_instance, require_positive
 from ..core.stop import turns
 from ..core.variables import Variable
 from ..plants.inversion import Inversion
@@ -211,6 +211,12 @@ class PositionController(ByBlock):
     ) -> None:
         self.inverse = InverseDynamics(plant)
         self.sample_time = require_positive("sample_time", sample_time, "s")
+        require_instance("pid", pid, PID, "give a PID, such as PID(kp=1e5)")
+        if not callable(reference):
+            raise InputError(
+                f"reference = {reference!r}: give a function of the time [s] that returns "
+                "(position, velocity, acceleration)"
+            )
         self.reference, self.pid = reference, pid
         self.stiffness, self.feedforward = stiffness, feedforward
         self.inner = inner or PressureLoop(plant)

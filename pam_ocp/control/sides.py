@@ -20,6 +20,7 @@ from ..core.errors import (
     SimulationError,
     UnknownNameError,
     kind_of,
+    require_count,
     require_instance,
     require_positive,
 )
@@ -394,7 +395,7 @@ class Sensors:
         unknown = [n for n in self.noise if n not in self.names]
         if unknown:
             raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")
-        self._random = np.random.default_rng(seed)
+        self._random = np.random.default_rng(require_count("seed", seed, 0))
         known = {v.name: v for v in side.variables if v.name in self.names}
         known |= {n: known[full] for n, full in alias.items()}
         for name in instruments or {}:

@@ -18,9 +18,9 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 import numpy as np
 
-from .exceptions import InputError, PamError
+from .exceptions import InputError, PamError, nearest
 
-__all__ = ["blamed", "with_kinds"]
+__all__ = ["blamed", "require_known_keywords", "with_kinds"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 RAW = (TypeError, ValueError, AttributeError, LookupError, RuntimeError)
@@ -36,6 +36,8 @@ WORDS = {
     bool: "True or False",
     Any: "a value",
 }
+NAMED = "_names_arguments"
+"""Of a function that :func:`with_kinds` made."""
 ARRAY_LIKE = {"_SupportsArray", "_Buffer", "_NestedSequence"}
 """Parts of NumPy's hint for what makes an array."""
 SERIES = (Sequence, Iterable, Collection, list, tuple)
@@ -52,14 +54,17 @@ class _Names(dict[str, Any]):
 
 
 def blamed(function: Callable[..., Any], args: Any, kwargs: Any, error: Exception) -> Exception:
-    """An InputError that names the argument which is not of its kind; ``error`` where all are."""
+    """An error that names the argument which is unknown or not of its kind; ``error`` where all
+    are.
+    """
     if isinstance(error, PamError):
         return error
     signature = inspect.signature(function)
     try:
+        require_known_keywords(function.__qualname__, signature, kwargs)
         given = signature.bind(*args, **kwargs).arguments
-    except TypeError:
-        return error
+    except TypeError as unbound:
+        return unbound if kwargs.keys() - signature.parameters.keys() else error
     names = _Names(getattr(inspect.unwrap(function), "__globals__", {}))
     for name, value in given.items():
         parameter = signature.parameters[name]
@@ -75,8 +80,9 @@ def blamed(function: Callable[..., Any], args: Any, kwargs: Any, error: Exceptio
 def with_kinds(made: F) -> F:
     """A function, or a class, that names the argument which is of the wrong kind."""
     if isinstance(made, type):
-        if "__init__" in vars(made):
-            setattr(made, "__init__", with_kinds(vars(made)["__init__"]))  # noqa: B010
+        own = vars(made).get("__init__")
+        if isinstance(own, types.FunctionType) and not getattr(own, NAMED, False):
+            setattr(made, "__init__", with_kinds(own))  # noqa: B010
         return made
 
     @functools.wraps(made)
@@ -89,7 +95,24 @@ def with_kinds(made: F) -> F:
                 raise
             raise said from error
 
+    setattr(called, NAMED, True)
     return cast("F", called)
+
+
+def require_known_keywords(
+    name: str, signature: inspect.Signature, given: Mapping[str, Any]
+) -> None:
+    """TypeError that names the nearest keywords, where one is given that a function has not."""
+    known = signature.parameters
+    wrong = next((n for n in given if n not in known), None)
+    if wrong is None or any(p.kind is p.VAR_KEYWORD for p in known.values()):
+        return
+    near = nearest(wrong, known, 0.6)
+    has = " or ".join(near) if near else ", ".join(n for n in known if n != "self")
+    raise TypeError(
+        f"{name.removesuffix('.__init__')}() has no argument {wrong!r}; "
+        + (f"did you mean {has}?" if near else f"it has {has}")
+    )
 
 
 def _hint(annotation: Any, names: _Names) -> Any:

@@ -15,6 +15,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
+from .arguments import with_kinds
 from .errors import InputError, PamError, require_count, require_instance
 from .executors import Place, on_executor, placed
 from .interrupts import interruptible
@@ -144,6 +145,7 @@ def results_of(
     return results
 
 
+@with_kinds
 def each(
     work: Callable[[Any], Any],
     cases: Iterable[Any],

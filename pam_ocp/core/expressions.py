@@ -10,7 +10,7 @@ from typing import Any
 
 import casadi as ca
 
-from .errors import InputError
+from .errors import InputError, kind_of
 
 __all__ = ["expression_of", "operations_of", "results_of", "scalar_expression"]
 
@@ -32,7 +32,7 @@ def scalar_expression(name: str, value: Any) -> ca.SX:
         expression = ca.SX(value)
     except (TypeError, ValueError, NotImplementedError):
         raise InputError(
-            f"{name}: {type(value).__name__} is no expression; give one of the plant's symbols or "
+            f"{name}: {kind_of(value)} is no expression; give one of the plant's symbols or "
             "a number"
         ) from None
     if expression.shape != (1, 1):

@@ -63,7 +63,8 @@ def from_stub(
 
     The stub (``__init__.pyi``) is what type checkers and completion see; each of its
     ``from .place import name as name`` is carried out when the name is first asked for, so that the
-    list of names stands once. ``from . import room as room`` stands for a submodule.
+    list of names stands once. ``from . import room as room`` stands for a submodule. Classes name
+    their wrong arguments from then on (:func:`~pam_ocp.core.arguments.with_kinds`).
     """
     homes: dict[str, tuple[str, bool]] = {}
     package = sys.modules[module].__package__ or module
@@ -79,6 +80,10 @@ def from_stub(
         if submodule:
             return load(f"{place}.{name}")
         value = getattr(load(place), name)
+        if isinstance(value, type) and not issubclass(value, Exception):
+            from .arguments import with_kinds
+
+            with_kinds(value)
         vars(sys.modules[module])[name] = value
         return value
 

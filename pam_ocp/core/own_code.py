@@ -225,5 +225,9 @@ def module_of(path: Path) -> ModuleType:
     if spec is None or spec.loader is None or not path.is_file():
         raise InputError(f"{path}: no such Python file")
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        place = f"{error.filename or path}, line {error.lineno}"
+        raise InputError(f"{place}: {error.msg}; mend it there") from error
     return module

@@ -54,7 +54,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
             raise InputError(f"{where} is not a number")
         return given
     match = _QUANTITY.match(value)
-    if match is None:
+    if match is None or match[2][:1] in tuple(".,0123456789"):  # "1.000.5"
         raise InputError(f"{where} = {value!r} is not a number; give {example}")
     number, name = float(match[1]), match[2]
     if math.isinf(number):

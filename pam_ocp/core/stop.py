@@ -16,14 +16,13 @@ import inspect
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from types import FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
-from .arguments import with_kinds
+from .arguments import require_known_keywords, with_kinds
 from .errors import OutOfTime, require_positive
-from .exceptions import nearest
 from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
 
 __all__ = [
@@ -241,22 +240,6 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
             return named(*args, **kwargs)
 
     return called
-
-
-def require_known_keywords(
-    name: str, signature: inspect.Signature, given: Mapping[str, Any]
-) -> None:
-    """TypeError that names the nearest keywords, where one is given that a function has not."""
-    known = signature.parameters
-    wrong = next((n for n in given if n not in known), None)
-    if wrong is None or any(p.kind is p.VAR_KEYWORD for p in known.values()):
-        return
-    near = nearest(wrong, known, 0.6)
-    has = " or ".join(near) if near else ", ".join(n for n in known if n != "self")
-    raise TypeError(
-        f"{name.removesuffix('.__init__')}() has no argument {wrong!r}; "
-        + (f"did you mean {has}?" if near else f"it has {has}")
-    )
 
 
 def turns(function: Callable[P, R]) -> Callable[P, R]:

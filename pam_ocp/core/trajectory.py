@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import os
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from . import units
-from .errors import InputError, UnknownNameError, require_numbers
+from .errors import InputError, UnknownNameError, require_count, require_numbers
 from .files import (
     MOST_NAME,
     atomic_path,
@@ -34,7 +35,7 @@ from .files import (
 from .foreign import frame, read_frame
 from .shown import shown
 from .signals import Interpolation, PiecewisePolynomial
-from .variables import Causality, Variable, variable_of
+from .variables import Causality, Variable, require_causality, variable_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -126,6 +127,8 @@ class Trajectory:
             raise InputError(f"interpolation = {interpolation!r}: choose 'previous' or 'linear'")
         self.interpolation_known = interpolation is not None or signals is not None
         self.interpolation: Interpolation = interpolation or "linear"
+        if not isinstance(columns, Mapping):
+            raise InputError(f"columns = {reprlib.repr(columns)}: give a mapping {{name: samples}}")
         if variables is None:
             variables = [Variable(name, "output") for name in columns]
         self.variables: tuple[Variable, ...] = tuple(variables)
@@ -175,6 +178,7 @@ class Trajectory:
 
     def named(self, causality: Causality) -> tuple[str, ...]:
         """Names of all columns of a causality ("state", "input", "output")."""
+        require_causality(causality)
         return tuple(v.name for v in self.variables if v.causality == causality)
 
     def array(self, names: Sequence[str]) -> Array:
@@ -182,7 +186,8 @@ class Trajectory:
         return np.column_stack([self[n] for n in names]) if names else np.empty((len(self), 0))
 
     def row(self, index: int) -> dict[str, float]:
-        """All values at one sample, by name."""
+        """All values at one sample, by name; negative ones count from the end."""
+        index = require_count("index", index, -len(self), len(self) - 1)
         return {name: float(column[index]) for name, column in self._columns.items()}
 
     def at(self, t: ArrayLike) -> Trajectory:

@@ -17,7 +17,14 @@ from .quantities import is_quantity, quantity
 from .shown import shown
 from .units import DIGITS, significant
 
-__all__ = ["Causality", "Memory", "Variable", "data_of_variable", "variable_of"]
+__all__ = [
+    "Causality",
+    "Memory",
+    "Variable",
+    "data_of_variable",
+    "require_causality",
+    "variable_of",
+]
 
 Causality = Literal["state", "input", "parameter", "output", "constraint"]
 Memory = Literal["", "held", "settling"]
@@ -29,6 +36,13 @@ ZERO = 1e-9
 """So small a part of its nominal is the rounding of a zero, where people read it."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
+
+
+def require_causality(value: Any, where: str = "") -> None:
+    """InputError where a value is no causality."""
+    if value not in get_args(Causality):
+        known = ", ".join(get_args(Causality))
+        raise InputError(f"{where}causality = {value!r}: choose one of {known}")
 
 
 @shown
@@ -80,9 +94,7 @@ class Variable:
     relaxed: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.causality not in get_args(Causality):
-            known = ", ".join(get_args(Causality))
-            raise InputError(f"{self.name}: causality = {self.causality!r}: choose one of {known}")
+        require_causality(self.causality, f"{self.name}: ")
         if not (isinstance(self.name, str) and _NAME.match(self.name)):
             raise InputError(
                 f"name {self.name!r} of a variable: use letters, digits and underscores, "

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arguments import with_kinds
 from ..core.errors import (
     InputError,
     SimulationError,
@@ -101,6 +102,7 @@ class FmuCheck:
         return "\n".join(map(printable, lines))
 
 
+@with_kinds
 def check_fmu(
     path: str | os.PathLike[str],
     against: Trajectory | None = None,
@@ -203,7 +205,7 @@ def check_fmus(
 def _readable(file: Path) -> Path:
     require_local(file)
     if not file.is_file():
-        raise InputError(f"{file}: no such file")
+        raise InputError(f"{file}: {'a folder, no FMU' if file.is_dir() else 'no such file'}")
     if not os.access(file, os.R_OK):
         raise InputError(f"{file}: this file cannot be read as an FMU (no permission)")
     if not zipfile.is_zipfile(file):

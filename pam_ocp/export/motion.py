@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, kind_of
-from ..core.files import atomic_path
+from ..core.files import atomic_path, require_ending
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -81,6 +82,7 @@ def export_motion(
     return write_fmu(PlantLayout(plant), path, settings, platforms, content)
 
 
+@with_kinds
 def save_input_table(
     motion: Trajectory, path: str | os.PathLike[str], *, names: Sequence[str] | None = None
 ) -> Path:
@@ -98,6 +100,7 @@ def save_input_table(
     >>> path.read_text().splitlines()[0]
     '"time","muscle1.command","muscle2.command"'
     """
+    require_ending(path, ".csv", "a table of inputs")
     chosen = _columns(motion, names)
     rows = _rows(_signals(motion, chosen), motion, chosen)
     header = ",".join(f'"{n}"' for n in ("time", *chosen))

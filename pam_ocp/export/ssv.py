@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, require_names
 from ..core.files import atomic_path, require_ending
 from ..core.variables import Variable
@@ -19,6 +20,7 @@ from .structure import parameter_set
 __all__ = ["save_ssv", "write_muscle_ssv", "write_ssv"]
 
 
+@with_kinds
 def save_ssv(
     plant: Plant,
     path: str | os.PathLike[str],

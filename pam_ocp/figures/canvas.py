@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..core.arguments import with_kinds
+from ..core.errors import require_count
 from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..core.units import quantity_of
@@ -43,6 +45,7 @@ def axis_label(*variables: Variable) -> str:
     return "\n".join(filter(None, (quantity, f"[{variables[0].display_unit}]")))
 
 
+@with_kinds
 @interruptible()  # matplotlib is loaded in here
 def new_figure(
     rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
@@ -59,6 +62,8 @@ def new_figure(
     """
     from .picture import Picture
 
+    require_count("rows", rows)
+    require_count("columns", columns)
     size, *places = paper_size(size, rows, columns)
     figure = Picture(figsize=size, layout="constrained")
     axes = figure.subplots(*places, squeeze=False, sharex=sharex).reshape(rows, columns)

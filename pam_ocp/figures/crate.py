@@ -154,9 +154,8 @@ def _link(entity: Entity) -> Entity:
 
 def _licence(licence: str) -> Entity:
     if not isinstance(licence, str) or not re.fullmatch(r"https?://\S+|[A-Za-z0-9.+-]+", licence):
-        raise InputError(
-            f"licence = {licence!r}: give an SPDX identifier such as 'CC-BY-4.0', or an address"
-        )
+        given = "licence is missing" if licence is None else f"licence = {licence!r}"
+        raise InputError(f"{given}: give an SPDX identifier such as 'CC-BY-4.0', or an address")
     address = licence if "://" in licence else f"https://spdx.org/licenses/{licence}"
     about = {"name": licence, "description": f"The terms of {licence}: see {address}"}
     return {"@id": address, "@type": "CreativeWork", **about}

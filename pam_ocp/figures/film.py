@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, require_count, require_instance, require_positive
 from ..core.files import atomic_path, require_place
 from ..core.interrupts import interruptible
@@ -37,6 +38,7 @@ CURVES = 3
 """Panels of curves beside the picture of the plant."""
 
 
+@with_kinds
 @interruptible()
 def animate_plan(
     plan: Plan, path: str | Path, *, seconds: float | None = None, fps: int = 20

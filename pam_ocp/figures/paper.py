@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError
 from ..core.quantities import quantity
 
@@ -33,6 +34,7 @@ VECTORS: dict[Any, Any] = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype"
 _WIDTH: ContextVar[float | None] = ContextVar("width of figures", default=None)
 
 
+@with_kinds
 @contextmanager
 def for_paper(width: str | float = "column") -> Iterator[None]:
     """Figures that are made in this block (by any ``plot``) are for print: 8 pt letters, thin lines

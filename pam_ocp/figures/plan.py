@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.arguments import with_kinds
 from ..core.errors import require_instance
 from ..core.stop import turns
 from ..core.units import significant
@@ -243,6 +244,7 @@ def _spans(limit: Limit) -> list[tuple[float, float]]:
     return spans
 
 
+@with_kinds
 @turns
 def plot_costates(plan: Plan) -> Figure:
     """What a change of each state at each time would cost: d(objective)/d(state) over time.

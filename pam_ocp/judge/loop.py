@@ -9,6 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arguments import with_kinds
+from ..core.errors import require_names
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -89,6 +91,7 @@ class LoopVerdict:
         return str(self)
 
 
+@with_kinds
 def judge_loop(
     motion: Trajectory,
     *,
@@ -124,6 +127,9 @@ def judge_loop(
     1.0
     """
     noise = noise or {}
+    require_names("inputs", inputs)
+    for name in (*inputs, *(limits or {})):
+        motion.variable(name)
     missed, words = _missed(motion, wanted, noise, behind)
     faults, kept = list(words.values()), []
     if wanted is not None and not missed and (reached := _judged(motion, wanted)):

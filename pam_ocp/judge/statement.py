@@ -72,6 +72,7 @@ class Stop:
         dwell = tuple(require_positive("Stop.dwell", v, "s", zero=True) for v in ends)
         object.__setattr__(self, "dwell", dwell if isinstance(self.dwell, tuple) else dwell[0])
         require_positive("Stop.within", self.within)
+        require_flag("Stop.rest", self.rest, none="as the plan's own rest=")
 
     @property
     def dwells(self) -> bool:
@@ -309,8 +310,9 @@ def require_expression(plant: Plant, argument: str, expression: Any) -> None:
         raise InputError(
             f"{argument} = {expression!r}: give a scalar CasADi SX expression of the plant"
         )
-    known = {s.name() for s in ca.symvar(ca.vertcat(plant.x, plant.u, plant.p, TIME))}
-    foreign = {s.name() for s in ca.symvar(expression)} - known
+    symbols = ca.symvar(ca.vertcat(plant.x, plant.u, plant.p, TIME))
+    known = {s.element_hash() for s in symbols}  # another plant has symbols of the same names
+    foreign = {s.name() for s in ca.symvar(expression) if s.element_hash() not in known}
     if foreign:
         raise InputError(
             f"{argument} holds symbols that are not the plant's: {', '.join(sorted(foreign))}; "

@@ -8,6 +8,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, cast
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, UnknownNameError
 from ..core.stop import verb
 from .law import LAWS, ForceLaw, SixParameterLaw
@@ -98,6 +99,7 @@ class Attribution:
         )
 
 
+@with_kinds
 def attribution(name: str) -> Attribution:
     """What is measured in an entry of the catalogue, where, by whom, and how sure it is.
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, require_finite, require_numbers, require_positive
 from ..core.quantities import is_quantity
 from ..core.registry import Registry
@@ -214,6 +215,7 @@ class PolynomialVolume:
         return ca.SX(sum(terms[1:], terms[0]))
 
 
+@with_kinds
 @turns
 def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> Any:
     """Volume of the gas [m3] at contraction ``kappa`` (arrays go through); no dead volume.
@@ -233,6 +235,7 @@ def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> A
     return array if array.ndim else float(array)
 
 
+@with_kinds
 def air_mass(absolute: Any, volume: Any, temperature: Any = REFERENCE_TEMPERATURE) -> Any:
     """Mass of the air [kg] at an absolute pressure [Pa] in a volume [m3]: p V/(R T).
 
@@ -333,6 +336,10 @@ class Gas:
     rubber: Any = None
 
     def __post_init__(self) -> None:
+        if not hasattr(self.volume, "filled"):
+            raise InputError(
+                f"Gas.volume = {self.volume!r}: give a component, such as ConsistentVolume()"
+            )
         if self.heat is not None and not hasattr(self.heat, "coefficient"):
             raise InputError(
                 f"Gas.heat = {self.heat!r}: give a component, such as ConstantHeatTransfer(30.0)"
@@ -392,6 +399,7 @@ class Gas:
         return Chamber(total, slope, ca.SX(exponent), temperature, ambient, area)
 
 
+@with_kinds
 @turns
 def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None) -> Any:
     """Stiffness with closed valve [N/m]: the gas is compressed, p_abs V^n stays constant.
@@ -422,6 +430,7 @@ def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None)
 # ---- flow ---------------------------------------------------------------------------------------
 
 
+@with_kinds
 @turns
 def iso6358(
     upstream: Any,
@@ -482,6 +491,7 @@ def _iso6358(
     return driving * conductance * REFERENCE_DENSITY * cooling * subsonic
 
 
+@with_kinds
 def conductance_from_flow(
     flow: float,
     critical_ratio: float = 0.3,
@@ -515,6 +525,7 @@ def conductance_from_flow(
     return flow / 60e3 / (upstream * subsonic)
 
 
+@with_kinds
 @turns
 def specific_exergy(absolute: Any, ambient: Any, temperature: Any, own: Any = None) -> Any:
     """Work that air at this pressure and ambient temperature can do: R T ln(p/p0) [J/kg].

@@ -21,8 +21,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.arguments import with_kinds
 from ..core.calibration import AMBIENT
-from ..core.errors import InputError, require_numbers
+from ..core.errors import InputError, require_numbers, require_positive
 from ..core.registry import Registry
 from ..core.stop import locked
 from ..core.variables import Variable
@@ -59,6 +60,7 @@ def clamp(tension: ca.SX, width: FloatOrSX) -> ca.SX:
     return ca.if_else(tension >= width, tension, ca.if_else(tension <= -width, 0, blend))
 
 
+@with_kinds
 def coefficient(
     unit: str,
     nominal: float,
@@ -82,6 +84,9 @@ def coefficient(
     >>> float(law(area=1e-3).tension(2e5, 0.0))
     200.0
     """
+    if minimum > maximum:
+        raise InputError(f"minimum = {minimum:g} must not lie above maximum = {maximum:g}")
+    require_positive("nominal", nominal)
     if not minimum <= nominal <= maximum and not minimum <= -nominal <= maximum:
         raise InputError(f"nominal = {nominal:g} must lie in {minimum:g} .. {maximum:g}")
     return field(

@@ -10,6 +10,7 @@ from typing import Any
 
 import tomli_w
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, UnknownNameError, require_finite, require_instance
 from ..core.files import (
     atomic_path,
@@ -23,7 +24,7 @@ from ..core.quantities import table
 from .laws.user_defined import law_named
 from .pneumatic_muscle import Muscle
 
-__all__ = ["ENDINGS", "load_muscle", "save_muscle"]
+__all__ = ["ENDINGS", "ending_of", "load_muscle", "save_muscle"]
 
 FORMAT = "pam_ocp muscle 1"
 _PLAIN = (
@@ -47,6 +48,7 @@ _RANGES = ("pressure_range", "contraction_range")
 ENDINGS = (".toml", ".json")
 
 
+@with_kinds
 def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
     """Write a muscle with its law and coefficients (SI): TOML or JSON, as the file's name ends.
 
@@ -56,7 +58,7 @@ def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
     'M1.toml'
     """
     require_instance("muscle", muscle, Muscle, "give a Muscle, such as fit.muscle(...)")
-    ending, name = _ending(path), muscle.law.name
+    ending, name = ending_of(path), muscle.law.name
     try:
         known = law_named(name) is type(muscle.law)
     except UnknownNameError:
@@ -81,7 +83,8 @@ def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def _ending(path: str | os.PathLike[str]) -> str:
+def ending_of(path: str | os.PathLike[str]) -> str:
+    """That of a muscle file's name, in small letters. Raises InputError for any other."""
     require_instance("path", path, (str, os.PathLike), "give the name of a file")
     ending = Path(path).suffix.lower()
     if ending not in ENDINGS:
@@ -89,6 +92,7 @@ def _ending(path: str | os.PathLike[str]) -> str:
     return ending
 
 
+@with_kinds
 def load_muscle(path: str | os.PathLike[str]) -> Muscle:
     """Read what :func:`save_muscle` wrote. Raises InputError when it is something else.
 
@@ -99,7 +103,7 @@ def load_muscle(path: str | os.PathLike[str]) -> Muscle:
     True
     """
     kind, remedy = "a muscle file", f"its 'format' must be {FORMAT!r}"
-    if _ending(path) == ".json":
+    if ending_of(path) == ".json":
         content = read_json(path, kind, FORMAT, remedy)
     else:
         content = require_format(path, read_toml(path), kind, FORMAT, remedy)

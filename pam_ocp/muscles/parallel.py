@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError, require_count
 from ..core.stop import turns
 from .law import ForceLaw
@@ -21,6 +22,7 @@ PROBES = (np.array([1e5, 3e5, 5e5]), np.array([0.02, 0.11, 0.19]))
 """Pressures and contractions at which a law is looked at."""
 
 
+@with_kinds
 @turns
 def in_parallel(muscle: Muscle, count: int) -> Muscle:
     """``count`` equal muscles side by side on the same load, as one muscle.

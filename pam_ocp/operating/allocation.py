@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, PamError
+from ..core.errors import InputError, PamError, require_numbers
 from ..core.stop import locked, verb
 from ..numerics.newton import iterate
 from ..plants.plant import Plant
@@ -45,8 +45,19 @@ def common_and_difference(p1: ArrayLike, p2: ArrayLike) -> tuple[Array, Array]:
     >>> [float(v) for v in pam.operating.common_and_difference(3e5, 1e5)]
     [200000.0, 100000.0]
     """
-    one, two = np.asarray(p1, float), np.asarray(p2, float)
+    one, two = _alike(p1=p1, p2=p2)
     return (one + two) / 2, (one - two) / 2
+
+
+def _alike(**pressures: Any) -> list[Array]:
+    """Pressures [Pa] as arrays that go together."""
+    arrays = {name: np.asarray(require_numbers(name, p, "Pa")) for name, p in pressures.items()}
+    try:
+        np.broadcast_shapes(*(a.shape for a in arrays.values()))
+    except ValueError:
+        shapes = ", ".join(f"{n} has shape {a.shape}" for n, a in arrays.items())
+        raise InputError(f"{shapes}: give one of each, or arrays that broadcast") from None
+    return list(arrays.values())
 
 
 @verb
@@ -58,7 +69,7 @@ def pressures_of(common: ArrayLike, difference: ArrayLike) -> tuple[Array, Array
     >>> [float(v) for v in pam.operating.pressures_of(2e5, 1e5)]
     [300000.0, 100000.0]
     """
-    mean, half = np.asarray(common, float), np.asarray(difference, float)
+    mean, half = _alike(common=common, difference=difference)
     return mean + half, mean - half
 
 
@@ -90,6 +101,11 @@ class Allocation:
                 f"{', '.join(plant.load_positions) or 'none'}"
             )
         (self.position,) = plant.load_positions
+        if not {"muscle1.pressure", "muscle2.pressure"} <= {v.name for v in plant.variables}:
+            raise InputError(
+                f"Allocation needs a pair, muscle1 and muscle2, which {plant.name!r} has not; give "
+                "an AntagonisticSlide or AntagonisticJoint"
+            )
         self._pressures = [plant.variable(f"muscle{i}.pressure") for i in (1, 2)]
         self._function = self._build()
 

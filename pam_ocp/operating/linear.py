@@ -26,6 +26,7 @@ from ..plants.plant import Plant, Values, require_plant
 from ..plants.stillness import totals
 from .held import Memory
 from .linear_model import LinearModel
+from .operating_point import require_point_of
 from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 
 if TYPE_CHECKING:
@@ -55,10 +56,7 @@ def point_of(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Plant, A
     """The plant with the point's parameters, and the point's states and inputs."""
     require_plant(plant)
     if isinstance(at, OperatingPoint):
-        if {v.name for v in at.plant.states} != {v.name for v in plant.states}:
-            raise InputError(
-                f"the operating point belongs to {at.plant.name!r}, not {plant.name!r}"
-            )
+        require_point_of(plant, at)
         return at.plant, at.x, at.u
     remedy = "give an OperatingPoint (of equilibrium), or values by name"
     require_instance("at", at, Mapping, remedy, none=True)

@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.errors import InputError
 from ..core.shown import shown
 from ..core.stop import locked
 from ..core.units import significant
@@ -17,7 +18,7 @@ from ..plants.plant import Plant
 from .held import held_names
 from .stuck import Stuck
 
-__all__ = ["OperatingPoint", "pole_texts"]
+__all__ = ["OperatingPoint", "pole_texts", "require_point_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -119,3 +120,9 @@ def pole_texts(poles: Iterable[complex]) -> list[str]:
     return [
         significant(re) + (f" ± {significant(im)} i" if im else "") for re, im in parts if im >= 0
     ]
+
+
+def require_point_of(plant: Plant, point: OperatingPoint) -> None:
+    """InputError where a point is of a plant with other states."""
+    if {v.name for v in point.plant.states} != {v.name for v in plant.states}:
+        raise InputError(f"the operating point belongs to {point.plant.name!r}, not {plant.name!r}")

@@ -14,7 +14,7 @@ from ..core.stop import verb
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .held import Memory
-from .operating_point import OperatingPoint
+from .operating_point import OperatingPoint, require_point_of
 from .rest import TOLERANCE, Expressions, posed
 from .rest_search import ROUGH, Search
 
@@ -90,6 +90,9 @@ def equilibrium(
     require_instance("conditions", conditions, Mapping, "give values by name", none=True)
     wanted = {**(conditions or {}), **more}
     inversion = Inversion(require_plant(plant))
+    require_instance("guess", guess, OperatingPoint, "give an OperatingPoint", none=True)
+    if guess is not None:
+        require_point_of(plant, guess)
     if inversion.all_free(wanted):  # a closed valve's command has no slope, its opening has
         near = None if guess is None else inversion.entered(guess)
         inner = equilibrium(

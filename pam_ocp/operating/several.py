@@ -65,6 +65,7 @@ def equilibria(
     given = {**(conditions or {}), **more}
     search = posed(Search, plant, given, free, memory=memory or "virgin")
     require_count("starts", starts, 1)
+    require_count("seed", seed, 0)
     found: list[Array] = []
     bands: tuple[Band, ...] = ()
     ended = ""
@@ -243,4 +244,6 @@ def equilibrium_path(
                 break
             points.append(rest.point(point))
         done.append(float(value))
+    if not points:
+        raise InputError("values is empty: give at least one")
     return EquilibriumPath(plant.variable(name).name, np.array(done), tuple(points), end)

@@ -362,7 +362,10 @@ class Declaration:
     def _add(self, variable: Variable) -> None:
         self._open()
         if variable.name in self._variables:
-            raise InputError(f"the name {variable.name!r} is declared twice in plant {self.name!r}")
+            raise InputError(
+                f"the name {variable.name!r} is declared twice in plant {self.name!r}; give one of "
+                "the two another name"
+            )
         self._variables[variable.name] = variable
 
     def _declare(self, variable: Variable) -> ca.SX:

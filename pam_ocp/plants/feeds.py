@@ -9,6 +9,7 @@ from typing import Any, Protocol, cast
 
 import casadi as ca
 
+from ..core.expressions import scalar_expression
 from ..core.stop import turns
 from ..core.system import Declares
 from ..muscles.law import clamp
@@ -314,6 +315,8 @@ def attach(
     'muscle'
     """
     muscle, feed, losses = as_muscle(muscle), as_feed(feed), as_losses(losses)
+    shortening = scalar_expression(f"{name}: shortening", shortening)
+    rate = scalar_expression(f"{name}: rate", rate)
     symbolic = _with_parameters(plant, name, muscle)
     if not isinstance(pre_contraction, ca.SX):
         pre_contraction = plant.parameter(

@@ -17,7 +17,7 @@ from .. import courtesy
 from ..core.errors import InputError, kind_of, one
 from ..core.shown import shown
 from ..core.stop import locked
-from ..core.variables import Causality
+from ..core.variables import Causality, require_causality
 from ..muscles.pneumatic_muscle import Muscle
 from .opening import Instead, Opening
 from .sketch import Sketch
@@ -35,6 +35,8 @@ Values = Mapping[str, Any]
 Given: TypeAlias = "Values | OperatingPoint"
 """Values by name, or those of a point."""
 
+ATTRIBUTES = ("start", "min", "max", "nominal")
+"""Of a variable, that :meth:`Plant.vector` makes arrays of."""
 _FREE: tuple[Causality, ...] = ("state", "input")
 
 
@@ -159,6 +161,9 @@ class Plant(Travelling):
 
         ``values`` replaces single ones by name; names of another causality are an error.
         """
+        require_causality(causality)
+        if attribute not in ATTRIBUTES:
+            raise InputError(f"attribute = {attribute!r}: choose one of {', '.join(ATTRIBUTES)}")
         variables = self._of(causality)
         array = np.array([getattr(v, attribute) for v in variables], dtype=float)
         position = {v.name: i for i, v in enumerate(variables)}

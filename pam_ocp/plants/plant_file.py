@@ -55,7 +55,8 @@ def muscle_of(value: Any, where: str = "muscle", folder: Path | None = None) -> 
             length = quantity(f"{where}.rest_length", value["rest_length"], "m")
         value = value.get("name")
     if not isinstance(value, str):
-        raise InputError(f"{where} = {value!r}: give a name of the catalogue, or a muscle file")
+        given = f"{where} is missing" if value is None else f"{where} = {value!r}"
+        raise InputError(f"{given}: give a name of the catalogue, or a muscle file")
     if value.endswith(ENDINGS):
         return load_muscle((folder or Path()) / value)
     return catalogue_muscle(value, rest_length=length)

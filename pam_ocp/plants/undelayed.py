@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 
+from ..core.arguments import with_kinds
 from ..core.errors import InputError
 from ..core.variables import Variable
 from .plant import Plant, require_plant
@@ -15,6 +16,7 @@ from .plant import Plant, require_plant
 __all__ = ["Redeclared", "attributes_of", "without_dead_times"]
 
 
+@with_kinds
 def without_dead_times(plant: Plant) -> Plant:
     """The same plant with an input in place of each delay line, called as what came out of it.
 

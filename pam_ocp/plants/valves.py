@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..core.errors import InputError, require_finite, require_positive
+from ..core.errors import InputError, require_finite, require_instance, require_positive
 from ..core.system import Declares
 from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse
 from ..muscles.gas import Chamber, Gas, conductance_from_flow, specific_exergy
@@ -120,6 +120,7 @@ class GasFeed(ABC):
         require_positive(f"{kind}.leak", self.leak, "m3/(s.Pa)", zero=True)
         if not 0 <= require_finite(f"{kind}.critical_ratio", self.critical_ratio) < 1:
             raise InputError(f"{kind}.critical_ratio = {self.critical_ratio:g} must lie in 0 .. 1")
+        require_instance(f"{kind}.gas", self.gas, Gas, "give a Gas, such as Gas(exponent=1.2)")
 
     @abstractmethod
     def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:

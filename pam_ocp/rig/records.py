@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..core.arguments import with_kinds
 from ..core.errors import InputError
 from ..core.files import json_of, make_folder, write_json
 from ..core.trajectory import HELD, Trajectory
@@ -110,6 +111,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
+@with_kinds
 def read_run(path: str | os.PathLike[str]) -> Trajectory:
     """The Trajectory of a run that a rig recorded, as far as it came; inputs are inputs, and held.
 

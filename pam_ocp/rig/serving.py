@@ -13,7 +13,8 @@ from datetime import datetime, timedelta, timezone
 from types import TracebackType
 from typing import Any
 
-from ..core.errors import InputError
+from ..core.arguments import with_kinds
+from ..core.errors import InputError, require_count
 from .drivers.driver import missing
 from .drivers.lines import LONGEST, Cut, LineServer
 from .drivers.modbus import check_of, layout
@@ -56,6 +57,7 @@ class Served:
         self.close()
 
 
+@with_kinds
 def serve(twin: Twin, kind: str = "modbus", *, port: int = 0, host: str = "127.0.0.1") -> Served:
     """Put a twin behind a transport, in a thread of this process (``pam-ocp twin``: in its own).
 
@@ -80,6 +82,7 @@ def serve(twin: Twin, kind: str = "modbus", *, port: int = 0, host: str = "127.0
     }
     if kind not in kinds:
         raise InputError(f"kind = {kind!r}: choose one of {', '.join(kinds)}")
+    require_count("port", port, 0, 65535)
     try:
         return kinds[kind](twin, host, port)
     except OSError as error:

@@ -102,7 +102,7 @@ def compare_with_record(
     0.0100
     """
     if max_shift:
-        max_shift = require_positive("max_shift", max_shift, "s")
+        max_shift = require_positive("max_shift", max_shift, "s", zero=True)
     if names is None:
         names = [
             n

@@ -16,7 +16,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, require_finite, require_instance, require_positive
+from ..core.errors import (
+    InputError,
+    require_count,
+    require_finite,
+    require_instance,
+    require_positive,
+)
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -170,6 +176,7 @@ def readers_of(
 ) -> dict[str, Reader]:
     """{variable: its Reader}. Each draws from a sequence of its own, whatever the others are."""
     require_instance("sensors", sensors, Mapping, "give {name: Instrument(...)}", none=True)
+    require_count("seed", seed, 0)
     found = {}
     for k, (name, instrument) in enumerate((sensors or {}).items()):
         remedy = "give an Instrument, such as Instrument(noise=1e-5, delay=0.004)"

@@ -11,14 +11,13 @@ from typing import Any, overload
 
 import numpy as np
 
-from ..core.arguments import with_kinds
+from ..core.arguments import require_known_keywords, with_kinds
 from ..core.cases import Loop, Place, ending
 from ..core.errors import InputError, SimulationError, kind_of, require_count
 from ..core.executors import placed
 from ..core.files import MOST_ROWS
 from ..core.interrupts import interruptible
 from ..core.shown import shown
-from ..core.stop import require_known_keywords
 from ..core.stores import Store, folder_of
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
@@ -82,12 +81,17 @@ def sweep(**values: Sequence[float]) -> list[dict[str, Any]]:
     >>> len(cases), cases[0]
     (4, {'parameters': {'mass': 1.0, 'muscle_lag': 0.05}})
     """
+    given: Mapping[str, Any] = values
+    for name, several in given.items():
+        if isinstance(several, str) or not isinstance(several, Iterable):
+            raise InputError(f"{name} = {several!r}: give a list of values")
     return [
         {"parameters": dict(zip(values, combination, strict=True))}
         for combination in itertools.product(*values.values())
     ]
 
 
+@with_kinds
 def draws(
     values: Mapping[str, float], covariance: Any, count: int, *, prefix: str = "", seed: int = 0
 ) -> list[dict[str, Any]]:
@@ -105,12 +109,19 @@ def draws(
     matrix = np.asarray(covariance, float)
     if matrix.shape != (len(values), len(values)):
         raise InputError(f"covariance has shape {matrix.shape} for {len(values)} values")
-    if count < 1:
-        raise InputError(f"count = {count} must be >= 1")
-    scale = np.sqrt(np.diag(matrix))
+    require_count("count", count)
+    require_count("seed", seed, 0)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0] = 1.0  # a constant stays one
     # in units of standard errors: the coefficients' sizes differ by many decades
-    factor = np.linalg.cholesky(matrix / np.outer(scale, scale) + 1e-14 * np.eye(len(scale)))
+    relative = matrix / np.outer(scale, scale)
+    try:
+        factor = np.linalg.cholesky(relative + 1e-14 * np.eye(len(scale)))
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "covariance is none: it has to be symmetric, without negative eigenvalues; give that "
+            "of a fit, as fit.covariance"
+        ) from None
     normal = np.random.default_rng(seed).standard_normal((count, len(scale)))
     samples = np.array(list(values.values())) + (normal @ factor.T) * scale
     return [

@@ -22,6 +22,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
+from ..core.arguments import with_kinds
 from ..core.atomic import in_use
 from ..core.cases import results_of
 from ..core.digest import file_digest, own_digest
@@ -47,6 +48,7 @@ REPORT = "report.html"
 SUMMARY = "summary.csv"
 
 
+@with_kinds
 def run_study(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
@@ -108,11 +110,11 @@ def run_study(
         raise InputError("give shard or merge, not both")
     share = None if shard is None else shard_of(shard)
     study = read_study(Path(path))
+    kept = Kept(cache)  # before the folder: where it cannot be, there is nothing to clear away
     target = make_folder(Path(study.path.stem) if out is None else out)
     if merge:
         found = merged_cache(target, file_digest(study.path))
-        cache = found if cache is None else cache
-    kept = Kept(cache)
+        kept = Kept(found) if cache is None else kept
     record = None
     if share is not None:
         record = ShardRecord(target, share, file_digest(study.path), kept.folder)

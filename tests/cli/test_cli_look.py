@@ -82,9 +82,9 @@ def test_fit_takes_the_same_words(tmp_path, capsys):
     ],
 )
 def test_messages_name_options_of_the_command(python, shell):
-    options = dict.fromkeys(("sheet", "units", "columns", "missing", "floor"))
-    assert command_words(python, Namespace(**options)) == shell
-    assert command_words(python, Namespace(out=None)) == python
+    parser = cli._parser()
+    assert command_words(python, Namespace(parser=parser, command="look")) == shell
+    assert command_words(python, Namespace(parser=parser, command="components")) == python
 
 
 def test_a_sheet_is_asked_for_by_its_option(tmp_path, capsys):

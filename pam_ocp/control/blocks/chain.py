@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...core.arguments import with_kinds
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError
 from ...core.stop import turns
@@ -20,6 +21,7 @@ from .kinds import law_of
 __all__ = ["chain"]
 
 
+@with_kinds
 @turns
 def chain(
     parts: Sequence[Any],

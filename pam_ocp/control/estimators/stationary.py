@@ -383,6 +383,9 @@ class WithEstimate:
     filter: StationaryFilter
     also: Sequence[str] = ()
 
+    def __post_init__(self) -> None:
+        require_instance("filter", self.filter, StationaryFilter, "give that of kalman()")
+
     def reset(self) -> None:
         """See :class:`Controller`."""
         self.controller.reset()

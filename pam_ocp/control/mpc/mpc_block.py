@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
+from ...core.arguments import with_kinds
 from ...core.block import Block
 from ...core.errors import InputError, require_count, require_instance
 from ...core.stop import turns
@@ -32,6 +33,7 @@ _TOLD = {
 }
 
 
+@with_kinds
 @BLOCKS.register("Mpc")
 @turns
 def mpc_block(

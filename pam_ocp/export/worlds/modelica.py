@@ -11,6 +11,7 @@ import casadi as ca
 
 from ...core.atomic import atomic_path
 from ...core.errors import InputError
+from ...core.files import require_ending
 from ...core.stop import verb
 from ...core.variables import Variable
 from ...muscles.gas import AMBIENT_PRESSURE, GAS_CONSTANT, REFERENCE_TEMPERATURE, ConsistentVolume
@@ -98,6 +99,7 @@ def export_modelica(
         plant = require_plant(system)
         model = name or _class(plant.name)
         text = "\n".join([_model(plant, model), ""])
+    require_ending(path, ".mo", "a Modelica model")
     with atomic_path(path) as file:
         file.write_text(text, encoding="utf-8")
     return Path(path)

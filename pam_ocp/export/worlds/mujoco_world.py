@@ -67,7 +67,8 @@ class MujocoMuscle:
 
     def __post_init__(self) -> None:
         require_finite("offset", self.offset)
-        if not self.way or (not isinstance(self.way, Mapping) and len(self.way) < 2):
+        sites = not isinstance(self.way, Mapping)
+        if not self.way or isinstance(self.way, str) or (sites and len(self.way) < 2):
             raise InputError(
                 f"way = {self.way!r}: give two sites or more, or the moment arm of each joint"
             )

@@ -21,6 +21,7 @@ from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...core.arguments import with_kinds
 from ...core.cases import Place, ending
 from ...core.errors import FitError, InputError, PamError, kind_of, require_count, require_instance
 from ...core.stop import limited
@@ -191,6 +192,7 @@ class Choice:
 RULES = ("simplest", "best")
 
 
+@with_kinds
 def choose(
     structures: Mapping[str, Structure],
     records: Sequence[Trajectory],

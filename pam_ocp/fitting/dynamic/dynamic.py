@@ -492,7 +492,7 @@ def _noise(plant: Plant, names: Sequence[str], noise: Mapping[str, float] | None
     """Standard deviations in nominals, if they are known."""
     if noise is None:
         return None
-    given = {plant.variable(n).name: require_positive("noise", v) for n, v in noise.items()}
+    given = {plant.variable(n).name: require_positive(f"noise[{n!r}]", v) for n, v in noise.items()}
     missing = [n for n in names if n not in given]
     if missing:
         raise InputError(f"noise: {missing[0]} is measured too; give its standard deviation")

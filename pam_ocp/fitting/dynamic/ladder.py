@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arguments import with_kinds
 from ...core.cases import Place
 from ...core.errors import (
     FitError,
@@ -68,6 +69,7 @@ class Builder(Protocol):
     def __call__(self, *, feed: Any, losses: Any) -> Plant: ...
 
 
+@with_kinds
 @interruptible()
 def fit_ladder(
     build: Builder | Sequence[Rung],

@@ -78,7 +78,7 @@ def bootstrap(
         raise InputError(f"method = {method!r}: choose 'residuals' or 'cases'")
     if method == "residuals" and fit.dof < 1:
         raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(require_count("seed", seed, 0))
     problem, failed, ended = fit.problem, 0, ""
     start = fit.vector[None, list(problem.nonlinear)] if problem.nonlinear else None
     found: dict[int, Array] = {}

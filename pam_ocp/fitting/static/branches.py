@@ -8,6 +8,7 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.arguments import with_kinds
 from ...core.errors import InputError, require_instance
 from ...core.shown import shown
 from ..statistics import Array
@@ -68,6 +69,7 @@ class LackOfFit:
         )
 
 
+@with_kinds
 def lack_of_fit(fit: Optimum) -> LackOfFit:
     """Test a fit by least squares against repeats of its cells (weights count).
 
@@ -198,6 +200,7 @@ class Hysteresis:
         return "\n".join(lines)
 
 
+@with_kinds
 def hysteresis(table: ForceTable) -> Hysteresis:
     """Width between the branches "inflation" and "deflation" of a table's taut cells.
 

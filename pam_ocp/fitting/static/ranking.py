@@ -189,7 +189,11 @@ def compare_laws(
     """
     require_table(table)
     chosen: list[str | type[ForceLaw]] = (
-        [*LAWS, polynomial_law(1, 3)] if laws is None else list(laws)
+        [*LAWS, polynomial_law(1, 3)]
+        if laws is None
+        else [laws]
+        if isinstance(laws, str)
+        else list(laws)
     )
     if not chosen:
         raise InputError("laws is empty: give names or classes of force laws")

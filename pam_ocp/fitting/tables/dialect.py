@@ -60,7 +60,8 @@ class Unsaid(InputError):
 
 def nothing_in(label: str, of: str = "") -> InputError:
     """The error of a source without rows. of : what they must hold."""
-    return InputError(f"{label} is empty: it needs a header and at least one row{of}")
+    what = "is empty, or no table" if of else "is empty"
+    return InputError(f"{label} {what}: it needs a header and at least one row{of}")
 
 
 @dataclass

@@ -18,14 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.arguments import with_kinds
 from ...core.calibration import AMBIENT
-from ...core.errors import (
-    InputError,
-    UnknownNameError,
-    kind_of,
-    require_finite,
-    require_numbers,
-    require_positive,
-)
+from ...core.errors import InputError, UnknownNameError, kind_of, require_numbers, require_positive
 from ...core.quantities import quantity
 from ...core.shown import shown
 from .columns import (
@@ -180,7 +173,7 @@ class ForceTable:
                 raise InputError(
                     f"floor = {floor!r}: give a force such as '5 N', 'found', 'zero' or None"
                 )
-            limit = require_finite("floor", floor, "N")
+            limit = require_positive("floor", floor, "N", zero=True)
             return replace(self, floor=None, censored=self.force <= limit)
         fresh = (
             self if isinstance(self.floor, Floor) else replace(self, floor="found", censored=None)
@@ -445,7 +438,7 @@ def _floor_said(floor: Any) -> float | str | None:
     """None, "found", "zero", or newtons."""
     if floor is None or (isinstance(floor, str) and floor in ("found", "zero", "none")):
         return None if floor == "none" else floor
-    return require_finite("floor", quantity("floor", floor, "N"), "N")
+    return require_positive("floor", quantity("floor", floor, "N"), "N", zero=True)
 
 
 def _floor_notes(table: ForceTable) -> tuple[str, ...]:

@@ -147,6 +147,10 @@ def read_record(
     """
     given = {n: value for n, value in locals().items() if n not in ("source", "plant")}
     words = RecordArguments.of(**given)
+    if plant is not None:
+        from ...plants.plant import require_plant
+
+        require_plant(plant)
     if not is_source(source):
         folder = isinstance(source, str | Path) and Path(source).is_dir()
         what = f"{source} is a folder" if folder else "source is several"

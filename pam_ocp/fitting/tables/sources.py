@@ -273,11 +273,11 @@ def _decoded(content: bytes, name: str, encoding: str | None = None) -> str:
                 f"{name} is not written in {encoding} ({error}); name another"
             ) from None
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = content.decode("utf-16")
+        text = content.decode("utf-16", "replace")
     elif content[1:400:2].count(0) > 0.7 * len(content[1:400:2]) > 2:
-        text = content.decode("utf-16-le")
+        text = content.decode("utf-16-le", "replace")
     elif content[0:400:2].count(0) > 0.7 * len(content[0:400:2]) > 2:
-        text = content.decode("utf-16-be")
+        text = content.decode("utf-16-be", "replace")
     else:
         try:
             text = content.decode("utf-8-sig")

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+from ...core.arguments import with_kinds
 from ...core.errors import InputError
 from ..law import ForceLaw, clamp, coefficient
 from .made import copied_fields, made_law
@@ -20,6 +21,7 @@ WIDTH = 2e3
 """Half width [Pa] over which a bladder begins to pull."""
 
 
+@with_kinds
 def bladder_law(law: type[ForceLaw]) -> type[ForceLaw]:
     """The class of laws F(max(p - threshold, 0), kappa): a bladder with a dead pressure.
 
@@ -63,6 +65,7 @@ def _bladder_law(law: type[ForceLaw]) -> type[ForceLaw]:
     )
 
 
+@with_kinds
 def ends_law(law: type[ForceLaw]) -> type[ForceLaw]:
     """The class of laws F(p, c kappa) - tube kappa with c = taper/(1 - rigid): rigid ends.
 
@@ -134,6 +137,7 @@ AROUND: dict[str, Callable[[type[ForceLaw]], type[ForceLaw]]] = {
 """What may stand behind a law's name after a +."""
 
 
+@with_kinds
 def with_bladder(law: ForceLaw, threshold: Any, width: Any = WIDTH) -> ForceLaw:
     """``law`` behind a dead pressure ``threshold`` [Pa]; see :func:`bladder_law`.
 
@@ -147,6 +151,7 @@ def with_bladder(law: ForceLaw, threshold: Any, width: Any = WIDTH) -> ForceLaw:
     return made(**{**law.values, "threshold": threshold, "threshold_width": width})
 
 
+@with_kinds
 def with_ends(law: ForceLaw, rigid: float = 0.0, taper: float = 1.0, tube: float = 0.0) -> ForceLaw:
     """``law`` with ends that do not contract; see :func:`ends_law`.
 

@@ -6,6 +6,7 @@ Each function here makes a subclass of ForceLaw, so that everything that takes a
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field
@@ -15,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...core.arguments import with_kinds
 from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.expressions import expression_of
 from ...core.stop import turns
@@ -60,6 +62,7 @@ def law_named(name: str) -> type[ForceLaw]:
     raise UnknownNameError("force law", name, known)
 
 
+@with_kinds
 def polynomial_law(gain_degree: int = 3, offset_degree: int = 4) -> type[ForceLaw]:
     """The class of laws F = G(kappa) p + H(kappa) with G = sum g_i kappa^i, H = sum h_i kappa^i.
 
@@ -107,6 +110,7 @@ def _polynomial_law(gain_degree: int, offset_degree: int) -> type[ForceLaw]:
     )
 
 
+@with_kinds
 def spline_law(breaks: Sequence[float], degree: int = 3) -> type[ForceLaw]:
     """The class of laws F = G(kappa) p + H(kappa) with B-splines G and H.
 
@@ -189,6 +193,7 @@ def _ratio(numerator: Any, denominator: float) -> Any:
     return numerator / denominator if denominator else 0.0
 
 
+@with_kinds
 @turns
 def own_law(
     name: str,
@@ -236,7 +241,10 @@ def own_law(
         raise InputError(f"formula = {formula!r} must be a CasADi SX expression or a function")
     else:
         symbols = {key: ca.SX.sym(key) for key in coefficients}
+        _require_arguments(formula, tuple(coefficients))
         expression_of(f"law {name!r}", formula, ca.SX.sym("p"), ca.SX.sym("kappa"), **symbols)
+    if not coefficients:
+        raise InputError("coefficients is empty: name at least one, as {'area': coefficient(...)}")
     law = made_law(
         "OwnLaw",
         dict(coefficients),
@@ -248,6 +256,17 @@ def own_law(
     )
     law.function()  # a formula that cannot be evaluated fails here, not in the first simulation
     return law
+
+
+def _require_arguments(formula: Callable[..., ca.SX], names: tuple[str, ...]) -> None:
+    try:
+        inspect.signature(formula).bind(0, 0, **dict.fromkeys(names, 0))
+    except TypeError:
+        raise InputError(
+            f"formula: the function has to take p, kappa, {', '.join(names)}, by these names"
+        ) from None
+    except ValueError:  # compiled, and it does not say
+        return
 
 
 def _from_expression(expression: ca.SX, names: tuple[str, ...]) -> Callable[..., ca.SX]:

@@ -92,7 +92,7 @@ def _stops(plant: Plant, statement: Statement) -> list[Stop]:
     ):
         raise InputError('stops must be a list of mappings, such as [{"x": 0.0}, {"x": 0.02}]')
     if len(statement.stops) < 2:
-        raise InputError(f"stops = {list(statement.stops)}: a motion needs at least two stops")
+        raise InputError(f"stops holds {len(statement.stops)}: a motion needs at least two stops")
     found = []
     for stop in statement.stops:
         stop = stop if isinstance(stop, Stop) else Stop(stop)

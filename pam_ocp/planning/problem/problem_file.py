@@ -12,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 
+from ...core.arguments import with_kinds
 from ...core.errors import InputError, UnknownNameError
 from ...core.files import read_toml, reading
 from ...core.quantities import known_keys, pair, quantity, table
@@ -28,6 +29,7 @@ _METHODS = {kind.__name__: kind for kind in (Collocation, Shooting, Arcs)}
 _STOP = ("rest", "dwell", "within")
 
 
+@with_kinds
 def load_problem(path: str | Path, *, allow_code: bool = False) -> tuple[Plant, dict[str, Any]]:
     """Read a planning problem: (plant, arguments), for ``pam_ocp.plan(plant, **arguments)``.
 

@@ -158,6 +158,8 @@ def pareto(
     """
     require_plant(plant)
     require_count("points", points, 2)
+    if first == second:
+        raise InputError(f"first and second are both {first!r}: give two objectives")
     place = placed(executor)
     for name in ("minimise", "tolerance", "guess", "starts"):
         if name in arguments:
