@@ -41,7 +41,7 @@ COMMANDS = {
     "fit words.csv": "say --missing ... if it marks a missing value, or leave such rows out with "
     "--bad-lines drop",
     "fit record.csv": "--columns 'pressure=muscle_command [bar]'",
-    "fit lengths.csv": "give rest_length in metres, as in --rest-length 0.3",
+    "fit lengths.csv": "give --rest-length, as --rest-length '300 mm'",
     "fit lengths.csv --rest-length 300": "far too short for the rest length 300 m",
     f"{FIT} --diameter '20 bar'": "--diameter = '20 bar': this measures something else than 'm'",
     f"{FIT} --fixed a9=1": "did you mean 'a6'",

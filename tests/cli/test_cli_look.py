@@ -5,7 +5,7 @@ from argparse import Namespace
 
 import pytest
 
-from pam_ocp.cli.main import main
+from pam_ocp.cli.main import _parser, main
 from pam_ocp.cli.words import command_words
 
 RIG = "Druck;Länge;Kraft\nbar;mm;N\n2,0;300;1.021,7\n4,0;285;1.689,2\n6,0;255;1.512,9\n"
@@ -82,7 +82,7 @@ def test_fit_takes_the_same_words(tmp_path, capsys):
     ],
 )
 def test_messages_name_options_of_the_command(python, shell):
-    parser = cli._parser()
+    parser = _parser()
     assert command_words(python, Namespace(parser=parser, command="look")) == shell
     assert command_words(python, Namespace(parser=parser, command="components")) == python
 
