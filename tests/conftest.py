@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait
+# hundreds of children import the same modules: images of containers often forbid to keep them
+# compiled, which doubles what a child takes to start
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import locale
 import random
@@ -123,6 +128,12 @@ def scipy_states(
         assert solution.success
         rows.append(solution.y[:, -1] * nominal)
     return np.array(rows)
+
+
+@pytest.fixture
+def plain_pictures(monkeypatch):
+    """For tests that look at no picture: it is some bytes, and takes no time to draw."""
+    monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
 
 
 @pytest.fixture(scope="session")

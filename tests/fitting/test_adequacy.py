@@ -4,6 +4,7 @@ makes a fit worse.
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import groupby, takewhile
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ def hanging(losses: Any = (), **values: float) -> pam.Plant:
     return plant.with_values(values)
 
 
+@cache
 def record(fault: str = "", seed: int = 0, samples: int = 500) -> pam.Trajectory:
     """Staircases of half a second; the fault is the rig's, not the model's."""
     random, t = np.random.default_rng(seed), 0.01 * np.arange(samples)
