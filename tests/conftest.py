@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait
-# hundreds of children import the same modules: images of containers often forbid to keep them
-# compiled, which doubles what a child takes to start
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import locale
 import random
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -28,6 +24,10 @@ from scipy.integrate import solve_ivp
 import pam_ocp as pam
 
 BAR = 1e5
+# hundreds of children import the same modules: images of containers often forbid to keep them
+# compiled, which doubles what a child takes to start
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # no test reads a stopwatch, and a busy machine draws slowly
 settings.register_profile("suite", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("suite")

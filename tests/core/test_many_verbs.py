@@ -23,7 +23,7 @@ from pam_ocp.fitting.tables.force_table import ForceTable
 # on meshes as coarse as these
 pytestmark = pytest.mark.filterwarnings("ignore:the plan of .* is not verified")
 SLOW = pytest.mark.slow
-PLACES = [pytest.param(2, marks=SLOW), "threads", "pool", pytest.param("dask", marks=SLOW)]
+PLACES = ["threads", *(pytest.param(w, marks=SLOW) for w in (2, "pool", "dask"))]
 
 
 @contextmanager
@@ -107,11 +107,9 @@ def campaigns(executor: Any) -> list[Any]:
 
 
 def loads(executor: Any) -> list[Any]:
-    """Two loads at two pressures, one of which cannot be carried."""
-    study = pam.load_study(
-        "DMSP-20-400N", [5.0, 500.0], [2e5, 3e5], duration=0.5, executor=executor
-    )
-    assert [np.isnan(c.position) for c in study.cases] == [False, False, True, True]
+    """Two loads, one of which cannot be carried."""
+    study = pam.load_study("DMSP-20-400N", [5.0, 500.0], [2e5], duration=0.5, executor=executor)
+    assert [np.isnan(c.position) for c in study.cases] == [False, True]
     return [str(study), [c.overshoot for c in study.cases]]
 
 

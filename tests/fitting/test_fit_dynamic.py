@@ -298,9 +298,7 @@ def test_bounds_may_be_texts_with_units(rig: pam.Plant) -> None:
     assert texts.values == pytest.approx(numbers.values, rel=1e-9)
 
 
-def test_records_that_cannot_serve_are_refused(
-    rig: pam.Plant, records: Any, fit: PlantFit
-) -> None:
+def test_records_that_cannot_serve_are_refused(rig: pam.Plant, records: Any, fit: PlantFit) -> None:
     one = records[0]
     columns = {n: one[n].copy() for n in one.names}
     columns["x"][3] = np.nan

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -35,6 +36,7 @@ def lagging() -> pam.Plant:
     return plant
 
 
+@cache
 def record(
     seed: int,
     samples: int = 151,
@@ -68,7 +70,7 @@ def record(
 
 @pytest.mark.parametrize("held", [False, True])
 def test_dead_time_and_hidden_starts_come_back_from_whole_records(held: bool) -> None:
-    records = [record(s, 120 + 20 * s, z0=0.3 * s, held=held) for s in range(3)]
+    records = [record(s, 100 + 20 * s, z0=0.3 * s, held=held) for s in range(2)]
     off = lagging().with_values(k=30.0, c=5.0, g=20.0, lag=0.05)
     late = {"u": (0, 0.2)}
     fit = fit_free_run(off, records, ["k", "c", "g", "lag"], delay=late, **WHOLE)

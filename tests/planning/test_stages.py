@@ -60,5 +60,3 @@ def test_starts_that_run_elsewhere_are_stages_too():
     ends = plan.statistics["starts"]
     assert [s["iterations"] for s in starts[:1]] == [ends[0]["iterations"]]
     assert any(s["name"] == "valve openings" for s in plan.statistics["stages"])
-
-
