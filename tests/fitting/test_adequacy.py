@@ -68,7 +68,7 @@ def fitted(fault: str, **options: Any) -> Any:
         ("friction", "friction or hysteresis", "friction or hysteresis that the model"),
         ("drift", "drift", "muscle.command drifts"),
         pytest.param("scale", "scale", "the scale of x is off", marks=pytest.mark.slow),
-        pytest.param("lag", "lag", "acts later or earlier", marks=pytest.mark.slow),
+        pytest.param("lag", "lag", "muscle.command acts later or earlier", marks=pytest.mark.slow),
         ("coloured noise", "coloured noise", "the noise of x is coloured"),
     ],
 )

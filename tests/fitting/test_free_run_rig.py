@@ -108,7 +108,7 @@ def test_the_slope_over_everything_is_that_of_finite_differences() -> None:
 
 
 def test_gain_and_offset_of_a_sensor_come_back() -> None:
-    clean = [record(s, late=0.0) for s in range(3)]
+    clean = [record(s, late=0.0) for s in range(2)]
     shown = [
         pam.Trajectory(r.t, {"q": 1.2 * r["q"] + 0.05, "u": r["u"]}, interpolation="linear")
         for r in clean
@@ -121,7 +121,7 @@ def test_gain_and_offset_of_a_sensor_come_back() -> None:
 
 
 def test_an_observer_brings_hidden_states_to_where_they_belong() -> None:
-    records = [record(s, late=0.0) for s in range(3)]
+    records = [record(s, late=0.0) for s in range(2)]
     common: dict[str, Any] = {"horizon": 0.1, "every": 0.05, "history": 2}
     blind = free_run(lagging(), records, **common)
     fit = fit_free_run(lagging(), records, [], warm_up=0.15, correct={"z": ["q"]}, **common)

@@ -149,7 +149,7 @@ class ForceTable:
         return found or (None, none)
 
     def _noted(self, *notes: str) -> ForceTable:
-        """The same readings with these notes; their floor, which takes time, is not sought again."""
+        """The same readings with these notes; their floor is not sought again."""
         noted = replace(self, notes=notes)
         noted.__dict__["_floor"] = self._floor
         return noted
