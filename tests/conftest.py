@@ -9,6 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads wo
 import locale
 import random
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -23,6 +24,10 @@ from scipy.integrate import solve_ivp
 import pam_ocp as pam
 
 BAR = 1e5
+# hundreds of children import the same modules: images of containers often forbid to keep them
+# compiled, which doubles what a child takes to start
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # no test reads a stopwatch, and a busy machine draws slowly
 settings.register_profile("suite", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("suite")
@@ -123,6 +128,12 @@ def scipy_states(
         assert solution.success
         rows.append(solution.y[:, -1] * nominal)
     return np.array(rows)
+
+
+@pytest.fixture
+def plain_pictures(monkeypatch):
+    """For tests that look at no picture: it is some bytes, and takes no time to draw."""
+    monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
 
 
 @pytest.fixture(scope="session")

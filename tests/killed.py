@@ -27,7 +27,7 @@ START = "import sys, pam_ocp as pam; out = sys.argv[1]; "
 COMMANDS = {
     "tour": "from pam_ocp.studies.tour import tour; tour(__import__('pathlib').Path(out))",
     "export": "pam.export_fmu(pam.HangingLoad('DMSP-20-300', mass=float(sys.argv[2])), "
-    "f'{out}/plant.fmu')",
+    "f'{out}/plant.fmu', platforms=['native', 'aarch64-linux'])",
     "simulate_many": "pam.simulate_many(pam.HangingLoad('DMSP-20-300'), "
     "[{'parameters': {'mass': 5.0 + 0.01 * i}} for i in range(2000)], "
     "inputs={'muscle.command': 3e5}, duration=0.2, chunk=50, workers=2, into=out)",

@@ -250,7 +250,8 @@ def test_equations_in_excess_are_said_by_the_error_alone(tmp_path, monkeypatch, 
     """CasADi would print a line of its own at each of some twenty solves."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "problem.toml").write_text(
-        'duration = "0.3 s"\nstops = [{ x = "10 mm" }, { x = "20 mm" }]\n'
+        'duration = "0.3 s"\nmethod = { intervals = 10 }\n'
+        'stops = [{ x = "10 mm" }, { x = "20 mm" }]\n'
         '[plant]\narrangement = "HangingLoad"\nmuscle = "DMSP-20-300"\n'
         "[bounds]\nv = [0.0, 0.0]\n"
     )

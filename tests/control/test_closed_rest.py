@@ -64,6 +64,8 @@ FEEDS = {
         pressure_gain=5e-6, command_lag=5e-3, spool=F.FirstOrderSpool(hysteresis=0.01)
     ),
 }
+TYPICAL = ("first order", "unlike sides", "own", "late servo valve")
+EVERY = [n if n in TYPICAL else pytest.param(n, marks=pytest.mark.slow) for n in FEEDS]
 UNFINISHED = "ignore:closed loop. not as asked. [0-9]+ of [0-9]+ solves did not converge$"
 
 
@@ -80,7 +82,7 @@ def ends_at(run: Any, goal: float, stroke: float) -> bool:
 
 
 @pytest.mark.filterwarnings(UNFINISHED)
-@pytest.mark.parametrize("name", FEEDS)
+@pytest.mark.parametrize("name", EVERY)
 def test_mpc_moves_a_hanging_load_from_closed_rest(name):
     plant, _, goal, begin = hanging(FEEDS[name])
     rate = {v.name: 0.05 for v in plant.inputs}
@@ -89,7 +91,7 @@ def test_mpc_moves_a_hanging_load_from_closed_rest(name):
     assert ends_at(loop, goal["x"], 0.03)
 
 
-@pytest.mark.parametrize("name", FEEDS)
+@pytest.mark.parametrize("name", EVERY)
 def test_lqr_and_tvlqr_move_a_hanging_load_from_closed_rest(name):
     plant, _, goal, begin = hanging(FEEDS[name])
     step = 1e-3 if "second order" in name else 4e-3

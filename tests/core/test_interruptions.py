@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -140,6 +141,7 @@ def hanging():
     return plant, pam.equilibrium(plant, {"muscle.pressure": 2e5})
 
 
+@cache
 def works():
     """{name: what is done again and again}, each from what stands ready."""
     plant, point = hanging()

@@ -36,7 +36,7 @@ MOST = {"double": 1e-9, "single": 5e-3}
 """Largest relative deviation from Python's double that self-tests here allow."""
 
 
-def regulated(horizon: int = 12, sample_time: float = 5e-3, iterations: int = 2) -> Mpc:
+def regulated(horizon: int = 6, sample_time: float = 5e-3, iterations: int = 2) -> Mpc:
     slide = pam.AntagonisticSlide(
         pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10, feed=pam.feeds.Regulator(0.05)
     )
@@ -61,7 +61,7 @@ def valved() -> Mpc:
     )
     return Mpc(
         load,
-        horizon=10,
+        horizon=5,
         sample_time=5e-3,
         track={"x": 1.0},
         rate={"muscle.command": 0.02},

@@ -18,7 +18,7 @@ from pam_ocp.export.runner import Runner, UnpackedFmu
 # ---- accuracy ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
+@pytest.mark.parametrize("step", [0.001, pytest.param(0.005, marks=pytest.mark.slow), 0.02])
 def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(
     fmus: dict[str, UnpackedFmu], step: float, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -35,6 +36,7 @@ def lagging() -> pam.Plant:
     return plant
 
 
+@cache
 def record(
     seed: int,
     samples: int = 151,
@@ -68,7 +70,7 @@ def record(
 
 @pytest.mark.parametrize("held", [False, True])
 def test_dead_time_and_hidden_starts_come_back_from_whole_records(held: bool) -> None:
-    records = [record(s, 120 + 20 * s, z0=0.3 * s, held=held) for s in range(3)]
+    records = [record(s, 100 + 20 * s, z0=0.3 * s, held=held) for s in range(2)]
     off = lagging().with_values(k=30.0, c=5.0, g=20.0, lag=0.05)
     late = {"u": (0, 0.2)}
     fit = fit_free_run(off, records, ["k", "c", "g", "lag"], delay=late, **WHOLE)
@@ -106,7 +108,7 @@ def test_the_slope_over_everything_is_that_of_finite_differences() -> None:
 
 
 def test_gain_and_offset_of_a_sensor_come_back() -> None:
-    clean = [record(s, late=0.0) for s in range(3)]
+    clean = [record(s, late=0.0) for s in range(2)]
     shown = [
         pam.Trajectory(r.t, {"q": 1.2 * r["q"] + 0.05, "u": r["u"]}, interpolation="linear")
         for r in clean
@@ -119,7 +121,7 @@ def test_gain_and_offset_of_a_sensor_come_back() -> None:
 
 
 def test_an_observer_brings_hidden_states_to_where_they_belong() -> None:
-    records = [record(s, late=0.0) for s in range(3)]
+    records = [record(s, late=0.0) for s in range(2)]
     common: dict[str, Any] = {"horizon": 0.1, "every": 0.05, "history": 2}
     blind = free_run(lagging(), records, **common)
     fit = fit_free_run(lagging(), records, [], warm_up=0.15, correct={"z": ["q"]}, **common)

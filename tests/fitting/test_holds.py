@@ -228,6 +228,7 @@ def test_a_coefficient_all_but_without_influence_has_an_infinite_condition():
     assert linear.rank == 1
 
 
+@pytest.mark.slow
 def test_a_richer_fit_is_never_worse_than_a_poorer_one() -> None:
     """A sensor's zero of 7 mm and a scale 8 % off: the fit with the mass ended twice as far off."""
     plant = pam.SpringOverMuscle("DMSP-20-300", mass=2.0)

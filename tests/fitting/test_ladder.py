@@ -225,7 +225,7 @@ def test_more_than_the_record_asks_for_is_not_chosen(record: pam.Trajectory) -> 
 
 
 def test_rungs_of_ones_own_need_no_arrangement(record: pam.Trajectory) -> None:
-    plants = [slide(feed=regulator(lag=0.06, dead_time=d)) for d in (None, 0.02)]
+    plants = [slide(feed=regulator(lag=0.06, dead_time=d)) for d in (None, TRUE["dead_time"])]
     frees = [("damping", "muscle*.lag", "base_pressure", "muscle*.gain")] * 2
     rungs = [Rung(n, p, f) for n, p, f in zip(("plain", "late"), plants, frees, strict=True)]
     found = fit_ladder(rungs, [record], folds=3, steps=3)
@@ -350,7 +350,7 @@ feed = {{ kind = "PairRegulator", base = "2.5 bar", gain = "1 bar/V", max_pressu
 def test_the_command_climbs_with_plants_of_the_library_and_of_ones_own(
     own: bool, record: pam.Trajectory, tmp_path: Path, capsys: Any
 ) -> None:
-    record.save(tmp_path / "run.csv")
+    record.at(record.t[:200]).save(tmp_path / "run.csv")
     (tmp_path / "rig.py").write_text(OWN)
     arrangement, more = ('"rig.py:rig"', "") if own else ('"AntagonisticSlide"', "damping = 60.0")
     study = tmp_path / "study.toml"

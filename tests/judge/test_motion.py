@@ -235,7 +235,7 @@ def test_a_warm_start_is_told_where_it_was_said():
     ("source", "pressure", "expected"),
     [
         (pam.feeds.Compressor(pressure=6e5), 6e5, 6e5),
-        (pam.feeds.Compressor(pressure=6e5), 4e5, 6e5),
+        pytest.param(pam.feeds.Compressor(pressure=6e5), 4e5, 6e5, marks=pytest.mark.slow),
         (None, 5e5, 5e5),
     ],
 )
@@ -261,6 +261,7 @@ def test_a_tank_that_begins_fuller_than_its_compressor_makes_it_is_named():
     assert constraint == "stop 1: receiver.air_pressure as its surroundings leave it"
 
 
+@pytest.mark.slow
 def test_a_spool_stands_where_its_command_holds_it_before_a_motion():
     feed = pam.feeds.SpoolValve(spool=pam.feeds.FirstOrderSpool(time=0.01))
     plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)

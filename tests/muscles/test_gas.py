@@ -310,7 +310,7 @@ def energy_balance(fluidic, volume, volume_by_hand, motions):
 
 
 def test_muscle_with_consistent_volume_neither_gains_nor_loses_energy(fluidic):
-    assert energy_balance(fluidic, ConsistentVolume(), reference_volume, 200) < 1e-8
+    assert energy_balance(fluidic, ConsistentVolume(), reference_volume, 50) < 1e-8
 
 
 def test_muscle_with_another_volume_does_not_keep_its_energy(fluidic):

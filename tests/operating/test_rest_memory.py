@@ -51,6 +51,7 @@ def study(monkeypatch):
     return module
 
 
+@pytest.mark.slow
 def test_rest_is_found_in_balance_and_stays_for_all_arrangements_feeds_and_losses(monkeypatch):
     module = study(monkeypatch)
     answers = [a for rows in module.study(10, seed=20261122).values() for a in rows]

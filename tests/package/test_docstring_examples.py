@@ -79,7 +79,7 @@ def test_every_public_callable_shows_an_example(room):
     assert [name for name, thing in ROOMS[room].items() if not examples(thing)] == []
 
 
-LONG = {"pam.export", "pam.fitting", "pam.planning"}
+LONG = {"pam", *(f"pam.{n}" for n in ("control", "export", "fitting", "planning", "studies"))}
 
 
 @pytest.mark.filterwarnings("default")

@@ -110,12 +110,17 @@ def test_an_impossible_motion_names_the_most_violated_constraint(slide):
     with pytest.raises(
         PlanError, match=r"most violated constraint is stop 2: x \(= 15 mm\)"
     ) as caught:
-        pam.plan(slide, STOPS, duration=0.03, method=Collocation(20, 3))
+        pam.plan(slide, STOPS, duration=0.03, method=Collocation(10, 3))
     sealed = caught.value.plan
     assert not sealed.success
+    assert sealed.conflicts[0].label.startswith("stop")  # a tie is named from both sides
+    assert sealed.log[-1]["inf_pr"] > 0
+    names = [s["name"] for s in sealed.statistics["stages"]]
+    assert names[0] == "starts"
+    assert "other guesses" in names
     with pytest.raises(PlanError, match="holds no solution"):
         _ = sealed.trajectory
-    assert len(sealed.unverified()) == 1 + 20 * 3
+    assert len(sealed.unverified()) == 1 + 10 * 3
 
 
 @pytest.mark.parametrize(

@@ -289,6 +289,7 @@ def test_a_tank_does_not_drain_through_open_valves_before_a_motion():
     assert plan.trajectory["receiver.air_temperature"][0] == pytest.approx(293.15, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_tank_that_leaks_before_a_motion_has_to_be_named():
     """No rest keeps its air; with its pressure named, the motion begins as it is said."""
     tank = pam.feeds.Receiver(5e-3, pressure=7e5, source=None)
@@ -420,6 +421,7 @@ def test_what_has_slid_under_pressure_begins_at_the_envelope_of_that_pressure(mi
         assert -1.03 * share <= begin[name][0] <= -0.95 * share
 
 
+@pytest.mark.slow
 def test_what_has_slid_begins_at_the_envelope_of_a_pressure_that_is_the_input():
     """The same law where the pressure is no state and jumps as the motion begins: what has slid
     knows the one that held the load before.

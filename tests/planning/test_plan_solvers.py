@@ -361,6 +361,7 @@ def test_starts_near_an_optimum_keep_constraints_and_the_residual_they_promise(
     assert abs(here.objective / there.objective - 1) > 1e-4
 
 
+@pytest.mark.slow
 def test_more_starts_keep_the_best(slide):
     """Valves: many local optima. The first of the objectives is that of the planner's own start."""
     plant = pam.AntagonisticSlide(

@@ -186,6 +186,7 @@ def test_the_rate_of_a_polynomial_input_is_the_integral_of_its_squared_slope():
     assert replay.objective == pytest.approx(0.5 * expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_motion_that_runs_away_is_no_plan():
     """x' = x^2 from 1 ends at 1 s in infinity; a line was planned, for 2 s."""
     plant = pam.Plant("runaway")

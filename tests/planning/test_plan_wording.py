@@ -329,13 +329,6 @@ def test_a_plan_survives_a_file_and_another_process(slide, tmp_path):
         pam.load_plan(tmp_path / "no.npz", slide)
 
 
-def test_a_tie_of_two_constraints_is_named_from_both_sides(slide):
-    with pytest.raises(pam.PlanError) as caught:
-        pam.plan(slide, [{"x": -0.015}, {"x": 0.015}], duration=0.03, method=Collocation(20, 3))
-    assert caught.value.plan.conflicts[0].label.startswith("stop")
-    assert caught.value.plan.log[-1]["inf_pr"] > 0
-
-
 def test_progress_is_reported(slide, capsys):
     seen = []
     plan = pam.plan(slide, STOPS, method=Collocation(10), progress=lambda *e: seen.append(e))

@@ -60,12 +60,3 @@ def test_starts_that_run_elsewhere_are_stages_too():
     ends = plan.statistics["starts"]
     assert [s["iterations"] for s in starts[:1]] == [ends[0]["iterations"]]
     assert any(s["name"] == "valve openings" for s in plan.statistics["stages"])
-
-
-def test_a_failed_plan_explains_itself():
-    plant = benchmark_slide(pam.feeds.Regulator())
-    with pytest.raises(pam.PlanError) as caught:
-        pam.plan(plant, STOPS, method=COARSE, duration=0.01)
-    names = [s["name"] for s in caught.value.plan.statistics["stages"]]
-    assert names[0] == "starts"
-    assert "other guesses" in " ".join(names)

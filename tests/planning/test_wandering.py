@@ -56,7 +56,7 @@ def kkt(program, outcome):
 
 
 def test_a_flat_optimum_ends_at_a_place_and_is_an_optimum():
-    program = work_program(24)
+    program = work_program(16)
     solver = Ipopt(program)
     guess = by_stops(program.problem, program.mesh, balanced=True)
     found = solver(program, guess)

@@ -97,6 +97,7 @@ def test_modbus_takes_no_wrong_value_from_a_bad_line():
     assert longest < 1.0
 
 
+@pytest.mark.slow
 def test_opc_ua_reads_and_writes_the_nodes_of_a_server():
     pytest.importorskip("asyncua")
     device = Counting()

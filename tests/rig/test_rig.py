@@ -222,7 +222,7 @@ def test_learning_brings_the_error_of_a_sine_down_to_a_fifth(seed):
     start = model.equilibrium(x=-0.01, stiffness=2.5e4)
     wanted = pam.closed_loop(law, model, duration=2.0, start=start).trajectory
     rig.arm()
-    found = rig.learn(wanted, "x", runs=10)
+    found = rig.learn(wanted, "x", runs=6)
     assert min(found.errors) <= found.errors[0] / 5, found.report()
     assert max(found.errors) <= 2 * found.errors[0]
     again = rig.run(found.inputs, start=found.start)

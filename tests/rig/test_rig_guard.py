@@ -183,7 +183,9 @@ SIGNALS = {"kill": "SIGKILL", "stop": "SIGSTOP", "term": "SIGTERM", "ctrl-c": "S
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-@pytest.mark.parametrize("way", ["kill", "stop", "ctrl-c", "hang"])
+@pytest.mark.parametrize(
+    "way", ["kill", *(pytest.param(w, marks=pytest.mark.slow) for w in ("stop", "ctrl-c", "hang"))]
+)
 def test_a_loop_that_ends_or_hangs_is_followed_by_venting(plant, tmp_path, way):
     twin = pam.rig.Twin(plant)
     with pam.rig.serve(twin, "udp") as served:

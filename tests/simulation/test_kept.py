@@ -227,6 +227,7 @@ pam.simulate_many(spring(), masses(2000), **place, **SAID)
 """
 
 
+@pytest.mark.slow
 def test_killed_twice_and_gone_on_with_it_is_the_same_bits(tmp_path, needs_arrow):
     script, here = tmp_path / "run.py", os.path.dirname(__file__)
     script.write_text(KILLED)

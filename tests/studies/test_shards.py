@@ -75,6 +75,7 @@ def test_shards_that_cannot_be_are_refused(text):
         shard_of(text)
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_merged_shards_are_the_study_in_one_go_and_missing_ones_are_named(tmp_path):
     study, out, cache = loads(tmp_path, 2), tmp_path / "out", tmp_path / "kept"
     with pytest.raises(InputError, match="no shard has run here"):
@@ -110,11 +111,9 @@ run_study(sys.argv[1], sys.argv[2], cache=sys.argv[3], shard=shard, progress=sto
 """
 
 
+@pytest.mark.usefixtures("plain_pictures")
 @pytest.mark.parametrize("shard", ["1/2", None])
-def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(
-    tmp_path, monkeypatch, shard
-):
-    monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
+def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(tmp_path, shard):
     study, out, cache = loads(tmp_path, 2), tmp_path / "out", tmp_path / "kept"
     command = [sys.executable, "-c", STAYS, str(study), str(out), str(cache), shard or "-"]
     other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

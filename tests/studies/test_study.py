@@ -102,12 +102,6 @@ def fresh(tmp_path):
     return tmp_path
 
 
-@pytest.fixture
-def plain_pictures(monkeypatch):
-    """For tests that ask which steps run: a picture is some bytes, and takes no time to draw."""
-    monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
-
-
 def run(place, **options):
     return run_study(place / "study.toml", place / "out", cache=place / "cache", **options)
 

@@ -142,6 +142,12 @@ class ForceTable:
         found = find_floor(self.pressure, self.contraction, self.force, self.branch, self.file)
         return found or (None, none)
 
+    def _noted(self, *notes: str) -> ForceTable:
+        """The same readings with these notes; their floor is not sought again."""
+        noted = replace(self, notes=notes)
+        noted.__dict__["_floor"] = self._floor
+        return noted
+
     @property
     def floor_found(self) -> Floor | None:
         """What slack cells read; None where there is no sign of it."""
@@ -422,7 +428,7 @@ def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = Non
     if words.floor == "zero":
         table = replace(table, notes=tuple(notes)).with_floor("zero")
     else:
-        table = replace(table, notes=(*notes, *_floor_notes(table)))
+        table = table._noted(*notes, *_floor_notes(table))
     check_mixed_pressure(series["pressure"], rows.pressure, rows.force, rows.contraction)
     if not np.any(~table.slack):
         sign = (
