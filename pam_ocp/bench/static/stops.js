@@ -20,7 +20,7 @@ export default {
         <g v-for="k in yTicks"><line class="stops-grid" :x1="M.left" :x2="M.left + w" :y1="Y(k.v * factor)" :y2="Y(k.v * factor)" />
           <text class="stops-text" :x="M.left - 6" :y="Y(k.v * factor) + 4" text-anchor="end">{{ k.text }}</text></g>
         <text class="stops-text" :x="M.left + w / 2" :y="294" text-anchor="middle">time [{{ timeUnit }}]</text>
-        <text class="stops-text" :transform="'rotate(-90)'" :x="-(M.top + h / 2)" y="14" text-anchor="middle">{{ variable }} [{{ unit }}]</text>
+        <text class="stops-text" :transform="'rotate(-90)'" :x="-(M.top + h / 2)" y="14" text-anchor="middle">{{ unit ? variable + ' [' + unit + ']' : variable }}</text>
         <g v-for="(a, i) in active" role="img" :aria-label="a.label + ' is active'">
           <text class="stops-text" :x="M.left" :y="300 + 11 + 24 * i">{{ a.label }}</text>
           <line class="stops-grid" :x1="M.left" :x2="M.left + w" :y1="300 + 18.5 + 24 * i" :y2="300 + 18.5 + 24 * i" />

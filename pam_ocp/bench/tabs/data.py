@@ -93,7 +93,7 @@ class Data(Tab):
                         look.figure([]),
                         FORCES,
                         self._clicked,
-                        empty="The cells of a force table, or the curves of a record: add data",
+                        empty="Cells of a force table, or curves of a record: add data that can be read",
                     )
                 with el.section("Columns", wide=True):
                     self._columns = ui.element("div")
