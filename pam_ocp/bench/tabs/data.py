@@ -93,7 +93,7 @@ class Data(Tab):
                         look.figure([]),
                         FORCES,
                         self._clicked,
-                        empty="Cells of a force table, or curves of a record: add data that can be read",
+                        empty="Cells of a force table, or curves of a record: add data to read",
                     )
                 with el.section("Columns", wide=True):
                     self._columns = ui.element("div")
