@@ -22,6 +22,8 @@ def command_words(text: str, options: argparse.Namespace) -> str:
 
     What the command has no option for stays; so do lines that show a call of Python.
     """
+    if not hasattr(options, "parser"):  # what a command does is called from elsewhere
+        return text
     named = [
         (action.dest, long)
         for action in command_of(options)._actions

@@ -61,7 +61,7 @@ LEAST_TOLERANCE = 1e-14
 
 def one(noun: str) -> str:
     """A noun with its article: ``an input``, ``a state``."""
-    return f"a{'n' if noun[0] in 'aeiouAEIO' else ''} {noun}"
+    return f"a{'n' if noun[0] in 'aeioAEIO' else ''} {noun}"
 
 
 def kind_of(value: Any) -> str:

@@ -148,4 +148,4 @@ def test_the_command_says_what_it_assumed(tmp_path: Path, capsys: Any) -> None:
     assert told["verified"]
     assert {Path(f).name for f in told["files"].values()} >= {"report.html", "plant.fmu"}
     assert main(["quick", *given]) == 2
-    assert "overwrite" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
