@@ -16,7 +16,7 @@ import numpy as np
 
 from ..judge.verdict import GROWTH
 from .candidate import Candidate, Engine
-from .mesh_sequence import MeshSequence
+from .mesh_sequence import MeshSequence, scale
 from .result import Solved
 from .smoothing import is_nonsmooth
 from .solvers.ipopt_options import Start
@@ -72,8 +72,12 @@ class Continuation:
                 finer = self._finer(c, meshes)
                 if finer is None and c.place == 1.0 and self.nonsmooth and not reentered:
                     finer, reentered = self._reentered(c, meshes[0][0]), True
-                blocked = finer is None
-                c = finer or c
+                if finer is not None and not self._is_elsewhere(finer, c):
+                    c = finer
+                elif c.place == 1.0 and costs:
+                    costs = False  # what they would gain is left; what is missed is not
+                else:
+                    blocked = True
                 continue
             if c.place >= 1.0:
                 return c
@@ -138,6 +142,11 @@ class Continuation:
     def _misses_less(self, c: Candidate, before: float) -> bool:
         """Whether a motion at the end of the path does not meet the tolerance, but came nearer."""
         return c.place == 1.0 and self.meshes.tolerance < c.check.miss < before / 2
+
+    @staticmethod
+    def _is_elsewhere(finer: Candidate, c: Candidate) -> bool:
+        """Whether a motion on a finer mesh costs so much more that it is another one."""
+        return c.place == finer.place == 1.0 and finer.objective - c.objective > scale(c)
 
     def _is_unstable(self, c: Candidate) -> bool:
         """Whether errors grow so much along a motion that no mesh makes it exact."""

@@ -144,6 +144,31 @@ def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch:
     assert first - 0.3 == pytest.approx(SETTINGS.shrink * SETTINGS.step, abs=6e-3)  # as printed
 
 
+@pytest.mark.parametrize("found", ["nothing", "another motion"])
+def test_where_a_mesh_for_the_costs_leads_nowhere_the_tolerance_is_met_all_the_same(
+    found: str, monkeypatch: Any
+) -> None:
+    usual, left = Continuation._finer, []
+
+    def finer(self: Continuation, c: Any, meshes: Any) -> Any:
+        better = usual(self, c, meshes)
+        if not meshes[0][1].startswith("objective"):
+            return better
+        left.append(c)
+        if found == "nothing":
+            return None
+        outcome = replace(better.solved.outcome, objective=3 * better.objective)
+        return replace(better, solved=replace(better.solved, outcome=outcome))
+
+    monkeypatch.setattr(Continuation, "_finer", finer)
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, corrections=0))
+    plant = pam.HangingLoad("DMSP-20-200N", 8.0, feed=pam.feeds.Regulator())
+    wish: dict[str, Any] = {"duration": 0.3, "minimise": "work", "method": Collocation(10, 3)}
+    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], **wish, starts=1)
+    assert plan.verified
+    assert [c.check.miss > 1e-3 for c in left] == [True]
+
+
 def test_work_that_is_spent_ends_a_search_with_what_it_has(monkeypatch: Any) -> None:
     monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, work=1.0))
     plant = pam.HangingLoad("DMSP-20-200N", 8.0, feed=pam.feeds.SpoolValve())
