@@ -40,6 +40,8 @@ ROUNDS = 30
 """
 GAINED = 1e-4
 """Of the sum of squares, below which they end."""
+COMPARED = 3e-3
+"""The same where only causes are compared: what they take up differs by more."""
 TRIALS = (*((s, 0.0) for s in (1.0, 0.3, 0.1)), *((1.0, d) for d in (1e-4, 0.01, 0.1, 1.0, 10.0)))
 """(Part of a step, Levenberg's damping in squared lengths of columns), one after the other."""
 ENOUGH = 0.02
@@ -265,12 +267,19 @@ Sensors = Callable[[Sequence[Array]], Sequence[Array]]
 
 
 def _least_squares(
-    case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array, sensors: Sensors | None = None
+    case: _Case,
+    runs: Runs,
+    fine: Runs,
+    z: Array,
+    x0: Array,
+    sensors: Sensors | None = None,
+    least: float = GAINED,
 ) -> tuple[Array, Array, list[Array]]:
     """Values and starts of the least squares of these motions, from those given; what is modelled.
 
     runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little
     off cost a step more, not accuracy. sensors : whose errors are sought, too; they are linear.
+    least : gain of a round, below which it is the last.
     """
     ready, k = _with_starts(case, runs), len(z)
     rollout, u = ready.rollout(runs), ready.unknowns
@@ -310,7 +319,7 @@ def _least_squares(
                 break
         if gained:
             best, modelled = found
-        if number and gained < GAINED:
+        if number and gained < least:
             break
     return best[:k], best[k:].reshape(x0.shape), modelled
 
@@ -473,7 +482,7 @@ def _squares_with(
     begun = np.hstack([x0, np.zeros((len(x0), more))])
     try:
         *_, modelled = _least_squares(
-            wide, later, later, np.insert(z, at, 0.0), begun, sensors if has else None
+            wide, later, later, np.insert(z, at, 0.0), begun, sensors if has else None, COMPARED
         )
     except FitError:
         modelled = list(_with_starts(case, runs).rollout(runs).predicted(np.append(z, x0)))
