@@ -143,7 +143,7 @@ def main() -> None:
     found: dict[str, Any] = {"load of the machine": round(os.getloadavg()[0], 1)}
     found["verbs [ms]"] = verbs(given.moves)
     with tempfile.TemporaryDirectory() as folder:
-        server, driver = Server(folder), chromium()
+        server, driver = Server(Path(folder)), chromium()
         hand = Hand(driver)
         try:
             for name, part in (("slider to curves", slider), ("drag to plan", drag)):
