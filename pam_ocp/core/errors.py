@@ -42,7 +42,6 @@ __all__ = [
     "VibrationError",
     "WriteError",
     "kind_of",
-    "one",
     "require_count",
     "require_ends",
     "require_finite",
@@ -52,6 +51,7 @@ __all__ = [
     "require_numbers",
     "require_positive",
     "require_tolerance",
+    "with_article",
 ]
 
 LARGEST_COUNT = 2**63 - 1
@@ -59,14 +59,14 @@ LEAST_TOLERANCE = 1e-14
 """Some fifty times the spacing of numbers; below, an integrator counts rounding errors."""
 
 
-def one(noun: str) -> str:
+def with_article(noun: str) -> str:
     """A noun with its article: ``an input``, ``a state``."""
     return f"a{'n' if noun[0] in 'aeioAEIO' else ''} {noun}"
 
 
 def kind_of(value: Any) -> str:
     """The kind of a value for a sentence: ``an int``, ``a Plan``, ``None``."""
-    return "None" if value is None else one(type(value).__name__)
+    return "None" if value is None else with_article(type(value).__name__)
 
 
 def require_instance(

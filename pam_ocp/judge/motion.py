@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, SimulationError, kind_of
+from ..core.errors import InputError, SimulationError, kind_of, require_positive
 from ..core.signals import Inputs, PiecewisePolynomial, signals
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -59,6 +59,7 @@ class Motion:
 
         start : states by name, or a point; start values for what is not named. inputs : as
         :func:`pam_ocp.simulate` takes them, such as {name: (times, values)}, held, or a Trajectory.
+        durations : of the legs [s].
 
         Examples
         --------
@@ -69,9 +70,11 @@ class Motion:
         [[300000.0, 300000.0]]
         """
         require_plant(plant)
-        whole = np.array([0.0, sum(durations)])
-        driving = signals(plant, inputs, whole)
-        return cls(plant.vector("state", start), driving, tuple(map(float, durations)))
+        each = [require_positive(f"durations[{i}]", d, "s") for i, d in enumerate(durations)]
+        if not each:
+            raise InputError("durations is empty; give the seconds of each leg, such as [0.5, 0.5]")
+        driving = signals(plant, inputs, np.array([0.0, sum(each)]))
+        return cls(plant.vector("state", start), driving, tuple(each))
 
 
 @dataclass(frozen=True)

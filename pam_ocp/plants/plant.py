@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, kind_of, one
+from ..core.errors import InputError, kind_of, with_article
 from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality, require_causality
@@ -170,9 +170,10 @@ class Plant(Travelling):
         for name, value in by_name(causality, values, causality).items():
             variable = self.variable(name)
             if variable.name not in position:
+                said, asked = with_article(variable.causality), with_article(causality)
                 raise InputError(
-                    f"{variable.name} is {one(variable.causality)}, not {one(causality)}; name "
-                    f"{causality}s alone: {', '.join(position) or 'the plant has none'}"
+                    f"{variable.name} is {said}, not {asked}; name {causality}s alone: "
+                    f"{', '.join(position) or 'the plant has none'}"
                 )
             array[position[variable.name]] = variable.check(value)
         return array

@@ -79,18 +79,18 @@ class ServoValve(SpoolValve):
         """Declare what the loop needs: (the opening that it asks for; the input that moves it, how
         that is told, and what it says of itself).
         """
+        top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
+        length = next(v.start for v in plant.variables if v.name == f"{name}.rest_length") or 0.0
+        stroke = muscle.contraction_range[1] * length
         errors = (
-            ("pressure", self.pressure_gain, "Pa", 1e5, pressure),
-            ("position", self.position_gain, "m", 0.01, contraction * muscle.rest_length),
+            ("pressure", self.pressure_gain, "Pa", 1e5, pressure, top),
+            ("position", self.position_gain, "m", 0.01, contraction * muscle.rest_length, stroke),
         )
         wanted: ca.SX = ca.SX(0)
         moved: tuple[ca.SX, ca.SX, dict[str, Any]] | None = None
-        for key, value, unit, nominal, found in errors:
+        for key, value, unit, nominal, found, reach in errors:
             if not value:
                 continue
-            top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
-            length = next(v.start for v in plant.variables if v.name == f"{name}.rest_length")
-            reach = top if key == "pressure" else muscle.contraction_range[1] * (length or 0.0)
             gain = plant.parameter(
                 f"{name}.{key}_gain",
                 value,
