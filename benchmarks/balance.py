@@ -398,7 +398,7 @@ def spool(at: Read, feed: Any) -> Iterator[Ledger]:
         yield Ledger("spool", at["command"] * rate, s**2 / 2, feed.spool.time * rate**2)
     if "valve.play" in at:
         z, half = at["valve.play"], at["valve.hysteresis"] / 2
-        turn = ca.sqrt(rate**2 + 1e-6)  # the rest rate of 1e-3/s
+        turn = ca.sqrt(rate**2 + 1e-2)  # the rest rate of 0.1/s
         holds = (rate + turn) / 2 * sticking(z, 0.05, 3.0)
         holds += (rate - turn) / 2 * sticking(-z, 0.05, 3.0)
         yield Ledger("play", z * rate, half * z**2 / 2, z * (rate - holds), nominal=0.1)
@@ -481,7 +481,7 @@ def ledgers(plant: pam.Plant, muscle: pam.Muscle, feed: Any, loss: Any) -> list[
         found.append(Ledger("loss", at["loss"] * at["v"], ca.SX(stored), lost))
     if "delay1" in at:
         found += [*lagging(at, at["set_pressure"]), *delay(at, feed)]
-    if isinstance(feed, pam.PositionFeedback):
+    if isinstance(feed, pam.plants.PositionFeedback):
         found += lagging(at, at["command"])
     if "x.filtered" in at:
         found += filtering(at)

@@ -28,7 +28,7 @@ MUSCLES = {"DMSP-20-300": 0.300, "DMSP-10-250": 0.250}
 SIZES = np.array([10.0, 100.0, 0.1, 10.0, 100.0, 100.0])  # a1 .. a6 for p in bar, kappa in %
 
 
-def squares_of(table: pam.ForceTable) -> tuple[Callable, Callable]:
+def squares_of(table: pam.fitting.ForceTable) -> tuple[Callable, Callable]:
     """Residuals and Jacobian over scaled coefficients, p in bar and kappa in %."""
     p, kappa, force = table.pressure / 1e5, table.contraction * 100, table.force
 
@@ -65,7 +65,7 @@ def trust_region(residuals: Callable, jacobian: Callable, start: np.ndarray) -> 
     return 2 * float(least_squares(residuals, start, jac=jacobian, x_scale="jac").cost)
 
 
-def ipopt(table: pam.ForceTable) -> Callable[[np.ndarray], float]:
+def ipopt(table: pam.fitting.ForceTable) -> Callable[[np.ndarray], float]:
     """IPOPT alone with exact derivatives, from one start."""
     z = ca.SX.sym("z", 6)
     a1, a2, a3, a4, a5, a6 = ca.vertsplit(z * SIZES)
@@ -82,7 +82,7 @@ def ipopt(table: pam.ForceTable) -> Callable[[np.ndarray], float]:
     return lambda start: 1e4 * float(solver(x0=start)["f"])
 
 
-def lmfit_of(table: pam.ForceTable) -> Callable[[np.ndarray], float] | None:
+def lmfit_of(table: pam.fitting.ForceTable) -> Callable[[np.ndarray], float] | None:
     """lmfit's Minimizer (leastsq with exact derivatives), or None where it is not installed."""
     try:
         import lmfit
@@ -121,7 +121,7 @@ def main(count: int) -> None:
         residuals, jacobian = squares_of(table)
         fit_force(table)  # CasADi builds its functions once
 
-        def ours(start: np.ndarray, table: pam.ForceTable = table) -> float:
+        def ours(start: np.ndarray, table: pam.fitting.ForceTable = table) -> float:
             law = SixParameterLaw.from_published(start * SIZES)
             found = fit_force(table, start={n: float(v) for n, v in law.values.items()})
             found.intervals()

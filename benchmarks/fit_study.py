@@ -55,7 +55,7 @@ class Case:
     correlation: float
     noise: float
 
-    def table(self) -> pam.ForceTable:
+    def table(self) -> pam.fitting.ForceTable:
         return pam.read_table(dict(self.columns), rest_length=self.rest_length)
 
 

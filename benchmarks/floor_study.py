@@ -28,7 +28,7 @@ import pam_ocp as pam
 KINDS = ("zero", "plus", "minus", "noise", "branches", "pressure", "no slack cell")
 
 
-def shown(case: Any, kind: str, random: np.random.Generator) -> tuple[pam.ForceTable, Any]:
+def shown(case: Any, kind: str, random: np.random.Generator) -> tuple[pam.fitting.ForceTable, Any]:
     """The table as the load cell shows it, and the true tension of its cells."""
     table = case.table()
     true = np.asarray(case.law.tension(table.pressure, table.contraction))
@@ -54,7 +54,7 @@ def shown(case: Any, kind: str, random: np.random.Generator) -> tuple[pam.ForceT
     return made.subset(kept).with_floor("found"), true[kept]
 
 
-def judged(case: Any, table: pam.ForceTable) -> tuple[Any, int, int]:
+def judged(case: Any, table: pam.fitting.ForceTable) -> tuple[Any, int, int]:
     fit = pam.fit_force(table, case.name, fixed=case.fixed)
     true = fit_study.true_values(case, fit)
     seen = {n for n, c in fit.coefficients.items() if np.isfinite(c.stderr)}

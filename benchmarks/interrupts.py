@@ -148,7 +148,9 @@ def fit_plant(pam: Any) -> Any:
 
 @_verb
 def equilibria(pam: Any) -> Any:
-    return _again(lambda: pam.equilibria(_hanging(pam), {"muscle.pressure": 2e5}, starts=1000))
+    return _again(
+        lambda: pam.operating.equilibria(_hanging(pam), {"muscle.pressure": 2e5}, starts=1000)
+    )
 
 
 @_verb

@@ -119,7 +119,7 @@ def left_out(forms: Forms, gain: Form, offset: Form, level: np.ndarray) -> list[
     return [rms(forms.fit(gain, offset, level != i)[1][level == i]) for i in range(1, level.max())]
 
 
-def lines(table: pam.ForceTable) -> None:
+def lines(table: pam.fitting.ForceTable) -> None:
     """G and H of each level by a straight line in pressure."""
     level, p = table.levels(), table.pressure / 1e5
     print("level   cells   G [N/bar]     H [N]   scatter [N]")

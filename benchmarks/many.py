@@ -5,6 +5,7 @@ takes.
     python benchmarks/many.py --large            100 000 simulations of a slide, 1000 plans
     python benchmarks/many.py --memory [cases]   memory by the number of cases, into a folder
     python benchmarks/many.py --keep [base]      numbers kept of 10 base cases, with Sobol indices
+    python benchmarks/many.py --killed [base]    the same into a folder, killed and resumed twice
 
 Cost: processor seconds of all processes for a case, by ``simulate_many`` or ``each``, over those
 of a plain loop, which is run on a sample of the same cases in the same minute. Scaling: wall time
@@ -15,12 +16,15 @@ of Parquet files.
 from __future__ import annotations
 
 import os
+import random
 import resource
+import signal
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, time
 from typing import Any
 
 import numpy as np
@@ -153,8 +157,8 @@ def memory(count: int) -> None:
     print(f"{count} cases: {seconds[1]:.0f} s, {size:.0f} MB on disk, a worker {worker:.0f} MB")
 
 
-def kept(base: int) -> dict[str, float]:
-    """Two numbers of a slide's motion, 8 parameters, ten times ``base`` cases."""
+def eight(base: int) -> tuple[pam.Plant, pam.simulation.SobolCases, dict[str, Any]]:
+    """A slide, ten times ``base`` cases of 8 parameters, and what is kept of their motions."""
     plant = pam.AntagonisticSlide("DMSP-20-400N", mass=2.0)
     names = [f"muscle{i}.{n}" for i in (1, 2) for n in ("a3", "a4", "lag")]
     starts = {n: plant.variable(n).start for n in ("mass", "damping", *names)}
@@ -164,9 +168,14 @@ def kept(base: int) -> dict[str, float]:
         "keep": {"x_end": "x.final", "peak": "max(muscle1.force)"},
         "inputs": {"muscle1.command": 4e5, "muscle2.command": 3e5},
     }
-    few = pam.simulation.SobolCases(ranges, 64)
+    return plant, pam.simulation.SobolCases(ranges, base), common
+
+
+def kept(base: int) -> dict[str, float]:
+    """Two numbers of a slide's motion, 8 parameters, ten times ``base`` cases."""
+    plant, few, common = eight(64)
     pam.simulate_many(plant, few, executor=0, **common)  # compiled once
-    cases, found = pam.simulation.SobolCases(ranges, base), {}
+    cases, found = eight(base)[1], {}
     for rtol in (1e-10, 1e-6):
         with tempfile.TemporaryDirectory() as folder:
             ways = {"executor": 2, "into": folder, "rtol": rtol}
@@ -187,11 +196,72 @@ def kept(base: int) -> dict[str, float]:
     return found
 
 
+PARTS = 20
+"""Files of a run that is killed."""
+
+
+def broken(folder: str, base: int, limit: int) -> None:
+    """A run into a folder that kills itself once ``limit`` cases are done; what it took."""
+    plant, cases, common = eight(base)
+    peaks: dict[int, float] = {}
+
+    def note(done: int, count: int | None) -> None:
+        if done >= limit:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if done * 5 // len(cases) > len(peaks):
+            peaks[done] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    ways = {"executor": 2, "into": folder, "chunk": len(cases) // PARTS, "progress": note}
+    work = lambda: pam.simulate_many(plant, cases, **ways, **common)  # noqa: E731
+    seconds = measured(work)[0]
+    worker = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(f"to the end: {seconds:.1f} s of processor, a worker {worker:.0f} MB; peak memory [MB]")
+    print("  by cases: " + ", ".join(f"{n}: {mb:.0f}" for n, mb in peaks.items()), flush=True)
+
+
+def killed(base: int) -> bool:
+    """A run killed at about a third and two thirds, and one in one go; whether bits are equal."""
+    count, chance = 10 * base, random.Random(int(time()))
+    print(f"{count} cases in {PARTS} files")
+
+    def run(folder: Path, limit: int) -> set[tuple[str, int]]:
+        command = [sys.executable, __file__, "--broken", str(folder), str(base), str(limit)]
+        before = processor()
+        code = subprocess.run(command).returncode
+        assert code == (0 if limit > count else -signal.SIGKILL)
+        there = {(p.name, p.stat().st_ino) for p in folder.rglob("*.parquet")}
+        print(f"limit {limit}: {processor() - before:.1f} s with start, {len(there)} files there")
+        return there
+
+    with tempfile.TemporaryDirectory() as place:
+        twice, once = Path(place, "twice"), Path(place, "once")
+        limits = [int(count * (i + chance.random()) / 3) for i in (0.5, 1.5)]
+        left = [run(twice, limit) for limit in (*limits, count + 1)]
+        run(once, count + 1)
+        resumed = left[0] <= left[1] <= left[2] and left[0] != left[1]
+        first, second = (
+            {str(p.relative_to(f)): p.read_bytes() for p in f.rglob("*.parquet")}
+            for f in (twice, once)
+        )
+        same = first == second
+        read = pam.simulation.KeptNumbers.read(twice)
+        size = sum(map(len, first.values())) / 1e6
+        numbers = [eight(base)[1].indices(read[n]) for n in read.names]
+    print(f"files kept over kills: {resumed}; the same bits: {same}; {size:.1f} MB on disk")
+    print("\n".join(f"{n}:\n{s}" for n, s in zip(read.names, numbers, strict=True)))
+    return same and resumed
+
+
 def main() -> None:
+    if "--broken" in sys.argv:
+        broken(sys.argv[2], *map(int, sys.argv[3:]))
+        return
     print(f"load {os.getloadavg()[0]:.1f}", flush=True)
     if "--memory" in sys.argv:
         memory(int(sys.argv[2]) if len(sys.argv) > 2 else 100_000)
         return
+    if "--killed" in sys.argv:
+        sys.exit(not killed(int(sys.argv[2]) if len(sys.argv) > 2 else 16384))
     if "--keep" in sys.argv:
         for name, value in kept(int(sys.argv[2]) if len(sys.argv) > 2 else 2048).items():
             print(f"{name:<52}{value:>10.3f}")

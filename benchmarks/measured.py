@@ -109,7 +109,7 @@ def accurate(quick: bool) -> dict[str, float]:
 
     plant, found = slide(), {}
     for name, way in (("", {}), (" by arcs", {"method": pam.Arcs()})):
-        made: list[pam.Plan] = []
+        made: list[pam.planning.Plan] = []
         ask: dict[str, Any] = {"cyclic": "mirrored", "tolerance": 1e-6, **way}
         seconds = timed(lambda a=ask, m=made: m.append(pam.plan(plant, STOPS, **a)), 1)
         found[f"(a) to 1e-6{name} [s]"] = seconds
@@ -226,6 +226,93 @@ def simulation(quick: bool) -> dict[str, float]:
     timed_functions = timed(lambda: pam.simulate(plant, functions, **common), 1)
     found["simulate, functions of time [ms]"] = 1e3 * timed_functions
     return found
+
+
+# ---- in proportion ------------------------------------------------------------------------------
+@group
+def records(quick: bool) -> dict[str, float]:
+    """Long records: simulated, and fitted to; seconds, and the memory that it took [MB]."""
+    import resource
+
+    import numpy as np
+
+    import pam_ocp as pam
+
+    plant, random = slide(), np.random.default_rng(1)
+    t = np.linspace(0.0, 1000.0, 100_001)
+    wave = 3 * BAR + BAR * np.array([np.sin(7 * t), np.cos(9 * t)])
+    inputs = dict(zip([v.name for v in plant.inputs], wave, strict=True))
+    known = timed(lambda: pam.simulate(plant, inputs, t=t, compiled=True), 1)
+    found = {"simulate 1000 s, 100 001 samples, compiled [s]": known}
+
+    load = pam.HangingLoad("DMSP-20-400N", mass=20.0)
+    levels = np.linspace(2, 6, 41) * BAR
+    rests = np.array([load.equilibrium({"muscle.pressure": p})["x"] for p in levels])
+    count = 100_000 if quick else 1_000_000
+    at = random.integers(0, len(levels), count)
+    held = {"muscle.pressure": levels[at], "x": rests[at] + random.normal(0, 1e-5, count)}
+    begin = process_time()
+    pam.fitting.fit_holds(load, held, "mass")
+    found[f"fit_holds, {count} holds [s]"] = process_time() - begin
+
+    count = 10_000 if quick else 100_000
+    t = np.arange(count) / 1000
+    command = np.repeat(random.uniform(2, 5, count // 1000), 1000) * BAR
+    motion = pam.simulate(load, {"muscle.command": command}, t=t, rtol=1e-6)
+    names = ("x", "muscle.pressure", "muscle.command")
+    record = pam.Trajectory(
+        t,
+        {n: motion[n] + (random.normal(0, 1e-5, count) if n == "x" else 0) for n in names},
+        [load.variable(n) for n in names],
+    )
+    fit = {"horizon": 0.3, "every": 0.2, "outputs": ["x"], "judge": False}
+    begin = process_time()
+    pam.fit_free_run(load, record, ["mass"], **fit)
+    found[f"fit_free_run, {count} samples [s]"] = process_time() - begin
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {**found, "long records, all of the process [MB]": most}
+
+
+@group
+def exported(quick: bool) -> dict[str, float]:
+    """An Mpc of horizon 50 as an FMU, compiled anew, and as C in single precision."""
+    import resource
+
+    import mpc
+
+    import pam_ocp as pam
+
+    def all_of_it() -> float:
+        both = (resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+        return sum(r.ru_utime + r.ru_stime for r in both)
+
+    rate = dict.fromkeys(mpc.COMMANDS, 0.1)
+    ask: dict[str, Any] = {"sample_time": mpc.STEP, "track": {"x": 1.0}, "rate": rate}
+    controller = pam.control.Mpc(mpc.benchmark_plant(), horizon=50, iterations=1, **ask)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["PAM_OCP_CACHE"] = folder
+        block, begin = pam.control.block(controller), all_of_it()
+        pam.export_fmu(block, f"{folder}/mpc.fmu", platforms="native")
+        found = {"Mpc 50 as FMU, compiled [s]": all_of_it() - begin}
+        begin = all_of_it()
+        pam.export_c(block, f"{folder}/mpc", precision="single")
+        found["Mpc 50 as C, single precision [s]"] = all_of_it() - begin
+    return found
+
+
+@group
+def long_works(quick: bool) -> dict[str, float]:
+    """The example of robust plans; the documentation, with the examples that no build in this tree
+    has run yet. Not in small sizes.
+    """
+    if quick:
+        return {}
+    with tempfile.TemporaryDirectory() as folder:
+        site = ("-m", "sphinx", "-q", "-E", "-b", "html", str(HERE.parent / "docs"), folder)
+        return {
+            "examples/robust_plan.py [s]": spent(str(HERE.parent / "examples/robust_plan.py")),
+            "documentation, built [s]": spent(*site),
+        }
 
 
 @group

@@ -133,7 +133,7 @@ FEEDS: dict[str, tuple[Any, tuple[str, ...]]] = {
         ("muscle.gas.conductance",),
     ),
     "position feedback": (
-        pam.PositionFeedback(gain=5e5, lag=0.05),
+        pam.plants.PositionFeedback(gain=5e5, lag=0.05),
         ("muscle.gain", "muscle.lag"),
     ),
     "servo valve": (

@@ -82,7 +82,7 @@ def balancing_pressure(task):
     values = {v.name: v.start for v in plant.parameters}
     try:
         rest = plant.equilibrium(x=point)
-    except pam.EquilibriumError:
+    except pam.operating.EquilibriumError:
         return None
     return rest["muscle.pressure"] if values else None
 

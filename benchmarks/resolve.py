@@ -49,10 +49,10 @@ METHODS = {
         "method": pam.Collocation(6, 9, "polynomial", guarded=False),
         "compiled": True,
     },
-    "shooting 50 x 2": {"method": pam.Shooting(N, 2)},
-    "shooting 50 x 2, compiled": {"method": pam.Shooting(N, 2), "compiled": True},
+    "shooting 50 x 2": {"method": pam.planning.Shooting(N, 2)},
+    "shooting 50 x 2, compiled": {"method": pam.planning.Shooting(N, 2), "compiled": True},
     "Radau 50 x 3, fatrop": {"method": pam.Collocation(N, 3), "solver": "fatrop"},
-    "shooting 50 x 2, fatrop": {"method": pam.Shooting(N, 2), "solver": "fatrop"},
+    "shooting 50 x 2, fatrop": {"method": pam.planning.Shooting(N, 2), "solver": "fatrop"},
 }
 
 

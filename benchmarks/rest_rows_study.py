@@ -269,7 +269,7 @@ def compared(words: str, plant: pam.Plant, expected: Rows) -> tuple[int, int]:
     return len(lost), len(more)
 
 
-def at_ends(plan: pam.Plan, expected: Rows) -> float:
+def at_ends(plan: pam.planning.Plan, expected: Rows) -> float:
     """Largest rate [m/s, rad/s] and acceleration at the ends of the replay, from the equations.
 
     Where an input sets an acceleration at once, others than the plan's own may hold it there.

@@ -32,10 +32,12 @@ _MOVED: dict[str, str] = {
     "DescribingFunction": "control",
     "DirectionalDamping": "losses",
     "DryFriction": "loads",
+    "EquilibriumError": "operating",
     "ExternalForce": "loads",
     "FiveParameterLaw": "laws",
     "ForceFit": "fitting",
     "ForceLaw": "laws",
+    "ForceTable": "fitting",
     "FreeRun": "fitting",
     "FreeRunFit": "fitting",
     "Gas": "gas",
@@ -58,16 +60,19 @@ _MOVED: dict[str, str] = {
     "OffsetFree": "control",
     "OnOffValves": "feeds",
     "OpenLoop": "control",
+    "OperatingPoint": "operating",
     "PID": "control",
     "Pareto": "planning",
+    "Plan": "planning",
     "PlantFit": "fitting",
     "PolynomialVolume": "gas",
     "PositionController": "control",
+    "PositionFeedback": "plants",
     "PressureLoop": "control",
     "RecordComparison": "simulation",
-    "muscle_names": "muscles",
     "Regulator": "feeds",
     "RobustPlan": "planning",
+    "Shooting": "planning",
     "SignalDesign": "experiments",
     "SixParameterLaw": "laws",
     "SpoolValve": "feeds",
@@ -75,6 +80,7 @@ _MOVED: dict[str, str] = {
     "Spring": "loads",
     "StiffnessDamping": "losses",
     "StrokeWork": "simulation",
+    "TIME": "planning",
     "ThickWallLaw": "laws",
     "ThreeElementLaw": "laws",
     "Tube": "feeds",
@@ -85,6 +91,7 @@ _MOVED: dict[str, str] = {
     "Wall": "loads",
     "WithEstimate": "control",
     "along_stroke": "control",
+    "animate_plan": "figures",
     "as_nlsys": "operating",
     "backbone": "vibration",
     "bode_cloud": "control",
@@ -100,8 +107,11 @@ _MOVED: dict[str, str] = {
     "design_signal": "experiments",
     "draws": "simulation",
     "energy": "vibration",
+    "equilibria": "operating",
     "equilibrium_branch": "operating",
     "equilibrium_path": "operating",
+    "export_motion": "export",
+    "fit_branches": "fitting",
     "free_run": "fitting",
     "free_vibration": "vibration",
     "hopf": "vibration",
@@ -114,11 +124,13 @@ _MOVED: dict[str, str] = {
     "linearize_along": "operating",
     "linearize_grid": "operating",
     "load_plant_fit": "fitting",
+    "load_problem": "planning",
     "margins": "control",
     "margins_over": "control",
     "mode_map": "control",
     "modes": "operating",
     "muscle_characteristic": "control",
+    "muscle_names": "muscles",
     "muscle_volume": "gas",
     "own_law": "laws",
     "pid_controller": "control",
@@ -134,15 +146,34 @@ _MOVED: dict[str, str] = {
     "sweep": "simulation",
     "tvlqr": "control",
 }
-"""Names of version 0.1 that stand in a room now."""
+"""{name that was here before: its subpackage}."""
+
+_SINCE_0_3 = frozenset(
+    {
+        "EquilibriumError",
+        "ForceTable",
+        "OperatingPoint",
+        "Plan",
+        "PositionFeedback",
+        "Shooting",
+        "TIME",
+        "animate_plan",
+        "equilibria",
+        "export_motion",
+        "fit_branches",
+        "load_problem",
+    }
+)
+"""Those that version 0.2 still had here; the others moved before."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _MOVED:
         return _loaded(name)
     room = _MOVED[name]
+    since = "0.3" if name in _SINCE_0_3 else "0.2"
     warnings.warn(
-        f"pam_ocp.{name} is pam_ocp.{room}.{name} since version 0.2",
+        f"pam_ocp.{name} is pam_ocp.{room}.{name} since version {since}",
         DeprecationWarning,
         stacklevel=2,
     )

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from .export.ssv import save_ssv as save_ssv
     from .export.ssv import write_muscle_ssv as write_muscle_ssv
     from .figures.html import html_of as html_of
+    from .figures.limb import animate_limb as animate_limb
+    from .figures.limb import plot_limb as plot_limb
     from .figures.loop import plot_closed_loop as plot_closed_loop
+    from .figures.loop import plot_durations as plot_durations
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
@@ -54,10 +57,10 @@ if TYPE_CHECKING:
     from .figures.workbook.motion_book import write_motion_book as write_motion_book
     from .figures.workbook.motion_book import write_plan_book as write_plan_book
     from .figures.workbook.motion_book import write_plant_fit_book as write_plant_fit_book
-    from .fitting.dynamic.coverage import coverage as coverage
     from .fitting.dynamic.estimation import validate as validate
-    from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
     from .operating.linear import linearize as linearize
+    from .operating.moments import StaticOptimisation as StaticOptimisation
+    from .operating.moments import static_optimisation as static_optimisation
     from .operating.resting_point import OperatingPoint as OperatingPoint
     from .operating.resting_point import equilibrium as equilibrium
     from .planning.active import arcs_along as arcs_along
@@ -68,14 +71,17 @@ if TYPE_CHECKING:
     from .rig.identification import identify as identify
     from .rig.learning import Learned as Learned
     from .rig.learning import learn as learn
+    from .rig.real_time import RealTimeRun as RealTimeRun
+    from .rig.real_time import run_in_c as run_in_c
     from .rig.side import RigSide as RigSide
     from .rig.side import run_on as run_on
     from .rig.side import side_of_rig as side_of_rig
+    from .rig.tuning import Tuned as Tuned
+    from .rig.tuning import tune as tune
 
 _HOMES: dict[str, str] = {
     "block": "control.blocks.making",
     "closed_loop": "control.loop",
-    "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
     "plot_fit_surface": "figures.surface",
     "plot_surface": "figures.surface",
@@ -87,8 +93,10 @@ _HOMES: dict[str, str] = {
     "html_of": "figures.html",
     "identify": "rig.identification",
     "learn": "rig.learning",
+    "run_in_c": "rig.real_time",
     "run_on": "rig.side",
     "side_of_rig": "rig.side",
+    "tune": "rig.tuning",
     "machine_plant": "export.machine",
     "linearize": "operating.linear",
     "plot_amplitude_map": "figures.vibration_maps",
@@ -96,6 +104,7 @@ _HOMES: dict[str, str] = {
     "plot_border": "figures.vibration",
     "plot_branch": "figures.vibration",
     "plot_closed_loop": "figures.loop",
+    "plot_durations": "figures.loop",
     "plot_energy": "figures.vibration",
     "plot_envelope": "figures.vibration",
     "plot_fit": "figures.trajectory",
@@ -110,6 +119,9 @@ _HOMES: dict[str, str] = {
     "plot_robust": "figures.plan",
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
+    "static_optimisation": "operating.moments",
+    "plot_limb": "figures.limb",
+    "animate_limb": "figures.limb",
     "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
@@ -119,7 +131,6 @@ _HOMES: dict[str, str] = {
     "write_plan_book": "figures.workbook.motion_book",
     "write_plant_fit_book": "figures.workbook.motion_book",
     "write_muscle_ssv": "export.ssv",
-    "write_plant_fit": "fitting.dynamic.saved_plant",
 }
 """Module in which each name stands; types for annotations are not among them."""
 

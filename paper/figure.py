@@ -41,7 +41,7 @@ def law(axes: Any) -> pam.Muscle:
     return fit.muscle(rest_length=0.300, diameter=0.020)
 
 
-def motion(axes: Any, plant: pam.Plant) -> pam.Plan:
+def motion(axes: Any, plant: pam.Plant) -> pam.planning.Plan:
     """The quickest motion there and back, and its pressures."""
     plan = pam.plan(plant, [{"x": -0.015}, {"x": 0.015}], cyclic=True, minimise="time")
     assert plan.verified, plan.verdict
@@ -56,7 +56,7 @@ def motion(axes: Any, plant: pam.Plant) -> pam.Plan:
     return plan
 
 
-def unit(axes: Any, plant: pam.Plant, plan: pam.Plan) -> None:
+def unit(axes: Any, plant: pam.Plant, plan: pam.planning.Plan) -> None:
     """How far the FMU is from the simulation, mode by mode."""
     with tempfile.TemporaryDirectory() as folder:
         fmu = pam.export_fmu(plant, Path(folder) / "slide.fmu", platforms=["native"])

@@ -48,7 +48,7 @@ def slide() -> pam.Plant:
 
 
 @cache
-def rest() -> pam.OperatingPoint:
+def rest() -> pam.operating.OperatingPoint:
     return plant().equilibrium(x=0.03)
 
 
@@ -87,7 +87,7 @@ def feedback() -> Any:
 
 
 @cache
-def cells() -> pam.ForceTable:
+def cells() -> pam.fitting.ForceTable:
     return pam.read_table(TABLE, rest_length=0.3)
 
 
@@ -394,20 +394,26 @@ CALLS: dict[str, tuple[Call, str]] = {
         lambda: pam.Variable("x", "state", nominal=None),
         "nominal = None is not a number",
     ),
-    "ForceTable([3] for bar)": (lambda: pam.ForceTable([3], [0.0], [100.0]), WARNS + "3 bar"),
+    "ForceTable([3] for bar)": (
+        lambda: pam.fitting.ForceTable([3], [0.0], [100.0]),
+        WARNS + "3 bar",
+    ),
     "table.subset('x')": (
-        lambda: pam.ForceTable([1e5], [0.0], [100.0]).subset("x"),
+        lambda: pam.fitting.ForceTable([1e5], [0.0], [100.0]).subset("x"),
         "give a mask of 1 cells",
     ),
-    "table.subset([7])": (lambda: pam.ForceTable([1e5], [0.0], [100.0]).subset([7]), "out of"),
+    "table.subset([7])": (
+        lambda: pam.fitting.ForceTable([1e5], [0.0], [100.0]).subset([7]),
+        "out of",
+    ),
     "hysteresis(None)": (lambda: pam.fitting.hysteresis(None), "read it with read_table"),
     "weights of words": (
         lambda: pam.fit_force(
-            pam.ForceTable([1e5, 2e5], [0.0, 0.1], [100.0, 90.0]), weights=["a", "b"]
+            pam.fitting.ForceTable([1e5, 2e5], [0.0, 0.1], [100.0, 90.0]), weights=["a", "b"]
         ),
         "does not hold numbers only",
     ),
-    "ForceTable(['3 bar'])": (lambda: pam.ForceTable(["3 bar"], [0.0], ["100 N"]), WORKS),
+    "ForceTable(['3 bar'])": (lambda: pam.fitting.ForceTable(["3 bar"], [0.0], ["100 N"]), WORKS),
     "Trajectory(['0 s', '20 ms'])": (
         lambda: pam.Trajectory(["0 s", "20 ms"], {"x": [0, 1]}),
         WORKS,
@@ -703,7 +709,10 @@ CALLS: dict[str, tuple[Call, str]] = {
         lambda: pam.operating.equilibrium_branch(plant(), "muscle.command", 3e5, 4e5, step=0),
         "step = 0 must be > 0",
     ),
-    "equilibria(seed=-1)": (lambda: pam.equilibria(plant(), x=0.03, seed=-1), "seed = -1: give"),
+    "equilibria(seed=-1)": (
+        lambda: pam.operating.equilibria(plant(), x=0.03, seed=-1),
+        "seed = -1: give",
+    ),
     "Allocation(hanging)": (
         lambda: pam.operating.Allocation(plant()),
         "give an AntagonisticSlide or AntagonisticJoint",
@@ -829,7 +838,7 @@ CALLS: dict[str, tuple[Call, str]] = {
         "first and second are both 'time'",
     ),
     "a film of a motion": (
-        lambda: pam.animate_plan(motion(), "a.gif"),
+        lambda: pam.figures.animate_plan(motion(), "a.gif"),
         "give what plan() returned",
     ),  # type: ignore[arg-type]
     # ---- controllers and loops -------------------------------------------------------------------

@@ -42,7 +42,7 @@ from pam_ocp.cli.main import _parser
 from pam_ocp.core.errors import InputError, PlanWarning
 from pam_ocp.core.plausible import UnitWarning
 from pam_ocp.fitting import ReadingWarning, fit_plant, look, read_record
-from pam_ocp.fitting.dynamic.saved_plant import load_plant_fit
+from pam_ocp.fitting.dynamic.plant_fit import load_plant_fit
 from pam_ocp.fitting.static.force_fit import ForceFit
 from pam_ocp.studies.loop_problem import guarded, set_up
 
@@ -218,7 +218,7 @@ def _toml_readers(folder: Path) -> list[Reader]:
         pam.save_muscle(muscle, file)
         found.append(Reader(f"load_muscle {ending}", file, pam.load_muscle))
     for name, text, read in (
-        ("problem", PROBLEM, pam.load_problem),
+        ("problem", PROBLEM, pam.planning.load_problem),
         ("study", STUDY, _study),
         ("loop", LOOP, _loop),
     ):

@@ -75,7 +75,27 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     }
 
 NO_VARIABLES(Integer)
+#ifdef MODEL_BOOLEANS
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                          fmi2Boolean value[]) {
+    if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");
+    fmi2Status status = fmi2OK;
+    for (size_t i = 0; i < nvr && status == fmi2OK; i++)
+        status = CALL(get_boolean, vr[i], &value[i]);
+    return status;
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                          const fmi2Boolean value[]) {
+    if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");
+    fmi2Status status = fmi2OK;
+    for (size_t i = 0; i < nvr && status == fmi2OK; i++)
+        status = CALL(set_boolean, vr[i], value[i]);
+    return status;
+}
+#else
 NO_VARIABLES(Boolean)
+#endif
 NO_VARIABLES(String)
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[],

@@ -130,7 +130,32 @@ NO_VARIABLES(Int32)
 NO_VARIABLES(UInt32)
 NO_VARIABLES(Int64)
 NO_VARIABLES(UInt64)
+#ifdef MODEL_BOOLEANS
+fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                          size_t nValueReferences, fmi3Boolean values[], size_t nValues) {
+    if (valueReferences == NULL || values == NULL || nValues != nValueReferences)
+        return CALL(refuse, nValueReferences + nValues, "an array is missing or too long");
+    fmi3Status status = fmi3OK;
+    for (size_t i = 0; i < nValues && status == fmi3OK; i++) {
+        int value = 0;
+        status = CALL(get_boolean, valueReferences[i], &value);
+        values[i] = value != 0;
+    }
+    return status;
+}
+
+fmi3Status fmi3SetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
+                          size_t nValueReferences, const fmi3Boolean values[], size_t nValues) {
+    if (valueReferences == NULL || values == NULL || nValues != nValueReferences)
+        return CALL(refuse, nValueReferences + nValues, "an array is missing or too long");
+    fmi3Status status = fmi3OK;
+    for (size_t i = 0; i < nValues && status == fmi3OK; i++)
+        status = CALL(set_boolean, valueReferences[i], values[i]);
+    return status;
+}
+#else
 NO_VARIABLES(Boolean)
+#endif
 NO_VARIABLES(String)
 
 fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueReference valueReferences[],

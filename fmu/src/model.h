@@ -15,6 +15,20 @@
 #define MODEL_PROPOSED_TOLERANCE MODEL_TOLERANCE
 #endif
 
+/* Values behind a reference: more than one for the first entry of an array of parameters (FMI 3). */
+#ifdef MODEL_ARRAYS
+#define SIZE_OF(r) ((r) >= VR_P && (r) < VR_Y ? (size_t)P_SIZE[(r) - VR_P] : (size_t)1)
+#else
+#define SIZE_OF(r) ((size_t)1)
+#endif
+
+/* Inputs and outputs that are Booleans of FMI: not 0, or 0 */
+#ifdef MODEL_BOOLEANS
+#define IS_BOOLEAN(r) ((r) < VR_END && V_BOOLEAN[r])
+#else
+#define IS_BOOLEAN(r) 0
+#endif
+
 /* C has no arrays of length 0. */
 #define LENGTH(n) ((n) > 0 ? (n) : 1)
 
@@ -33,6 +47,8 @@ enum {
 
 /* Inputs that may be NaN: measurements that are missing. */
 #define MAY_BE_MISSING(i) U_MISSING[i]
+/* Outputs that hold their start value until the first sample */
+#define BEGINS(i) Y_BEGINS[i]
 
 /* The clock of the samples in FMI 3 */
 enum { VR_CLOCK = VR_END };
@@ -51,6 +67,7 @@ static void block_call(BlockWork *work, const double *memory, const double *u, c
 #else
 
 #define MAY_BE_MISSING(i) 0
+#define BEGINS(i) 0
 
 /* xdot = f(x, u, p) */
 static void model_rhs(const double *x, const double *u, const double *p, double *xdot);

@@ -33,12 +33,13 @@ static void take_sample(Instance *s) {
     k->count++;
 }
 
-/* What stands at the outputs until the first sample is what it would give. */
+/* What stands at the outputs until the first sample is what it would give, or their start value. */
 static void start_model(Instance *s) {
     const unsigned mask = s->log_mask;
     s->log_mask = 0;
     if (try_sample(s, "", s->memory.u) == OK)
-        memcpy(s->memory.samples.held, s->y, sizeof s->memory.samples.held);
+        for (int i = 0; i < NY; i++)
+            if (!Y_BEGINS[i]) s->memory.samples.held[i] = s->y[i];
     s->log_mask = mask;
     invalidate(s);
 }
@@ -54,6 +55,8 @@ static Status evaluate_y(Instance *s, const char *function) {
     if (s->y_valid) return OK;
     if (s->memory.mode == INITIALIZATION || k->ticking) {
         if (try_sample(s, function, s->memory.u) != OK) return DISCARD;
+        for (int i = 0; i < NY; i++)
+            if (!k->ticking && Y_BEGINS[i]) s->y[i] = k->held[i];
     } else {
         memcpy(s->y, k->held, sizeof k->held);
     }

@@ -11,31 +11,45 @@ static int all_finite(const double *values, size_t n) {
 
 #define READABLE (INITIALIZATION | INITIALIZED | INTERMEDIATE)
 
+static size_t count_values(const unsigned *vr, size_t n) {
+    size_t total = 0;
+    for (size_t i = 0; vr != NULL && i < n; i++) total += SIZE_OF(vr[i]);
+    return vr == NULL ? n : total;
+}
+
+static Status get_value(Instance *s, const char *function, unsigned r, double *value) {
+    const Memory *m = &s->memory;
+    Status status = OK;
+    if (r >= VR_Y) {
+        status = evaluate_y(s, function);
+        *value = s->y[r - VR_Y];
+    } else if (r >= VR_P) {
+        *value = m->p[r - VR_P];
+    } else if (r >= VR_U) {
+        *value = m->u[r - VR_U];
+    } else if (r >= VR_XDOT) {
+        status = evaluate_xdot(s, function);
+        *value = s->xdot[r - VR_XDOT];
+    } else {
+        *value = r == VR_TIME ? m->time : m->x[r - VR_X];
+    }
+    return status;
+}
+
 static Status get_values(Instance *s, const char *function, const unsigned *vr, size_t n,
                          double *values, size_t n_values) {
     if (check_mode(s, function, READABLE) != OK) return ERROR;
-    if (check_array(s, function, values, n_values, n) != OK) return ERROR;
+    if (check_array(s, function, values, n_values, count_values(vr, n)) != OK) return ERROR;
     if (vr == NULL && n > 0) return report(s, ERROR, function, "the value references are missing");
-    const Memory *m = &s->memory;
+    size_t k = 0;
     for (size_t i = 0; i < n; i++) {
-        Status status = OK;
-        unsigned r = vr[i];
-        if (r >= VR_END)
-            return report(s, ERROR, function, "value reference %u is not known", r);
-        if (r >= VR_Y) {
-            status = evaluate_y(s, function);
-            values[i] = s->y[r - VR_Y];
-        } else if (r >= VR_P) {
-            values[i] = m->p[r - VR_P];
-        } else if (r >= VR_U) {
-            values[i] = m->u[r - VR_U];
-        } else if (r >= VR_XDOT) {
-            status = evaluate_xdot(s, function);
-            values[i] = s->xdot[r - VR_XDOT];
-        } else {
-            values[i] = r == VR_TIME ? m->time : m->x[r - VR_X];
+        if (vr[i] >= VR_END)
+            return report(s, ERROR, function, "value reference %u is not known", vr[i]);
+        if (IS_BOOLEAN(vr[i])) return report(s, ERROR, function, "%s is a Boolean", NAMES[vr[i]]);
+        for (unsigned e = 0; e < SIZE_OF(vr[i]); e++, k++) {
+            Status status = get_value(s, function, vr[i] + e, &values[k]);
+            if (status != OK) return status;
         }
-        if (status != OK) return status;
     }
     return OK;
 }
@@ -63,7 +77,8 @@ static Status check_settable(const Instance *s, const char *function, unsigned r
         return report(s, ERROR, function, "%s = %g is not finite", NAMES[r], value);
     if (r >= VR_P && r < VR_Y) return check_parameter(s, function, r, value);
     if (r >= VR_U && r < VR_P) return OK;
-    if (r < VR_X || r >= VR_XDOT)
+    const int begins = r >= VR_Y && BEGINS(r - VR_Y);
+    if (r < VR_X || (r >= VR_XDOT && !begins))
         return report(s, ERROR, function, "%s is computed and cannot be set", NAMES[r]);
     /* in Model Exchange some importers set states this way instead of all at once */
     const int exchanged = s->memory.kind == MODEL_EXCHANGE ? EVENT | CONTINUOUS : 0;
@@ -73,26 +88,63 @@ static Status check_settable(const Instance *s, const char *function, unsigned r
     return OK;
 }
 
+static double *settable(Memory *m, unsigned r) {
+#ifdef MODEL_SAMPLED
+    if (r >= VR_Y) return m->samples.held + (r - VR_Y);
+#endif
+    return r >= VR_P ? m->p + (r - VR_P) : r >= VR_U ? m->u + (r - VR_U) : m->x + (r - VR_X);
+}
+
 static Status set_values(Instance *s, const char *function, const unsigned *vr, size_t n,
                          const double *values, size_t n_values) {
     if (check_mode(s, function, INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP) != OK)
         return ERROR;
-    if (check_array(s, function, values, n_values, n) != OK) return ERROR;
+    if (check_array(s, function, values, n_values, count_values(vr, n)) != OK) return ERROR;
     if (vr == NULL && n > 0) return report(s, ERROR, function, "the value references are missing");
+    size_t k = 0;
     for (size_t i = 0; i < n; i++)
-        if (check_settable(s, function, vr[i], values[i]) != OK) return ERROR;
+        if (IS_BOOLEAN(vr[i])) return report(s, ERROR, function, "%s is a Boolean", NAMES[vr[i]]);
+    for (size_t i = 0; i < n; i++)
+        for (unsigned e = 0; e < SIZE_OF(vr[i]); e++, k++)
+            if (check_settable(s, function, vr[i] + e, values[k]) != OK) return ERROR;
     Memory *m = &s->memory;
-    for (size_t i = 0; i < n; i++) {
-        unsigned r = vr[i];
-        double *target = r >= VR_P ? m->p + (r - VR_P) : r >= VR_U ? m->u + (r - VR_U)
-                                                                   : m->x + (r - VR_X);
-        s->jumped |= s->memory.mode == EVENT && *target != values[i];
-        *target = values[i];
-    }
+    k = 0;
+    for (size_t i = 0; i < n; i++)
+        for (unsigned e = 0; e < SIZE_OF(vr[i]); e++, k++) {
+            double *target = settable(m, vr[i] + e);
+            s->jumped |= s->memory.mode == EVENT && *target != values[k];
+            *target = values[k];
+        }
     invalidate(s);
     warn_of_inputs(s, function);
     return OK;
 }
+
+#ifdef MODEL_BOOLEANS
+#define SETTABLE (INSTANTIATED | INITIALIZATION | EVENT | STEP)
+
+static Status check_boolean(Instance *s, const char *function, int modes, unsigned r) {
+    if (check_mode(s, function, modes) != OK) return ERROR;
+    return IS_BOOLEAN(r) ? OK : report(s, ERROR, function, "value reference %u is no Boolean", r);
+}
+
+static Status get_boolean(Instance *s, const char *function, unsigned r, int *value) {
+    double number = 0.0;
+    if (check_boolean(s, function, READABLE, r) != OK) return ERROR;
+    Status status = get_value(s, function, r, &number);
+    *value = number != 0.0;
+    return status;
+}
+
+static Status set_boolean(Instance *s, const char *function, unsigned r, int value) {
+    const double number = value != 0;
+    if (check_boolean(s, function, SETTABLE, r) != OK) return ERROR;
+    if (check_settable(s, function, r, number) != OK) return ERROR;
+    *settable(&s->memory, r) = number;
+    invalidate(s);
+    return OK;
+}
+#endif
 
 /* A plan or a change of units may pass a bound by rounding, which is not worth a word. */
 static int is_outside(double value, double low, double high) {

@@ -19,6 +19,7 @@ from ..core.errors import InputError, PamError
 from .frame import Bench
 from .guard import Guard
 from .jobs import prepare
+from .rig_room import RigRoom
 from .session import Session, safe_name, saved_sessions
 from .work import JobStopped, Workshop
 
@@ -69,10 +70,13 @@ class _Sessions:
         self.open.pop(id).session.close()
 
 
-def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
+def application(
+    root: Path, *, allow_code: bool = False, room: RigRoom | None = None, **guard: Any
+) -> Guard:
     """The ASGI application; one in a process, for the framework has one of each.
 
-    root : folder of the sessions. guard : arguments of :class:`Guard`.
+    root : folder of the sessions. room : the rig, if there is one. guard : arguments of
+    :class:`Guard`.
     """
     shop = Workshop(prepare=prepare)
     sessions = _Sessions(root, shop)
@@ -82,6 +86,8 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
         shop.warm_up()
         yield
         shop.close()
+        if room is not None:
+            room.close()
         for id in [*sessions.open]:
             sessions.close(id)
 
@@ -109,7 +115,7 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
             ui.label(str(error)).props("role=alert")
             ui.link("All sessions", "/")
             return None
-        bench = Bench(one.session, shop, allow_code=allow_code)
+        bench = Bench(one.session, shop, allow_code=allow_code, room=room)
         one.benches.add(bench)
 
         def gone() -> None:
@@ -138,7 +144,7 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
         show_welcome_message=False,
         favicon=STATIC / "bench.svg",
     )
-    return Guard(outer, **guard)
+    return Guard(outer, framed=None if room is None else room.vent_port, **guard)
 
 
 def _is_fault(record: logging.LogRecord) -> bool:

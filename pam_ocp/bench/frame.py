@@ -10,6 +10,7 @@ from nicegui import ui
 from nicegui.events import KeyEventArguments
 
 from .elements import tag
+from .rig_room import RigRoom
 from .session import Session
 from .tab import Page, Tab
 from .tabs.control import Control
@@ -18,6 +19,7 @@ from .tabs.export import Export
 from .tabs.motion import Motion
 from .tabs.muscle import MuscleTab
 from .tabs.plant import PlantTab
+from .tabs.rig import RigTab
 from .work import Job, Workshop
 
 __all__ = ["TABS", "Bench"]
@@ -28,9 +30,11 @@ TABS: tuple[type[Tab], ...] = (Data, MuscleTab, PlantTab, Motion, Control, Expor
 class Bench(Page):
     """The page in one browser: its session, its work and its tabs."""
 
-    def __init__(self, session: Session, shop: Workshop, *, allow_code: bool) -> None:
-        super().__init__(session, shop, allow_code=allow_code)
-        self.tabs = [kind(self) for kind in TABS]
+    def __init__(
+        self, session: Session, shop: Workshop, *, allow_code: bool, room: RigRoom | None = None
+    ) -> None:
+        super().__init__(session, shop, allow_code=allow_code, room=room)
+        self.tabs = [kind(self) for kind in (TABS if room is None else (*TABS, RigTab))]
         self._built: set[str] = set()
         self._jobs: dict[Job, _JobLine] = {}
         self._end = session.listen(self._changed)

@@ -67,8 +67,9 @@ MOST_CONNECTIONS = 200
 POLICY = (
     "default-src 'none'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
-    "connect-src 'self' {sockets}; worker-src 'self' blob:; manifest-src 'self'; "
-    "form-action 'self'; base-uri 'none'; frame-ancestors 'none'; object-src 'none'"
+    "connect-src 'self' {sockets}; frame-src {frames}; worker-src 'self' blob:; "
+    "manifest-src 'self'; form-action 'self'; "
+    "base-uri 'none'; frame-ancestors 'none'; object-src 'none'"
 )
 HEADERS = {
     "x-content-type-options": "nosniff",
@@ -95,7 +96,7 @@ class Guard:
 
     hosts : of :func:`allowed_hosts`. password : asked for; without one :meth:`ticket` is the way
     in. name : of the cookie (ports share cookies, so the port is in it). most : bytes of a request.
-    longest : seconds for them to arrive.
+    longest : seconds for them to arrive. framed : port of another page of ours that may be framed.
     """
 
     def __init__(
@@ -107,9 +108,10 @@ class Guard:
         name: str = "pam_ocp_bench",
         most: int = MOST_UPLOAD,
         longest: float = LONGEST_UPLOAD,
+        framed: int | None = None,
     ) -> None:
         self._app, self._hosts, self._name, self._most = app, hosts, name, most
-        self._longest, self._password = longest, password
+        self._longest, self._password, self._framed = longest, password, framed
         self._tickets: dict[str, Callable[[], None]] = {}
         self._key = secrets.token_urlsafe(32)
         self._origins = frozenset(f"http://{host}" for host in hosts)
@@ -288,7 +290,10 @@ class Guard:
 
     def _headers(self, nonce: str) -> dict[str, str]:
         sockets = " ".join(sorted(f"ws://{host}" for host in self._hosts))
-        policy = POLICY.format(nonce=nonce, sockets=sockets)
+        port = self._framed
+        names = sorted({host.rpartition(":")[0] for host in self._hosts}) if port else []
+        frames = " ".join(f"http://{name}:{port}" for name in names) or "'none'"
+        policy = POLICY.format(nonce=nonce, sockets=sockets, frames=frames)
         return {**HEADERS, "content-security-policy": policy}
 
     async def _form(self, send: Send, status: int, words: str) -> None:

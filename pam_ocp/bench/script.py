@@ -299,7 +299,7 @@ def motion_lines(state: Mapping[str, Any]) -> list[str]:
         shown = {k: v for k, v in said.items() if k != "stops"}
         code = call("pam.plan", "plant", f"[{stops}]", **shown, time_limit=TIME_LIMIT)
         if method is not None:
-            code = f"{code[:-1]}, method=pam.{method!r})"
+            code = f"{code[:-1]}, method=pam.planning.{method!r})"
         id = motion["id"]
         lines += [f"{id} = {code}", f"print({id})"]
         lines += figure_lines(

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..core.errors import InputError, require_count
-from ..core.files import make_folder
+from ..core.files import make_folder, read_toml
 from ..export.cache import home_folder
 
 __all__ = ["require_framework", "serve", "sessions_folder"]
@@ -53,6 +53,7 @@ def serve(
     folder: str | os.PathLike[str] | None = None,
     allow_code: bool = False,
     browser: bool = False,
+    rig: str | os.PathLike[str] | None = None,
     say: Callable[[str], None] = print,
 ) -> None:
     """Open the page and serve it until Ctrl-C.
@@ -65,7 +66,7 @@ def serve(
     names : further host names by which the page may be asked for.
     folder : of the sessions; by default :func:`sessions_folder`.
     allow_code : plants named FILE.py:NAME may be run. browser : open one.
-    say : is told the address.
+    rig : file of a rig (docs/rig.md), for the tab Rig. say : is told the address.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def serve(
     if password is not None and len(password) < LEAST_PASSWORD:
         raise InputError(f"the password has {len(password)} characters; give {LEAST_PASSWORD}")
     with _private():
-        _serve(host, port, password, names, folder, allow_code, browser, say)
+        _serve(host, port, password, names, folder, allow_code, browser, rig, say)
 
 
 @contextmanager
@@ -104,6 +105,7 @@ def _serve(
     folder: str | os.PathLike[str] | None,
     allow_code: bool,
     browser: bool,
+    rig: str | os.PathLike[str] | None,
     say: Callable[[str], None],
 ) -> None:
     root = _root(folder, say)
@@ -113,13 +115,17 @@ def _serve(
 
     from .app import application
     from .guard import Patient, allowed_hosts
+    from .rig_room import RigRoom
 
     listening = _listen(host, port)
     number = int(listening.getsockname()[1])
+    hosts = allowed_hosts(host, number, names)
+    room = None if rig is None else RigRoom(_rig_file(rig), host, port, sorted(hosts), allow_code)
     app = application(
         root,
         allow_code=allow_code,
-        hosts=allowed_hosts(host, number, names),
+        room=room,
+        hosts=hosts,
         password=password,
         name=f"pam_ocp_bench_{number}",
     )
@@ -151,6 +157,12 @@ def _serve(
         uvicorn.Server(config).run(sockets=[listening])
     finally:
         leading.remove()
+
+
+def _rig_file(rig: str | os.PathLike[str]) -> Path:
+    """Read once here, so that what is wrong with it is said before anything begins."""
+    read_toml(rig)
+    return Path(rig).absolute()
 
 
 class _Leading:

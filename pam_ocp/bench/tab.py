@@ -37,6 +37,7 @@ from nicegui import background_tasks, ui
 
 from ..core.errors import PamError
 from .made import World
+from .rig_room import RigRoom
 from .session import Session
 from .words import page_words
 from .work import Job, JobFailed, JobStopped, Workshop, manner_of
@@ -50,11 +51,13 @@ class Page:
     """What a tab sees of the page in one browser; frame.py draws it.
 
     session : state, undo, files. allow_code : whether files may name code to be run (as the start
-    of the page said).
+    of the page said). room : the rig that the page was started with.
     """
 
-    def __init__(self, session: Session, shop: Workshop, *, allow_code: bool) -> None:
-        self.session, self.shop, self.allow_code = session, shop, allow_code
+    def __init__(
+        self, session: Session, shop: Workshop, *, allow_code: bool, room: RigRoom | None = None
+    ) -> None:
+        self.session, self.shop, self.allow_code, self.room = session, shop, allow_code, room
         self.client = ui.context.client
         self.client.on_exception(self.failed)
 

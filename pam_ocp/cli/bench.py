@@ -20,8 +20,8 @@ def add_bench(commands: Any) -> None:
     bench = commands.add_parser(
         "bench",
         help="the whole chain on a page in the browser",
-        description="Open a page on this machine: data, muscle, plant, motion, control and export "
-        "by hand and eye. Needs pip install 'pam_ocp[bench]'.",
+        description="Open an interactive page on this machine: data, muscle, plant, motion, "
+        "control and export. Needs pip install 'pam_ocp[bench]'.",
         epilog=f"Another host than this machine needs a password: in {PASSWORD}, or asked for.",
     )
     bench.add_argument("--host", default="127.0.0.1", help="to listen at (default: 127.0.0.1)")
@@ -35,6 +35,9 @@ def add_bench(commands: Any) -> None:
     )
     bench.add_argument(
         "--folder", type=Path, metavar="DIR", help="of the sessions (default: the user's own)"
+    )
+    bench.add_argument(
+        "--rig", type=Path, metavar="FILE.toml", help="a rig's file, for the tab Rig (docs/rig.md)"
     )
     bench.add_argument("--no-browser", action="store_true", help="only print the address")
     add_allow_code(bench)
@@ -58,6 +61,7 @@ def _bench(options: argparse.Namespace) -> int:
         folder=options.folder,
         allow_code=options.allow_code,
         browser=not options.no_browser,
+        rig=options.rig,
         say=lambda text: print(text, flush=True),
     )
     return 0

@@ -17,7 +17,7 @@ def add_components(commands: Any) -> None:
     """Add the command to the parser's commands."""
     components = commands.add_parser(
         "components",
-        help="list what plants and problems can be built of",
+        help="list the components of plants and problems",
         description="Plants, loads, feeds, losses, laws, costs, solvers, ...: their names as "
         "problem files take them, with arguments, units and defaults.",
     )

@@ -34,24 +34,24 @@ units:
 
 'pam-ocp fit-plant --plant FILE.toml --variables' lists the names that can be measured and freed.
 
-A study file (TOML) for --plant holds the plant, and may hold all the rest; what the command line
-says comes first. Values are numbers in SI, or texts with a unit; plain keys come before tables:
+A study file (TOML) for --plant has the plant, and optionally all other arguments; the command line
+takes precedence. Values are numbers in SI, or texts with a unit; plain keys come before tables:
 
-  records = ["run1.csv", "run2.csv"]      # beside this file
+  records = ["run1.csv", "run2.csv"]      # in the folder of this file
   validate = ["run3.csv"]
-  free = ["damping", "muscle*.lag"]       # a pattern: these are equal
-  outputs = ["x"]                         # default: all that was measured
-  delay = ["0 ms", "50 ms"]               # of the inputs; two values: find it
+  free = ["damping", "muscle*.lag"]       # a pattern: equal values
+  outputs = ["x"]                         # default: all measured ones
+  delay = ["0 ms", "50 ms"]               # of the inputs; two values: estimate it
   offsets = ["x"]                         # sensors with an unknown offset; also: gains
   noise = { x = "0.02 mm" }               # default: from the residuals
-  process_noise = { v = 0.01 }            # of the plant itself [unit/sqrt(s)]; wants noise
-  input_noise = { "muscle1.command" = "0.05 bar" }   # measured inputs err, too; wants noise
+  process_noise = { v = 0.01 }            # of the plant [unit/sqrt(s)]; needs noise
+  input_noise = { "muscle1.command" = "0.05 bar" }   # of measured inputs; needs noise
   bounds = { damping = [1.0, 100.0] }
-  inputs = { "muscle2.command" = "3 bar" }   # constant, and no column
+  inputs = { "muscle2.command" = "3 bar" }   # constant, without a column
   columns = { x = "pot" }                 # variable = header; also: units, time, clock, sheet,
                                           # skip, ... of pam_ocp.read_record
   interpolation = "previous"              # of the inputs: "previous" (held) or "linear";
-                                          # by default as the file says, else both are tried
+                                          # default: as in the file, else both are tried
   split = "episode"                       # column at whose changes a file is cut into records
   method = "collocation"                  # also: degree, step
 
@@ -61,8 +61,8 @@ says comes first. Values are numbers in SI, or texts with a unit; plain keys com
   mass = "2 kg"
   feed = { kind = "Regulator", lag = "50 ms", max_pressure = "6 bar" }
 
-Exit code: 0, or 1 when the records do not allow the fit (the message says why), 2 for a file or an
-option that cannot be meant.
+Exit code: 0, or 1 if the records do not allow the fit (the message gives the reason), 2 for an
+invalid file or option.
 """
 _OWN = ("plant", "muscle", "set", "records", "validate", "free")
 
@@ -72,8 +72,9 @@ def add_fit_plant(commands: Any) -> None:
     fit = commands.add_parser(
         "fit-plant",
         help="fit parameters of a plant to measured records",
-        description="Fit parameters of a plant (damping, lag, coefficients of its muscles, ...) to "
-        "measured time series; print values with intervals, and how well other records are met.",
+        description="Fit parameters of a plant (damping, lag, coefficients of its muscles, "
+        "...) to measured time series; print values with intervals, and the "
+        "errors on other records.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -99,7 +100,7 @@ def add_fit_plant(commands: Any) -> None:
         "--delay",
         nargs="+",
         metavar="T",
-        help="delay of the inputs, or two values: find it between",
+        help="delay of the inputs, or two values: estimate it between them",
     )
     fit.add_argument(
         "--noise", nargs="+", metavar="NAME=VALUE", help="standard deviations, as x=0.02mm"
@@ -110,9 +111,11 @@ def add_fit_plant(commands: Any) -> None:
         nargs="+",
         type=Path,
         metavar="RECORD",
-        help="other records, to be met with the fitted values",
+        help="other records, for validation",
     )
-    fit.add_argument("--variables", action="store_true", help="list the plant's variables, and end")
+    fit.add_argument(
+        "--variables", action="store_true", help="list the plant's variables, and exit"
+    )
     fit.add_argument(
         "--plot",
         type=Path,
@@ -129,7 +132,7 @@ def add_fit_plant(commands: Any) -> None:
         "--ssv",
         type=Path,
         metavar="FILE.ssv",
-        help="write the fitted parameters for the plant's FMU, to be set there without Python",
+        help="write the fitted parameters as a parameter set of the plant's FMU (SSP 1.0)",
     )
     add_allow_code(fit)
     add_json(fit)

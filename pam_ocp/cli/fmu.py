@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 __all__ = ["EPILOG", "add_check", "add_export", "is_system", "write_system"]
 
 EPILOG = """\
-A system file (TOML) with a table [connections] is written as SSP 1.0:
+A system file (TOML) with a table [connections] is written as SSP:
 
-  stop_time = "2 s"                       # also: step_size, fmi = "3.0"
+  stop_time = "2 s"                       # also: step_size, fmi = "3.0", version = "2.0"
 
   [components.plant]                      # a plant as for 'pam-ocp plan', or a study file's
   arrangement = "AntagonisticSlide"
   muscle = "DMSP-20-200N"
 
   [components]
-  motion = "plan.npz"                     # a Trajectory, beside this file
+  motion = "plan.npz"                     # a Trajectory, in the folder of this file
   controller = "mine.py:controller"       # a Block, a controller or a plant (with --allow-code)
 
   [connections]                           # every input of every component = an output
   "plant.muscle1.command" = "controller.muscle1.command"
 """
-_KEYS = ("components", "connections", "step_size", "stop_time", "fmi", "name")
+_KEYS = ("components", "connections", "step_size", "stop_time", "fmi", "name", "version")
 
 
 def is_system(name: str) -> bool:
@@ -67,6 +67,7 @@ def write_system(
         name=name,
         fmi=cast(Any, fmi or content.get("fmi", "2.0")),
         platforms=platforms,
+        version=cast(Any, str(content.get("version", "1.0"))),
         **times,
     )
 
@@ -129,8 +130,7 @@ def add_check(commands: Any) -> None:
     check = commands.add_parser(
         "check",
         help="check an FMU",
-        description="Validate an FMU and run it by fmpy. Exit code 0 when nothing is found, 1 "
-        "otherwise.",
+        description="Validate an FMU and run it by fmpy. Exit code 0 if all is well, 1 otherwise.",
     )
     check.add_argument("fmu", type=Path, metavar="FMU")
     check.add_argument(
@@ -145,7 +145,7 @@ def add_check(commands: Any) -> None:
         type=number,
         default=60.0,
         metavar="S",
-        help="stop the FMU after so many seconds, which is a finding (default 60)",
+        help="time limit in seconds; exceeding it fails the check (default: 60)",
     )
     add_json(check)
     check.set_defaults(run=_check)

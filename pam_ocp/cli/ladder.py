@@ -21,16 +21,15 @@ from .output import add_json, tell
 __all__ = ["add_ladder"]
 
 EPILOG = """\
-Climbs from a static model to one with lag, dead time, slew limit, friction, memory (slip) and
-creep. Each is fitted to all records, and judged by what it predicts of parts left out; the
+The candidates are fitted to all records, and compared by their predictions of parts left out; the
 simplest that is not significantly worse than the best is marked with *.
 
-The study file (TOML) is that of 'pam-ocp fit-plant'. Its [plant] says the arrangement and the
-regulator's start values; what the ladder puts on it (dead time, slew limit, losses) is left out:
+The study file (TOML) is that of 'pam-ocp fit-plant'. Its [plant] has the arrangement and the
+regulator's start values, without the effects that candidates add (dead time, slew limit, losses):
 
-  records = ["run1.csv", "run2.csv"]      # beside this file; each begins at rest
-  free = ["base_pressure", "muscle*.gain"]   # on every rung
-  dynamic = ["damping", "mass"]           # from the second rung on; default: the damping
+  records = ["run1.csv", "run2.csv"]      # each begins at rest
+  free = ["base_pressure", "muscle*.gain"]   # in every candidate
+  dynamic = ["damping", "mass"]           # from the second on; default: the damping
 
   [plant]
   arrangement = "AntagonisticSlide"       # or "FILE.py:NAME": (muscle, feed=, losses=)
@@ -38,7 +37,7 @@ regulator's start values; what the ladder puts on it (dead time, slew limit, los
   mass = "2 kg"
   feed = { kind = "PairRegulator", base = "2.5 bar", gain = "1 bar/V", lag = "50 ms" }
 
-Exit code: 0, or 1 when no rung could be fitted, 2 for a file or an option that cannot be meant.
+Exit code: 0, or 1 if no candidate could be fitted, 2 for an invalid file or option.
 """
 _KEYS = (
     "plant",
@@ -62,18 +61,26 @@ def add_ladder(commands: Any) -> None:
     """Add the command to the parser's commands."""
     ladder = commands.add_parser(
         "ladder",
-        help="climb from a static model to one with friction and memory: which do records ask for?",
-        description="Which model? Static, + lag, + dead time, + slew limit, + friction, + memory, "
-        "+ creep: what each predicts of held-out parts of the records, and what it costs.",
+        help="select a model for records: static, or with lag, friction, hysteresis, creep",
+        description="Compare nested models (static, + lag, + dead time, + slew limit, + "
+        "friction, + memory, + creep) by their predictions of parts of the "
+        "records that were left out.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     ladder.add_argument("study", metavar="FILE.toml", help="plant and records; see below")
     ladder.add_argument(
-        "records", nargs="*", type=Path, metavar="RECORD", help="instead of its own"
+        "records", nargs="*", type=Path, metavar="RECORD", help="instead of those in the study file"
     )
-    ladder.add_argument("--free", nargs="+", metavar="NAME", help="fitted on every rung")
-    ladder.add_argument("--dynamic", nargs="+", metavar="NAME", help="fitted from the second on")
+    ladder.add_argument(
+        "--free", nargs="+", metavar="NAME", help="parameters fitted in every candidate"
+    )
+    ladder.add_argument(
+        "--dynamic",
+        nargs="+",
+        metavar="NAME",
+        help="parameters fitted from the second candidate on",
+    )
     ladder.add_argument(
         "--rungs", nargs="+", metavar="RUNG", help="only these, such as 'dead time'"
     )

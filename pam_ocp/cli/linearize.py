@@ -18,9 +18,9 @@ def add_linearize(commands: Any) -> None:
     """The command ``linearize``."""
     linearize = commands.add_parser(
         "linearize",
-        help="poles, frequencies and matrices of a plant about a point of rest",
-        description="Find a point of rest, linearise the plant about it, and print values, poles "
-        "and natural frequencies.",
+        help="poles, frequencies and matrices of a plant about an equilibrium",
+        description="Compute an equilibrium, linearise the plant about it, and print values, "
+        "poles and natural frequencies.",
     )
     add_plant(linearize)
     add_rest(linearize, "condition of rest (default: the inputs' start values)")

@@ -159,9 +159,10 @@ def _parser() -> argparse.ArgumentParser:
         prog="pam-ocp",
         description="Pneumatic artificial muscles: fit a measured muscle, plan its optimal motion, "
         "export the plant as an FMU.",
-        epilog="Start with 'pam-ocp tour': it does all of it on a bundled measured muscle. "
-        "Exit codes: 0 done; 1 tried or checked, and found wanting; 2 bad input; 3 planned, but "
-        "not verified; 130 interrupted; 143 ended (docs/command_line.md).",
+        epilog="Start with 'pam-ocp tour', the whole chain on a bundled measured muscle. "
+        "Exit codes: 0 success; 1 no result, or a check failed; 2 bad input; 3 "
+        "plan not verified; 130 interrupted; 143 terminated "
+        "(docs/command_line.md).",
     )
     parser.add_argument("--version", action="version", version=f"pam-ocp {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
@@ -200,7 +201,7 @@ def _parser() -> argparse.ArgumentParser:
                 "--time-limit",
                 type=seconds,
                 metavar="S",
-                help="end after so many seconds, or as '5 min' (default: no limit)",
+                help="time limit in seconds, or as '5 min' (default: none)",
             )
         command.add_argument(
             "-q", "--quiet", action="store_true", help="print errors only (and --json)"
@@ -210,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
             "--verbose",
             action="count",
             default=0,
-            help="say on the error stream what is done; -vv: all of it",
+            help="log to the error stream; -vv: in detail",
         )
     return parser
 

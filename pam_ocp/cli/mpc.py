@@ -30,8 +30,8 @@ keys come first:
 
   against = "fmu"                         # "plant", "fmu", or the path of an FMU
   duration = "2 s"
-  real = { mass = "2.6 kg" }              # what is different on the real side
-  start = { x = 0.0, stiffness = 2e4 }    # the run starts at rest there
+  real = { mass = "2.6 kg" }              # what differs in the true plant
+  start = { x = 0.0, stiffness = 2e4 }    # initial equilibrium
   noise = { x = "0.02 mm" }              # standard deviations; default: what the estimator expects
 
   sensors = { x = { delay = "4 ms", resolution = "0.01 mm", filter = "2 ms" } }
@@ -56,16 +56,14 @@ keys come first:
   kind = "kalman"                         # "kalman", "moving-horizon" or "none"
   unknown = { mass = [0.5, 0.05] }        # initial deviation, drift per square root of a second
 
-  [disturbances]                          # not told to the controller; [value, from when on]
+  [disturbances]                          # unknown to the controller; [value, start time]
   push = ["40 N", "1 s"]
 
-The report says how often the controller found no solution ("failed"), how often it applied one that
-had not converged, how far its predictions are from a finer integration of its own model, and in its
-verdict whether the run did what it was asked: set points reached, limits kept, the solver
-converged, predictions true.
+The report has the number of steps without a solution ("failed") and with one that had not
+converged, the error of predictions compared with a finer integration of the model, and the verdict:
+set points reached, limits kept, solver converged, predictions accurate.
 
-Exit code: 0, or 1 when the controller found no solution at some step, 2 for a file or an option
-that cannot be meant.
+Exit code: 0, or 1 if a step had no solution, 2 for an invalid file or option.
 """
 
 

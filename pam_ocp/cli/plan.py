@@ -46,13 +46,12 @@ A problem file (TOML). Values are numbers in SI, or texts with a unit; plain key
   "muscle1.force" = { min = "20 N" }
 
 Further keys: rest, phases, constraints, track, budgets, design, integrand, final, method, options;
-docs/planning.md tells all of them.
+docs/problem_files.md lists them.
 
-Exit code: 0 a verified plan was found (the solver converged, an independent integration agrees, and
-all limits hold between the points too), 1 none was found (the message names the constraints in
-conflict), 2 the file says something that cannot be meant, 3 a plan was found but is not verified
-(its first line says which figure failed; the files asked for are written), 130 interrupted, 143
-terminated. --time-limit ends the search; the best plan so far is then not verified (3).
+Exit code: 0 verified plan (the solver converged, an independent integration agrees, and limits are
+kept between the points, too), 1 no plan (the message names the constraints in conflict), 2 invalid
+file, 3 plan not verified (its first line names the criterion; files are written), 130 interrupted,
+143 terminated. --time-limit ends the search; the best plan so far is then not verified (3).
 """
 
 

@@ -19,8 +19,9 @@ def add_quick(commands: Any) -> None:
         "quick",
         help="one page from one file: law, plant, motion, FMU, report, workbook",
         description="From a measured table to one page: read it, rank the force laws, build a "
-        "plant, plan its quickest motion, linearise it, write an FMU, a report and a workbook. "
-        "What is assumed is printed, each with the option that changes it.",
+        "plant, plan its quickest motion, linearise it, write an FMU, a report "
+        "and a workbook. Assumptions are printed, each with the option that "
+        "changes it.",
     )
     quick.add_argument("table", metavar="TABLE", help="as for 'pam-ocp fit'")
     quick.add_argument(
@@ -37,13 +38,13 @@ def add_quick(commands: Any) -> None:
         default="pair",
         help="a second muscle on a slide (default), or a hanging weight",
     )
-    quick.add_argument("--mass", metavar="KG", help="that moves (default: from the force)")
+    quick.add_argument("--mass", metavar="KG", help="moving mass (default: from the force)")
     quick.add_argument("--stops", nargs=2, metavar="M", help="of the motion, as -10mm 10mm")
     quick.add_argument(
         "--platforms", nargs="+", default=["native"], metavar="NAME", help="of the FMU"
     )
     quick.add_argument(
-        "--force", dest="overwrite", action="store_true", help="replace such files that are there"
+        "--force", dest="overwrite", action="store_true", help="overwrite existing files"
     )
     add_reading(quick)
     add_floor(quick)

@@ -22,8 +22,8 @@ EPILOG = """\
   pam-ocp look rig.xlsx --sheet M3 --columns pressure=ch1 --units "pressure=V * 2 bar/V - 0.3 bar"
   pam-ocp look run7.csv --clock cut
 
-Nothing is fitted. Exit code: 0 when the file can be read so, 1 when something must be said first
-(which is printed), 2 for a file or an option that cannot be meant.
+Nothing is fitted. Exit code: 0 if the file can be read, 1 if information is missing (it is
+printed), 2 for an invalid file or option.
 """
 
 
@@ -45,20 +45,21 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--ambient-pressure",
         metavar="P",
-        help="taken off absolute pressures (default: 1.01325 bar)",
+        help="subtracted from absolute pressures (default: 1.01325 bar)",
     )
     command.add_argument("--sheet", metavar="NAME", help="of a workbook: its name or number")
     command.add_argument(
         "--pick",
         nargs="+",
         metavar="NAME",
-        help="table within nested data, as run.data; several with clocks of their own come on one",
+        help="table within nested data, as run.data; several with different clocks are "
+        "resampled to one",
     )
     command.add_argument(
         "--constants",
         nargs="+",
         metavar="NAME=VALUE",
-        help="what the file does not hold and is the same for all rows, as 'contraction=5 %%'",
+        help="constant that the file lacks, as 'contraction=5 %%'",
     )
     command.add_argument(
         "--pattern",
@@ -72,9 +73,7 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--skip", type=whole, metavar="N", help="lines at the beginning to leave out"
     )
-    command.add_argument(
-        "--delimiter", metavar="C", help="between cells, where it is taken wrongly"
-    )
+    command.add_argument("--delimiter", metavar="C", help="between cells, if detected wrongly")
     command.add_argument(
         "--missing",
         nargs="*",
@@ -82,12 +81,12 @@ def add_reading(command: argparse.ArgumentParser) -> None:
         help="what marks a missing value (default: 9999, -999, 1e30 and their like where they "
         "stand apart); without a VALUE: nothing does",
     )
-    command.add_argument("--decimal", choices=(".", ","), help="where it is taken wrongly")
+    command.add_argument("--decimal", choices=(".", ","), help="if detected wrongly")
     command.add_argument(
         "--pivot",
         nargs="+",
         metavar="HEADER",
-        help="what runs down, across, and stands in the cells of a pivot",
+        help="quantities down, across, and in the cells of a pivot",
     )
 
 
@@ -96,8 +95,9 @@ def add_floor(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--floor",
         metavar="F",
-        help="reading up to which a muscle is slack, as '5 N'; found (default); zero: found, and "
-        "taken off all forces as the zero of the load cell; none: any positive force is one",
+        help="reading up to which a muscle is slack, as '5 N'; found (default): "
+        "detected; zero: detected, and subtracted from all forces as the offset "
+        "of the load cell; none: any positive force is taut",
     )
 
 
@@ -140,9 +140,9 @@ def add_look(commands: Any) -> None:
     """Add the command to the parser's commands."""
     look = commands.add_parser(
         "look",
-        help="what is understood of measured files, before anything is fitted",
-        description="Print what is understood of files, column by column: names, units, ranges, "
-        "empty cells, the clock, ramps, doubts, and the call that reads them.",
+        help="show how measured files are interpreted, before fitting",
+        description="Print how files are interpreted, column by column: names, units, ranges, "
+        "empty cells, the clock, ramps, warnings, and the call that reads them.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -150,12 +150,12 @@ def add_look(commands: Any) -> None:
     add_reading(look)
     add_floor(look)
     add_rest_length(look)
-    look.add_argument("--kind", choices=("table", "record"), help="where it is taken for the other")
+    look.add_argument("--kind", choices=("table", "record"), help="if taken for the other")
     look.add_argument("--time", metavar="HEADER", help="column of the time of a record")
     look.add_argument(
         "--clock", choices=("mend", "cut", "refuse"), help="of a record (default: mend)"
     )
-    look.add_argument("--max-gap", type=number, metavar="S", help="longest step that is no gap")
+    look.add_argument("--max-gap", type=number, metavar="S", help="longest step that is not a gap")
     look.add_argument("--sample-time", metavar="S", help="resample a record, or 'even'")
     add_json(look)
     look.set_defaults(run=_look)

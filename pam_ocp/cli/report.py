@@ -17,9 +17,9 @@ def add_report(commands: Any) -> None:
     report = commands.add_parser(
         "report",
         help="one HTML page on muscles, fits, motions and closed loops in files",
-        description="Show files as one HTML page, whatever command wrote them: muscles, fits, "
-        "plans (judged anew), motions, closed loops, linear models, plants, FMUs (checked), and "
-        "records.",
+        description="Show files of any command as one HTML page: muscles, fits, plans (judged "
+        "again), motions, closed loops, linear models, plants, FMUs (checked), "
+        "and records.",
     )
     report.add_argument("files", nargs="+", type=Path, metavar="FILE")
     report.add_argument(
@@ -28,7 +28,7 @@ def add_report(commands: Any) -> None:
     report.add_argument("--title", default="Report", metavar="TEXT")
     report.add_argument("--text", default="", metavar="TEXT", help="an introduction")
     report.add_argument(
-        "--crate", type=Path, metavar="FILE.zip", help="also all of it as an RO-Crate (--licence)"
+        "--crate", type=Path, metavar="FILE.zip", help="also write an RO-Crate (needs --licence)"
     )
     report.add_argument("--licence", metavar="ID", help="of the crate, as CC-BY-4.0")
     report.add_argument("--author", metavar="NAME", help="of the crate")

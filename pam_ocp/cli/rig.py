@@ -22,11 +22,12 @@ RIG = """\
   pam-ocp rig home bench.toml --arm                # zeros, range, slack, leaks
   pam-ocp rig identify bench.toml --free mass damping --arm
   pam-ocp rig run bench.toml --motion plan.npz --out run.npz --arm
-  pam-ocp rig vent bench.toml                      # let the air out, from anywhere
+  pam-ocp rig vent bench.toml                      # vent at any time
 
 A rig's file (docs/rig.md) has tables [driver], [readings], [commands], [guard] and [plant].
-Nothing moves without --arm: look that nobody is near. No software makes a rig safe; an emergency
-stop is hardware. Exit code: 0 done, 1 vented by the guard or found wanting, 2 bad input.
+Nothing moves without --arm: make sure that nobody is near. No software makes a rig safe; an
+emergency stop is hardware. Exit code: 0 success, 1 vented by the guard, or a check failed, 2 bad
+input.
 """
 TWIN = """\
   pam-ocp twin plant.toml --modbus 5020 --scale 1.2 --noise x='10 um'
@@ -42,25 +43,25 @@ def add_rig(commands: Any) -> None:
     """The command ``rig``."""
     rig = commands.add_parser(
         "rig",
-        help="check, home, identify, run or vent a rig on a bench",
+        help="check, home, identify, run or vent a real rig",
         description="Work with a rig (or its twin) that a file describes.",
         epilog=RIG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     rig.add_argument("what", choices=("check", "home", "identify", "run", "vent"))
     rig.add_argument("file", metavar="FILE.toml", help="the rig")
-    rig.add_argument("--arm", action="store_true", help="it may move (home, identify, run)")
+    rig.add_argument("--arm", action="store_true", help="allow motion (home, identify, run)")
     rig.add_argument("--level", metavar="P", help="home: highest commands, such as '3 bar'")
     rig.add_argument("--free", nargs="+", default=[], metavar="NAME", help="identify: parameters")
     rig.add_argument(
-        "--rounds", type=whole, default=3, metavar="N", help="identify: at most so many"
+        "--rounds", type=whole, default=3, metavar="N", help="identify: largest number of rounds"
     )
     rig.add_argument("--duration", metavar="S", help="of an excitation, a check, or a run")
     rig.add_argument(
         "--motion", type=Path, metavar="FILE", help="run: a trajectory or plan with the inputs"
     )
     rig.add_argument(
-        "--out", type=Path, metavar="FILE", help="run, identify: what was read, or the fit"
+        "--out", type=Path, metavar="FILE", help="run, identify: file for the record or the fit"
     )
     add_allow_code(rig)
     add_json(rig)
@@ -156,7 +157,7 @@ def add_twin(commands: Any) -> None:
     """The command ``twin``."""
     twin = commands.add_parser(
         "twin",
-        help="a plant behind a transport, as if it were a rig",
+        help="simulate a rig in real time, behind a transport",
         description="Serve a plant in real time behind Modbus TCP, a serial line (a "
         "pseudo-terminal), UDP or OPC UA, with noise, delay and faults, until Ctrl-C.",
         epilog=TWIN,
@@ -180,9 +181,9 @@ def add_twin(commands: Any) -> None:
         help="of a reading (may be repeated)",
     )
     twin.add_argument("--delay", default="0 s", metavar="S", help="of commands, such as '5 ms'")
-    twin.add_argument("--timeout", metavar="S", help="without a command it vents by itself")
+    twin.add_argument("--timeout", metavar="S", help="vent after this time without a command")
     twin.add_argument("--faults", type=Path, metavar="FILE.toml")
-    twin.add_argument("--duration", metavar="S", help="end after so long (default: Ctrl-C)")
+    twin.add_argument("--duration", metavar="S", help="duration (default: until Ctrl-C)")
     add_json(twin)
     twin.set_defaults(run=_twin)
 

@@ -56,15 +56,15 @@ def add_fit(commands: Any) -> None:
         action="append",
         metavar="LAW",
         help="force law (default: six-parameter); also polynomial-1-3 (degrees), "
-        "spline-3:0,0.1,0.25 (degree and contractions); given several times, or 'all': these are "
-        "ranked, and the best at lengths left out is taken",
+        "spline-3:0,0.1,0.25 (degree and contractions); several, or 'all', are "
+        "ranked by leaving out lengths, and the best is fitted",
     )
     add_reading(fit)
     add_floor(fit)
     _add_fixed(fit)
     fit.add_argument("--loss", default="squares", metavar="LOSS", help=LOSSES)
     fit.add_argument(
-        "--branches", action="store_true", help="also fit each branch, and say the hysteresis"
+        "--branches", action="store_true", help="also fit each branch, and report the hysteresis"
     )
     fit.add_argument("--name", metavar="NAME", help="name of the muscle in the muscle file")
     fit.add_argument(
@@ -84,7 +84,7 @@ def add_fit(commands: Any) -> None:
         "--ssv",
         type=Path,
         metavar="FILE.ssv",
-        help="write the parameters for a plant's FMU, to be set there without Python (SSP 1.0)",
+        help="write the parameters as a parameter set of a plant's FMU (SSP 1.0)",
     )
     fit.add_argument(
         "--muscles",
@@ -130,7 +130,7 @@ def add_campaign(commands: Any) -> None:
         "--shared",
         nargs="+",
         metavar="NAME",
-        help="coefficients that muscles of one diameter have in common (default: all)",
+        help="coefficients shared by muscles of one diameter (default: all)",
     )
     add_reading(campaign)
     add_floor(campaign)
@@ -151,9 +151,9 @@ def add_fit_forces(commands: Any) -> None:
     forces = commands.add_parser(
         "fit-forces",
         help="fit one law to the tables of several muscles with shared coefficients",
-        description="Fit one force law to several muscles' tables at once, with coefficients that "
-        "they have in common; print all with intervals. A whole folder with branches and repeats: "
-        "'pam-ocp campaign'.",
+        description="Fit one force law to the tables of several muscles, with shared "
+        "coefficients; print all with intervals. A folder with branches and "
+        "repeats: 'pam-ocp campaign'.",
     )
     forces.add_argument("tables", nargs="+", metavar="TABLE", help="a file for each muscle")
     forces.add_argument("--law", default="six-parameter", metavar="LAW", help="force law")
@@ -198,9 +198,9 @@ def add_fit_holds(commands: Any) -> None:
         nargs="+",
         required=True,
         metavar="NAME",
-        help="parameters; zero.NAME, of a sensor; band.NAME, half the width between both ways",
+        help="parameters; zero.NAME, of a sensor; band.NAME, half the width of the hysteresis",
     )
-    holds.add_argument("--measured", nargs="+", metavar="NAME", help="what is compared")
+    holds.add_argument("--measured", nargs="+", metavar="NAME", help="variables to compare")
     holds.add_argument("--side", metavar="SIDE", help="below, above, or sequence: from row to row")
     holds.add_argument("--inputs", nargs="+", default=[], metavar="NAME=VALUE", help="constants")
     add_reading(holds)

@@ -41,10 +41,10 @@ one makes:
   plant = "slide"
   stops = [{ x = "-15 mm" }, { x = "15 mm" }]
 
-'pam-ocp components study-step' lists the kinds, docs/studies.md has all keys.
+'pam-ocp components study-step' lists kinds and keys; docs/studies.md explains studies.
 
-Exit code: 0 when every step was done and every verdict is good, 1 otherwise, 2 for a file that
-cannot be meant, which is said before anything runs.
+Exit code: 0 if every step and every verdict succeeded, 1 otherwise, 2 for an invalid file (checked
+before anything runs).
 """
 
 
@@ -67,9 +67,9 @@ def add_study(commands: Any) -> None:
     study = commands.add_parser(
         "study",
         help="run a study file: data, fits, plants, plans, FMUs, sweeps; one folder, one report",
-        description="Run the steps of a study file in their order; what did not change since the "
-        "last run is taken from it, also after a run that was ended by force. Writes figures, "
-        "tables, parameter files, FMUs and report.html into one folder.",
+        description="Run the steps of a study file in their order; unchanged results of "
+        "earlier runs, even interrupted ones, are reused. Writes figures, tables, "
+        "parameter files, FMUs and report.html into one folder.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -83,10 +83,15 @@ def add_study(commands: Any) -> None:
         "--shard", metavar="K/N", help="run the K-th of N shares of the steps, for a job array"
     )
     study.add_argument(
-        "--merge", action="store_true", help="put together what all shards made, and report"
+        "--merge", action="store_true", help="merge the results of all shards, and write the report"
     )
-    study.add_argument("--fresh", action="store_true", help="do all of it anew")
-    study.add_argument("--cache", type=Path, metavar="DIR", help="of kept results (your own only)")
+    study.add_argument("--fresh", action="store_true", help="recompute everything")
+    study.add_argument(
+        "--cache",
+        type=Path,
+        metavar="DIR",
+        help="of cached results (only your own: they are pickles)",
+    )
     add_allow_code(study)
     add_json(study)
     study.set_defaults(run=_study)

@@ -419,7 +419,7 @@ def _enter_law(draft: Draft, c: TrajectoryFeedback, row: Symbol) -> None:
 
 @BLOCKS.register("OpenLoop")
 def open_loop(controller: OpenLoop, name: str = "open_loop") -> Block:
-    """The inputs of a motion, whatever happens, as :class:`OpenLoop`."""
+    """The inputs of a motion, without feedback, as :class:`OpenLoop`."""
     c, plant = controller, controller.plant
     draft = Draft(name, c.sample_time, "inputs of a motion", ca.MX)
     times = c.sample_time * np.arange(_samples(float(c.motion.t[-1]), c.sample_time))
@@ -437,7 +437,7 @@ def source(
     sample_time: float = 1e-3,
     names: list[str] | None = None,
 ) -> Block:
-    """A motion as a source of references ``wanted.NAME``, at the end of it the last ones.
+    """A motion as a source of references ``wanted.NAME``; the last ones are held.
 
     names : of its columns; by default all. sample_time : [s].
     """

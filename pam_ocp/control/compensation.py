@@ -138,7 +138,7 @@ class _Tracking(ByBlock):
     ) -> None:
         self.owner, self.plant, self.sample_time = owner, owner.plant, owner.sample_time
         inverse = owner.inverse
-        self._path = _Rounded(reference[inverse.position], owner.rounding / 2, preview)
+        self._path = Rounded(reference[inverse.position], owner.rounding / 2, preview)
         self._stiffness = reference.get(
             "stiffness", None if owner.stiffness is None else source("stiffness", owner.stiffness)
         )
@@ -167,7 +167,7 @@ class _Tracking(ByBlock):
         return law.commands()
 
 
-class _Rounded:
+class Rounded:
     """A reference with its velocity and acceleration, corners rounded by a triangular kernel.
 
     Of half width h: x = integral of the kernel times the reference, and so, exactly,

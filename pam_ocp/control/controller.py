@@ -18,7 +18,7 @@ class Controller(Protocol):
     """What decides the inputs at each sample.
 
     It may have, and the loop then uses: ``sample_time`` [s]; ``delay`` (samples from measuring to
-    acting that it reckons with); ``plant`` (its model: says of an FMU's inputs what range they
+    acting that it is designed for); ``plant`` (its model: says of an FMU's inputs what range they
     have); ``wanted(t)`` (values by name that are to be reached, for the result's reference);
     ``aims(t)`` (those that are to arrive, for the verdict; by default those wanted);
     ``statistics`` and ``prediction_error()`` (see Mpc); ``expected()`` (states by name at the end

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError
@@ -38,6 +38,10 @@ MISS = 1e-6
 SETTLED = 1e-5, 1e-2
 """Or a step so short, in parts of the range, that ends within it, and a miss no larger than the
 second: in single precision the miss stays above MISS."""
+LEVELS = 41
+"""Pressures that are tried for a pair's usual stiffness."""
+SLACK = 0.01
+"""Part of its largest force below which a muscle counts as slack there."""
 RANK = 4.5e-16
 """Singular values in this ratio count as one (that of NumPy's lstsq)."""
 
@@ -148,6 +152,23 @@ class InverseDynamics:
         self._z[list(self._at)] = position, velocity
         return np.asarray(self._pressures(self._z, target), dtype=float).ravel()
 
+    def points(self, position: ArrayLike, velocity: ArrayLike, pressures: ArrayLike) -> Array:
+        """States and inputs of the plant in columns, of rows of position, velocity, pressures."""
+        x = np.asarray(position, dtype=float)
+        z = np.tile(self._z[:, None], (1, len(x)))
+        z[list(self._at)] = x, np.asarray(velocity, dtype=float)
+        z[self._place] = np.asarray(pressures, dtype=float).T
+        return np.asarray(z)
+
+    def accelerations(
+        self, position: ArrayLike, velocity: ArrayLike, pressures: ArrayLike
+    ) -> Array:
+        """The plant's accelerations, of rows of positions, velocities and pressures."""
+        z = self.points(position, velocity, pressures)
+        values: Any = self.search.equations.map(z.shape[1])(z)
+        found: Array = np.array(values[0], dtype=float)[0]
+        return found
+
 
 @dataclass(frozen=True)
 class Search:
@@ -179,17 +200,17 @@ class Search:
         """(z, acceleration[, stiffness]) -> pressures; those in z do not count."""
         n = len(self.place)
         z, target = ca.MX.sym("z", self.size), ca.MX.sym("target", n)
-        middle = ca.DM((self.low + self.high) / 2)
+        taut = ca.DM(self.high)  # a slack muscle has no slope to begin from
         both = self._search(list(range(n)), list(range(n)))
-        pressures, miss, inside = both(middle, z, target)
+        pressures, miss, inside = both(taut, z, target)
         if n == 1:
             return ca.Function("inverse_dynamics", [z, target], [pressures])
         met = ca.logic_or(ca.fmax(miss[0], miss[1]) <= MISS, inside)
         alone = [self._search([0], [1 - i]) for i in (0, 1)]
-        best: Any = middle
+        best: Any = taut
         least: Any = (ca.MX(np.inf), ca.MX(np.inf))
         for i, ends in product((0, 1), (self.low, self.high)):
-            start = np.array(middle).ravel()
+            start = np.array(self.high)
             start[i] = ends[i]
             p, missed, within = alone[i](ca.DM(start), z, target)
             first = ca.if_else(ca.logic_or(missed[0] <= MISS, within), 0, missed[0])
@@ -276,9 +297,27 @@ def wanted_motion(
 
 
 def stiffness_of(plant: Plant) -> float:
-    """The stiffness of a pair at its start values."""
-    at: Any = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression("stiffness")])
-    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))
+    """The stiffness of a pair at its start values; where a muscle is slack there, at pressures
+    halfway between those from which on both pull and the highest ones.
+    """
+    everything = [v.name for v in (*plant.states, *plant.inputs)]
+    pressures = [n for n in everything if n.endswith(".pressure")]
+    known = {v.name for v in plant.outputs}
+    forces = [f for n in pressures if (f := n.removesuffix("pressure") + "force") in known]
+    asked = ca.vertcat(*(plant.expression(n) for n in ("stiffness", *forces)))
+    at = ca.Function("at", [ca.vertcat(plant.x, plant.u), plant.p], [asked])
+    shares = np.linspace(0.0, 1.0, LEVELS)
+    z = np.concatenate([plant.vector("state"), plant.vector("input")])
+    points = np.tile(z[:, None], LEVELS)
+    for name in pressures:
+        row, most = points[everything.index(name)], plant.variable(name).max
+        row += shares * max(most - row[0], 0.0) if np.isfinite(most) else 0.0
+    p = np.tile(plant.vector("parameter")[:, None], LEVELS)
+    stiffness, *pull = np.asarray(at.map(LEVELS)(points, p))
+    taut = np.all([f > SLACK * f.max() for f in pull], axis=0)
+    if not pull or taut[0] or not taut.any():
+        return float(stiffness[0])
+    return float(stiffness[(int(np.argmax(taut)) + LEVELS) // 2])
 
 
 def wanted_stiffness(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -87,6 +87,10 @@ class ClosedLoop:
     """Whether it did what it was asked: ``bool(loop.verdict)``, and in words."""
     plant: Plant | None = None
     """The real side with its values, where that is a plant."""
+    delay: int = 0
+    """Samples from measuring to acting."""
+    designed_delay: int = 0
+    """Those that the controller is designed for."""
 
     def __getitem__(self, name: str) -> Array:
         return self.trajectory[name]
@@ -121,6 +125,7 @@ class ClosedLoop:
         parts = {"seen": self.seen, "reference": self.reference, "estimate": self.estimate}
         facts: dict[str, Any] = {"prediction_error": self.prediction_error}
         facts |= {"verdict": self.verdict, "plant": self.plant}
+        facts |= {"delay": self.delay, "designed_delay": self.designed_delay}
         return write_loop(path, self.trajectory, parts, self.statistics, facts)
 
     @classmethod
@@ -132,6 +137,8 @@ class ClosedLoop:
         said = [f"closed loop over {self.trajectory.duration:g} s, {self.verdict}"]
         if self.statistics is not None:
             said.append(f"controller: {self.statistics}")
+        if self.delay or self.designed_delay:
+            said.append(_lateness(self.delay, self.designed_delay, self.seen.t[1]))
         if self.prediction_error is not None:
             said.append(
                 f"its predictions are within {self.prediction_error:.1e} (scaled by nominals) of "
@@ -189,7 +196,8 @@ def closed_loop(
     sensors : {measured name: Instrument}: bias, drift, steps, filter, sample and hold, delay. Its
         noise takes the place of what the estimator expects; ``noise`` comes on top.
     delay : samples between measuring and acting (computing time); before the first, start values.
-        By default what the controller reckons with (``Mpc(delay=1)``), or 0.
+        By default what the controller is designed for (``Mpc(delay=1)``), or 0. 1 is that of
+        a system of :func:`pam_ocp.export.export_ssp`.
     parts : samples recorded per ``sample_time``.
     plant : model that says of an FMU's variables what they are (ranges, openings of valves); by
         default the controller's. Without one the FMU's own description does.
@@ -200,7 +208,8 @@ def closed_loop(
     once, in the words of ``loop.verdict``, where the loop did not do what it was asked: set points
     missed by over 1 % of the stroke and 0.2 % of nominal (over the last tenth of the run), limits
     broken, over 20 % of a solver's calls not converged or any failed, predictions over a sample
-    that miss over 25 % of its changes, inputs without influence.
+    that miss over 25 % of its changes, inputs without influence; and where ``delay`` is not what
+    the controller is designed for.
 
     Examples
     --------
@@ -220,7 +229,8 @@ def closed_loop(
     sample_time = _sample_time(controller, estimator, sample_time, own)
     samples = round(require_positive("duration", duration, "s") / sample_time)
     require_count("parts", parts)
-    waits = require_count("delay", getattr(controller, "delay", 0) if delay is None else delay, 0)
+    designed = getattr(controller, "delay", 0)
+    waits = require_count("delay", designed if delay is None else delay, 0)
     if samples > MOST_SAMPLES:
         raise InputError(
             f"duration = {duration:g} s is {samples:.3g} samples of {sample_time:g} s: give at "
@@ -255,10 +265,24 @@ def closed_loop(
             run.sample(k * sample_time, look=k % max(1, samples // LOOKS) == 0)
             real.step(k * sample_time)
         run.measure(samples * sample_time)
-        found = run.result(sample_time, told)
+        found = replace(run.result(sample_time, told), delay=waits, designed_delay=designed)
+    if waits != getattr(controller, "delay", waits):
+        warnings.warn(
+            f"closed loop: {_lateness(waits, designed, sample_time)}; design it for "
+            f"delay = {waits}, or run it with delay = {designed}",
+            stacklevel=outside(),
+        )
     if not found.verdict:
         warnings.warn(f"closed loop: {found.verdict}", stacklevel=outside())
     return found
+
+
+def _lateness(delay: int, designed: int, sample_time: float) -> str:
+    if not delay:
+        return f"inputs act at once, but the controller is designed for a delay of {designed}"
+    samples = f"{delay} sample{'s' * (delay > 1)} ({1e3 * delay * sample_time:g} ms)"
+    known = "as" if delay == designed else f"not {designed} as"
+    return f"inputs act {samples} after the measurement, {known} the controller is designed for"
 
 
 def _require_controller(controller: Any, plant: Any) -> None:
@@ -470,6 +494,7 @@ def write_loop(
     content |= {"format": FORMAT, "prediction_error": facts["prediction_error"], "parts": {}}
     content |= carried(facts["plant"])
     content["verdict"] = asdict(facts["verdict"])
+    content["late"] = [facts["delay"], facts["designed_delay"]]
     content["steps"] = None if statistics is None else [asdict(s) for s in statistics.steps]
     for name, part in parts.items():
         if part is not None:
@@ -496,5 +521,6 @@ def read_loop(path: str | os.PathLike[str]) -> dict[str, Any]:
             told = content["verdict"]
             lists = {n: tuple(v) for n, v in told.items() if isinstance(v, list)}
             found["verdict"] = LoopVerdict(**{**told, **lists})
+        found["delay"], found["designed_delay"] = content.get("late", (0, 0))
         found["plant"] = plant_of_data(content[SYSTEM]) if SYSTEM in content else None
     return found

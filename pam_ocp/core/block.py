@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from .errors import InputError, UnknownNameError, require_positive
+from .errors import InputError, UnknownNameError, require_count, require_positive
 from .variables import Causality, Variable
 
 __all__ = ["Block"]
@@ -42,6 +42,9 @@ class Block:
     commands : those of the outputs that drive a plant; the others are estimates and status.
     missing : those of the inputs that may be NaN, where the step itself knows what to do then.
     loops : {what is repeated within one step: how often at most}, as a target's worst case.
+    delay : samples from measuring to acting that it is designed for.
+    flags : {output that is a sum of bits: {bit: name}; input that is on (1) or off (0): {}}.
+    matrices : {name: (rows, columns)} of parameters that stand in a row, ``name.*``, row by row.
     """
 
     name: str
@@ -55,10 +58,14 @@ class Block:
     commands: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     loops: Mapping[str, int] = field(default_factory=dict)
+    delay: int = 0
+    flags: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
+    matrices: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         Variable(self.name, "parameter")
         require_positive("sample_time", self.sample_time, "s")
+        require_count("delay", self.delay, 0)
         kinds: tuple[tuple[str, Causality], ...] = (
             ("inputs", "input"),
             ("outputs", "output"),

@@ -182,7 +182,7 @@ _PYTHON = tuple(Path(sysconfig.get_path(p)).resolve() for p in ("stdlib", "plats
 
 def is_installed(file: str | None) -> bool:
     """Whether a module of this file (None: of the interpreter) comes from an installation."""
-    return file is None or _installed(os.path.abspath(file))
+    return file is None or _installed(file if os.path.isabs(file) else os.path.abspath(file))
 
 
 @cache

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import comb, isfinite
+from math import comb
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -27,7 +27,7 @@ Interpolation: TypeAlias = Literal["previous", "linear"]
 Inputs: TypeAlias = "Mapping[str, Any] | Sampled | PiecewisePolynomial | None"
 
 FUNCTION_TOLERANCE = 1e-9
-"""A function of time is replaced by cubics that follow it to this part of the input's nominal."""
+"""A function of time becomes polynomials that follow it to this part of the input's nominal."""
 SHORTEST_PIECE = 1e-9
 """... down to pieces of this length [s], where a jump is taken for a jump."""
 MOST_PIECES = 100_000
@@ -218,9 +218,11 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
     return PiecewisePolynomial(times, np.stack([samples[:-1], slopes], axis=1)[:, :, None])
 
 
-NODES = (1 - np.cos(np.pi * (np.arange(4) + 0.5) / 4)) / 2
-"""Of a cubic on a piece of length 1."""
-PROBES = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-9])
+DEGREE = 5
+"""Every break starts a step of an integrator: of a cubic there would be three times as many."""
+NODES = np.minimum((1 - np.cos(np.pi * np.arange(DEGREE + 1) / DEGREE)) / 2, 1.0 - 1e-9)
+"""Of a polynomial on a piece of length 1; at its end it may jump."""
+PROBES = (NODES[:-1] + NODES[1:]) / 2
 """Where it is compared with the function."""
 BATCH = 4096
 """So many pieces are fitted at a time."""
@@ -229,9 +231,9 @@ BATCH = 4096
 def _from_function(
     variable: Any, function: Callable[[float], float], t: Array
 ) -> PiecewisePolynomial:
-    """Cubic pieces through four Chebyshev points, halved until they follow the function."""
+    """Pieces through Chebyshev points (Lobatto's), halved until they follow the function."""
     sample = _sampled(variable, function)
-    orders = np.arange(4)
+    orders = np.arange(DEGREE + 1)
     inverse = np.linalg.inv(NODES[:, None] ** orders).T
     powers = (PROBES[:, None] ** orders).T
     enough = FUNCTION_TOLERANCE * variable.nominal
@@ -241,10 +243,10 @@ def _from_function(
     while left.size:
         a, b = left[:BATCH], right[:BATCH]
         h = b - a
-        cubic = sample(a, h, NODES) @ inverse
-        error = np.abs(sample(a, h, PROBES) - cubic @ powers).max(axis=1)
+        piece = sample(a, h, NODES) @ inverse
+        error = np.abs(sample(a, h, PROBES) - piece @ powers).max(axis=1)
         good = (error <= enough) | (h <= SHORTEST_PIECE)
-        found.append((a[good], cubic[good] / h[good, None] ** orders))
+        found.append((a[good], piece[good] / h[good, None] ** orders))
         done += int(good.sum())
         a, b = a[~good], b[~good]
         middle = (a + b) / 2
@@ -252,15 +254,15 @@ def _from_function(
         right = np.concatenate([np.stack([middle, b], axis=1).ravel(), right[BATCH:]])
         if done >= most and left.size:
             raise InputError(
-                f"input {variable.name}: the function changes so fast that {most} cubic pieces "
+                f"input {variable.name}: the function changes so fast that {most} polynomials "
                 f"follow it to t = {left[0]:g} s only, of {t[-1]:g} s; give a slower function, a "
                 "shorter duration, or samples as (times, values)"
             )
-    begins, cubics = (np.concatenate(part) for part in zip(*found, strict=True))
-    largest = begins[int(np.argmax(np.abs(cubics[:, 0]))), None]
+    begins, pieces = (np.concatenate(part) for part in zip(*found, strict=True))
+    largest = begins[int(np.argmax(np.abs(pieces[:, 0]))), None]
     variable.doubt(sample(largest, np.zeros(1), np.zeros(1)))
     order = np.argsort(begins, kind="stable")
-    return PiecewisePolynomial(np.append(begins[order], t[-1]), cubics[order][:, :, None])
+    return PiecewisePolynomial(np.append(begins[order], t[-1]), pieces[order][:, :, None])
 
 
 def _sampled(
@@ -277,8 +279,6 @@ def _sampled(
         pass
 
     def checked(value: Any, time: float) -> float:
-        if isinstance(value, float) and isfinite(value):
-            return value
         try:
             array = np.ravel(require_numbers("value", value, variable.unit))
         except InputError:
@@ -292,7 +292,10 @@ def _sampled(
 
     def values(begins: Array, lengths: Array, places: Array) -> Array:
         times = (begins[:, None] + lengths[:, None] * places).ravel().tolist()
-        return np.array([checked(function(s), s) for s in times]).reshape(-1, len(places))
+        found: list[Any] = [function(s) for s in times]
+        if not {type(v) for v in found} <= {float, np.float64} or not np.isfinite(found).all():
+            found = [checked(v, s) for v, s in zip(found, times, strict=True)]
+        return np.array(found).reshape(-1, len(places))
 
     return values
 

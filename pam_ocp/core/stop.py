@@ -246,9 +246,12 @@ def turns(function: Callable[P, R]) -> Callable[P, R]:
     """A quick method that builds or evaluates CasADi's objects: threads take turns, signals come
     out.
     """
+    owned: Callable[[], bool] = LOCK._is_owned  # type: ignore[attr-defined]
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        if _signals.depth and owned():  # within another: a step of a filter has twenty such calls
+            return function(*args, **kwargs)
         with _signals, LOCK:
             return function(*args, **kwargs)
 

@@ -17,6 +17,7 @@ from .worlds.modelica import export_modelica as export_modelica
 from .worlds.mujoco_world import MujocoMuscle as MujocoMuscle
 from .worlds.mujoco_world import MujocoMuscles as MujocoMuscles
 from .worlds.mujoco_world import export_mjcf as export_mjcf
+from .worlds.mujoco_world import mujoco_limb as mujoco_limb
 from .worlds.mujoco_world import to_mujoco as to_mujoco
 from .worlds.onnx_world import to_onnx as to_onnx
 from .worlds.registry import WORLDS as WORLDS

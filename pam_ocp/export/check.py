@@ -121,7 +121,9 @@ def check_fmu(
        Model Exchange, in Co-Simulation by lines (FMI 2) or pairs of held values (FMI 3) with the
        same mean and first moment, to an error of about 1e-8 (scaled). Without a trajectory
        the two modes are compared with each other over ``duration`` [s], at constant inputs.
-    4. Start values of the binary are those of the description, and lie in its ranges.
+    4. The binary is as described: it starts at the start values and within the ranges, takes
+       both ends of the ranges of inputs and parameters (and refuses parameters beyond for all or
+       for none), and what moves with another variable is among its dependencies.
     5. A state saved, serialised and restored in another instance continues to the last bit.
     6. Directional derivatives agree with differences to 1e-6.
 

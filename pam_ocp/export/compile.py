@@ -19,7 +19,7 @@ from functools import cache
 from importlib import metadata, util
 from pathlib import Path
 
-from ..core.errors import ExportError, UnknownNameError, require_names
+from ..core.errors import ExportError, InputError, UnknownNameError, require_names
 from ..core.processes import Processes
 from .cache import cache_folder, home_folder, keep, kept, usable_folder
 from .runtime import c_text
@@ -84,16 +84,21 @@ _MSVC_FLAGS = ("/nologo", "/std:c11", "/O2", "/LD", "/fp:precise", "/utf-8")
 
 
 def platforms_named(names: Iterable[str] | None) -> tuple[Platform, ...]:
-    """The platforms of these names ("native": this machine's); for None all but those on request.
+    """The platforms of these names ("native": this machine's; "source" alone: none); for None all
+    but those on request.
 
-    Raises UnknownNameError.
+    Raises UnknownNameError, and InputError for "source" beside others.
     """
     if names is None:
         return tuple(p for p in PLATFORMS.values() if not p.on_request)
     chosen = require_names("platforms", names)
+    if list(chosen) == ["source"]:
+        return ()
+    if "source" in chosen:
+        raise InputError(f"platforms = {chosen}: 'source' means no binaries at all; give it alone")
     for name in chosen:
         if name != "native" and name not in PLATFORMS:
-            raise UnknownNameError("platform", name, ["native", *PLATFORMS])
+            raise UnknownNameError("platform", name, ["native", "source", *PLATFORMS])
     wanted = {native().name if n == "native" else n for n in chosen}
     if not wanted:
         raise ExportError("platforms is empty; name at least one, such as 'native'")

@@ -156,7 +156,8 @@ def _causality(entry: Entry, sampled: bool) -> dict[str, str]:
         variability = "tunable" if entry.variable.tunable else "fixed"
         return {"causality": "parameter", "variability": variability, "initial": "exact"}
     if entry.role == "input":
-        return {"causality": "input", "variability": "continuous"}
+        variability = "discrete" if entry.boolean else "continuous"
+        return {"causality": "input", "variability": variability}
     if entry.is_calculated:
         variability = "tunable" if entry.variable.tunable else "fixed"
         causality = "calculatedParameter"
@@ -164,7 +165,7 @@ def _causality(entry: Entry, sampled: bool) -> dict[str, str]:
     return {
         "causality": "output" if entry.is_output else "local",
         "variability": "discrete" if sampled else "continuous",
-        "initial": "exact" if entry.role == "state" else "calculated",
+        "initial": "exact" if entry.role == "state" or entry.begins else "calculated",
     }
 
 
@@ -173,6 +174,9 @@ def _quantity(entry: Entry, types: Types) -> dict[str, str]:
     and repeated: not all importers look at types.
     """
     variable = entry.variable
+    if entry.boolean:
+        known = entry.role == "input"
+        return {"start": "true" if variable.start else "false"} if known else {}
     attributes = {"unit": variable.unit}
     if entry.role != "time":
         attributes["declaredType"] = quantities.declared(variable, types)
@@ -183,7 +187,7 @@ def _quantity(entry: Entry, types: Types) -> dict[str, str]:
     for name in ("min", "max", "nominal"):
         if math.isfinite(getattr(variable, name)):
             attributes[name] = repr(float(getattr(variable, name)))
-    if entry.role in ("state", "input", "parameter"):
+    if entry.role in ("state", "input", "parameter") or entry.begins:
         attributes["start"] = repr(float(variable.start or 0.0))
     return attributes
 
@@ -203,18 +207,36 @@ def _variables_2(root: ET.Element, layout: Layout, types: Types) -> None:
         if entry.role == "derivative":
             real["derivative"] = str(entry.reference - len(layout.of("state")))
         head = _head(entry, layout.sample_time is not None)
-        ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), "Real", real)
+        kind = "Boolean" if entry.boolean else "Real"
+        ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), kind, real)
 
 
 def _variables_3(root: ET.Element, layout: Layout, types: Types) -> None:
     parent = ET.SubElement(root, "ModelVariables")
     for entry in layout.entries:
+        if entry.reference in layout.within:
+            if entry.reference in layout.arrays:
+                _array(parent, layout, entry)
+            continue
         attributes = _head(entry, layout.sample_time is not None) | _quantity(entry, types)
         if entry.role == "derivative":
             attributes["derivative"] = str(entry.reference - len(layout.of("state")))
-        ET.SubElement(parent, "Float64", attributes)
+        ET.SubElement(parent, "Boolean" if entry.boolean else "Float64", attributes)
     if layout.clock and layout.sample_time is not None:
         _clock(parent, layout, layout.sample_time)
+
+
+def _array(parent: ET.Element, layout: Layout, first: Entry) -> None:
+    """A matrix of parameters, row by row. Its entries count in different units: it has none."""
+    name, rows, columns = layout.arrays[first.reference]
+    entries = layout.entries[first.reference : first.reference + rows * columns]
+    attributes = {"name": name, "valueReference": str(first.reference)}
+    attributes["description"] = "; ".join(e.variable.description for e in entries)
+    attributes |= _causality(first, True)
+    attributes["start"] = " ".join(repr(float(e.variable.start or 0.0)) for e in entries)
+    element = ET.SubElement(parent, "Float64", attributes)
+    for size in (rows, columns):
+        ET.SubElement(element, "Dimension", start=str(size))
 
 
 def _clock(parent: ET.Element, layout: Layout, sample_time: float) -> None:
@@ -255,10 +277,17 @@ def _derivatives(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
 
 def _initial(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
     return [
-        (e.reference, layout.initial_dependencies[e.reference])
+        (e.reference, _once(layout, layout.initial_dependencies[e.reference]))
         for e in layout.entries
-        if e.role == "derivative" or e.is_calculated or (e.role == "output" and e.is_output)
+        if e.role == "derivative"
+        or e.is_calculated
+        or (e.role == "output" and e.is_output and not e.begins)
     ]
+
+
+def _once(layout: Layout, known: Iterable[Dependency]) -> tuple[Dependency, ...]:
+    """Dependencies on entries of an array as one on the array."""
+    return tuple(dict.fromkeys((layout.within.get(r, r), kind) for r, kind in known))
 
 
 def _dependency_attributes(known: Iterable[Dependency]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -29,6 +29,8 @@ _LINKER_MARKS = ("__dso_handle", "_mh_dylib_header")
 """zig's linker exports these two addresses from every library for macOS."""
 _ROUNDING = 1e-9
 """What a start value may be off, in parts of itself or of its nominal: decimals are rounded."""
+_SHARES = (1e-3, -1e-3, 0.1, -0.1)
+"""Of a variable's size, by which it is moved to see what depends on it."""
 _MOST_FINDINGS, _LONGEST = 100, 500
 """Of one kind, and characters of one."""
 
@@ -132,6 +134,8 @@ def _run_all(
     tell(deviations=deviations)
     _tell_findings(tell, _too_large(deviations, tolerance))
     _tell_findings(tell, _start_findings(fmu))
+    _tell_findings(tell, _range_findings(fmu))
+    _tell_findings(tell, _dependency_findings(fmu))
     _tell_findings(tell, _state_findings(fmu))
     _tell_findings(tell, _derivative_findings(fmu))
 
@@ -215,10 +219,15 @@ def _too_large(deviations: Mapping[str, Mapping[str, float]], tolerance: float) 
 # ---- saved states and derivatives ---------------------------------------------------------------
 
 
+def _plain_reals(fmu: UnpackedFmu) -> dict[str, Any]:
+    """Real variables that are no arrays."""
+    reals = {n: v for n, v in fmu.variables.items() if v.type in ("Real", "Float64")}
+    return {n: v for n, v in reals.items() if not getattr(v, "dimensions", None)}
+
+
 def _start_findings(fmu: UnpackedFmu) -> list[str]:
     """The binary starts at the values that the description states, and within its ranges."""
-    reals = {n: v for n, v in fmu.variables.items() if v.type in ("Real", "Float64")}
-    plain = {n: v for n, v in reals.items() if not getattr(v, "dimensions", None)}
+    plain = _plain_reals(fmu)
     given = ("input", "parameter", "structuralParameter")
     stated = {
         n: float(v.start)
@@ -237,13 +246,113 @@ def _start_findings(fmu: UnpackedFmu) -> list[str]:
                 told = f"{start:g} in the description"
                 findings.append(f"{name} is {values[name]:g} {where}, {told}")
         for name, v in plain.items():
-            low = -np.inf if v.min is None else float(v.min)
-            high = np.inf if v.max is None else float(v.max)
+            low, high = _range(v)
             slack = _ROUNDING * float(fmu.nominals([name])[0])
             if not low - slack <= values[name] <= high + slack:
                 told = f"outside of {low:g} .. {high:g}, its range in the description"
                 findings.append(f"{name} is {values[name]:g} {where}, {told}")
     return findings
+
+
+def _range(variable: Any) -> tuple[float, float]:
+    low, high = (None if end is None else float(end) for end in (variable.min, variable.max))
+    return -np.inf if low is None else low, np.inf if high is None else high
+
+
+def _range_findings(fmu: UnpackedFmu) -> list[str]:
+    """The binary takes both ends of the ranges of inputs and parameters; if it refuses parameters
+    beyond theirs, which is left to it, then those of all.
+    """
+    kind = _interfaces(fmu)[0][0]
+    findings: list[str] = []
+    refused: list[str] = []
+    taken: list[str] = []
+    for name, v in _plain_reals(fmu).items():
+        if v.causality not in ("input", "parameter") or v.variability == "constant":
+            continue
+        low, high = _range(v)
+        for end, value, outwards in (("min", low, -1.0), ("max", high, 1.0)):
+            if not np.isfinite(value):
+                continue
+            if not _takes(fmu, kind, name, value):
+                findings.append(f"{name} = {value:g} is refused, its {end} in the description")
+            beyond = value + outwards * max(abs(value), float(fmu.nominals([name])[0]))
+            if v.causality == "parameter":
+                told = (
+                    f"{name} = {beyond:g} is taken, beyond its {end} {value:g} in the description"
+                )
+                (taken if _takes(fmu, kind, name, beyond) else refused).append(told)
+    return findings + (taken if refused else [])
+
+
+def _takes(fmu: UnpackedFmu, kind: Kind, name: str, value: float) -> bool:
+    with Runner(fmu, kind) as runner:  # anew: after an error an instance need not go on
+        try:
+            runner.set({name: value})
+        except Exception:  # FMPy raises plain Exceptions
+            return False
+    return True
+
+
+def _dependency_findings(fmu: UnpackedFmu) -> list[str]:
+    """What moves when a known moves is told as a dependency: at the start, and in Model Exchange
+    between events. A dependency that is told and not seen is none the less right.
+    """
+    kind = _interfaces(fmu)[-1][0]
+    description, plain = fmu.description, _plain_reals(fmu)
+    given = [n for n, v in plain.items() if v.causality in ("input", "parameter")]
+    exact = [n for n, v in plain.items() if v.initial == "exact" and n not in given]
+    findings = _undeclared(fmu, kind, description.initialUnknowns, [*given, *exact], True)
+    if kind == "ModelExchange":
+        unknowns = [*description.outputs, *description.derivatives]
+        knowns = [*fmu.states, *fmu.names("input")]
+        findings += _undeclared(fmu, kind, unknowns, knowns, False)
+    return findings
+
+
+def _undeclared(
+    fmu: UnpackedFmu, kind: Kind, unknowns: Iterable[Any], knowns: Iterable[str], start: bool
+) -> list[str]:
+    plain = _plain_reals(fmu)
+    told = {
+        u.variable.name: {v.name for v in u.dependencies}
+        for u in unknowns
+        if u.dependencies is not None and u.variable.name in plain
+    }
+    if not told:
+        return []
+    findings, names, where = [], list(told), " at the start" if start else ""
+    scale = fmu.nominals(names)
+    for known in (n for n in knowns if n in plain):
+        moved = _moved(fmu, kind, names, known, start) > _ROUNDING * scale
+        findings += [
+            f"{name} depends on {known}{where}, which the description does not tell"
+            for name, moves in zip(names, moved, strict=True)
+            if moves and known not in told[name] and name != known
+        ]
+    return findings
+
+
+def _moved(fmu: UnpackedFmu, kind: Kind, names: Sequence[str], known: str, start: bool) -> Array:
+    """How far variables move at most with ``known``, by shares of its size within its range; up to
+    where the binary refuses that.
+    """
+    low, high = _range(fmu.variables[known])
+    farthest = np.zeros(len(names))
+    with Runner(fmu, kind) as runner:
+        runner.begin(0.0)
+        if not start:
+            runner.end_initialization()
+        before, value = runner.get(names), float(runner.get([known])[0])
+        size = max(abs(value), float(fmu.nominals([known])[0]))
+        for share in _SHARES:
+            try:
+                runner.set({known: float(np.clip(value + share * size, low, high))})
+                after = runner.get(names)
+            except Exception:  # FMPy raises plain Exceptions
+                break
+            farthest = np.fmax(farthest, np.abs(after - before))
+    return farthest
 
 
 def _state_findings(fmu: UnpackedFmu) -> list[str]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 import casadi as ca
@@ -38,6 +39,10 @@ class Entry:
     """In the sense of FMI: a state or an output of the plant that is shown as one."""
     is_calculated: bool = False
     """In the sense of FMI: an output that is a parameter, given by others."""
+    boolean: bool = False
+    """Not 0 or 0: a Boolean of FMI."""
+    begins: bool = False
+    """An output of a block that holds its start value until the first sample."""
 
 
 class Layout:
@@ -55,6 +60,8 @@ class Layout:
     """Of a sampled block [s]; None for a plant."""
     clock = False
     """Whether FMI 3 shows the samples' clock."""
+    arrays: Mapping[int, tuple[str, int, int]] = MappingProxyType({})
+    """{reference of the first entry: (name, rows, columns)} of parameters shown as one array."""
 
     def __init__(
         self,
@@ -91,6 +98,15 @@ class Layout:
     def outputs(self) -> tuple[Entry, ...]:
         """What the FMU gives as outputs: states first."""
         return tuple(e for e in self.entries if e.is_output)
+
+    @cached_property
+    def within(self) -> dict[int, int]:
+        """{reference of an entry of an array: that of the array}."""
+        return {
+            first + i: first
+            for first, (_, rows, columns) in self.arrays.items()
+            for i in range(rows * columns)
+        }
 
     def of(self, role: Role) -> tuple[Entry, ...]:
         """All entries of a role, in order."""

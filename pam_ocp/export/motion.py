@@ -67,7 +67,7 @@ def export_motion(
 
     Examples
     --------
-    >>> path = pam.export_motion(plan.trajectory, "motion.fmu", platforms=["native"])
+    >>> path = pam.export.export_motion(plan.trajectory, "motion.fmu", platforms=["native"])
     >>> path.name
     'motion.fmu'
     """

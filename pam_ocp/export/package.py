@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from ..core.block import Block
-from ..core.errors import InputError
+from ..core.errors import InputError, require_flag
 from ..core.renamed import renamed
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -44,6 +44,8 @@ def export_fmu(
     stop_time: float = 1.0,
     reference: Trajectory | None = None,
     share: bool = False,
+    matrices: bool = False,
+    booleans: bool = False,
     author: str | None = None,
     version: str | None = None,
     copyright: str | None = None,
@@ -70,7 +72,8 @@ def export_fmu(
         variables: to be read and plotted, but not to be connected.
     platforms : names from :data:`PLATFORMS`, or "native" for this machine; by default all five
         (Linux and macOS on x86_64 and aarch64, Windows on x86_64). On request also "x86-linux",
-        "x86-windows" and "aarch64-windows".
+        "x86-windows" and "aarch64-windows". "source" alone gives an FMU without binaries, whose
+        importer compiles it as sources/buildDescription.xml says.
     step_size : proposed communication step [s]; any step is possible. By default 1 ms, for a block
         its sample time.
     tolerance : largest error of Co-Simulation, in units of each state's nominal. An importer can
@@ -86,6 +89,11 @@ def export_fmu(
         experiment as the layered standard FMI-LS-REF describes it.
     share : True gives muscles with equal constants one parameter for each (``muscle.a1``), and
         makes theirs (``muscle1.a1``, ...) calculated ones.
+    matrices : True shows a block's gains in FMI 3 as array parameters (``K``), tunable as a whole
+        while it runs; by default, and in FMI 2, each entry is a parameter
+        (``K.muscle1.command.x``), with its unit.
+    booleans : True makes a block's ``enable`` a Boolean, and its ``status`` one Boolean for each
+        bit: ``status.off``, ``.missing``, ``.lost``, ``.at_range``, ``.at_rate``, ``.no_number``.
     author, version, copyright, license : of the model, for its description.
     date : of the model, ISO 8601 or a datetime; by default a fixed one, so that the same plant
         gives the same bytes.
@@ -103,6 +111,9 @@ def export_fmu(
     'load.fmu'
     """
     about = checked_about(author, version, copyright, license, date)
+    shapes = {"matrices": matrices, "booleans": booleans}
+    for argument, wanted in shapes.items():
+        require_flag(argument, wanted)
     block = as_block(system)
     if block is not None:
         refused = {"inputs": inputs, "outputs": outputs, "fixed_step": fixed_step}
@@ -112,7 +123,14 @@ def export_fmu(
                 raise InputError(f"{argument}: a block has none; leave it out")
         size = block.sample_time if step_size is None else step_size
         settings = checked(fmi, size, tolerance, None, stop_time, about)
-        return write_block(block, path, settings, platforms, clock)
+        if matrices and fmi == "2.0":
+            raise InputError(
+                "matrices = True: FMI 2 has no arrays; give fmi='3.0', or leave it out"
+            )
+        return write_block(block, path, settings, platforms, clock, None, **shapes)
+    for argument, wanted in shapes.items():
+        if wanted:
+            raise InputError(f"{argument} = True: a plant has none; leave it out")
     plant = require_plant(system)
     size = 1e-3 if step_size is None else step_size
     settings = checked(fmi, size, tolerance, fixed_step, stop_time, about)
@@ -166,13 +184,17 @@ def write_block(
     settings: Settings,
     platforms: Iterable[str] | None,
     clock: bool,
+    first: Mapping[str, float] | None = None,
+    **shapes: bool,
 ) -> Path:
-    """Write a block as an FMU."""
+    """Write a block as an FMU. first, shapes : see BlockLayout."""
+    block = sampled.as_booleans(block) if shapes.get("booleans") else block
+    layout = sampled.BlockLayout(block, clock, first, **shapes)
     content = Content(
         "block",
         lambda: sampled.block_sources(block),
         lambda: [("(memory, outputs)", "step(memory, inputs, parameters)")],
         sampled.block_notes(block),
-        sampled.block_data(block),
+        sampled.block_data(layout),
     )
-    return write_fmu(sampled.BlockLayout(block, clock), path, settings, platforms, content)
+    return write_fmu(layout, path, settings, platforms, content)

@@ -56,6 +56,7 @@ class UnpackedFmu:
         variables = self.description.modelVariables
         self.references = {v.name: int(v.valueReference) for v in variables}
         self.variables: dict[str, Any] = {v.name: v for v in variables}
+        self.booleans = {v.name for v in variables if v.type == "Boolean"}
         self.derivatives = [d.variable.name for d in self.description.derivatives]
         self.states = [d.variable.derivative.name for d in self.description.derivatives]
 
@@ -173,6 +174,8 @@ class Runner:
     def get(self, names: Sequence[str]) -> Array:
         """Values of variables [SI]."""
         references = self.references(names)
+        if not self.fmu.booleans.isdisjoint(names):
+            return np.array([self._one(n) for n in names], dtype=float)
         read = self.inner.getReal if self.fmu.fmi == "2.0" else self.inner.getFloat64
         return np.array(read(references) if references else [], dtype=float)
 
@@ -181,18 +184,38 @@ class Runner:
         if not values:
             return
         references = self.references(list(values))
+        for name in self.fmu.booleans.intersection(values):
+            self.inner.setBoolean(self.references([name]), [bool(values[name])])
+        if not self.fmu.booleans.isdisjoint(values):
+            return self.set({n: v for n, v in values.items() if n not in self.fmu.booleans})
         write = self.inner.setReal if self.fmu.fmi == "2.0" else self.inner.setFloat64
         write(references, [float(v) for v in values.values()])
 
+    def _one(self, name: str) -> float:
+        """A value, 1 or 0 of a Boolean."""
+        if name in self.fmu.booleans:
+            return float(bool(self.inner.getBoolean(self.references([name]))[0]))
+        return float(self.get([name])[0])
+
     def initialize(self, start: Mapping[str, float], time: float, tolerance: float | None) -> None:
         """Set start values and go through initialization; Model Exchange to continuous time."""
+        self.begin(time, start, tolerance)
+        self.end_initialization()
+
+    def begin(
+        self, time: float, start: Mapping[str, float] | None = None, tolerance: float | None = None
+    ) -> None:
+        """Set start values and enter initialization."""
         if self.fmu.fmi == "2.0":
             self.inner.setupExperiment(startTime=time, tolerance=tolerance)
-            self.set(start)
+            self.set(start or {})
             self.inner.enterInitializationMode()
         else:
-            self.set(start)
+            self.set(start or {})
             self.inner.enterInitializationMode(startTime=time, tolerance=tolerance)
+
+    def end_initialization(self) -> None:
+        """Go on to steps; in Model Exchange to continuous time."""
         self.inner.exitInitializationMode()
         if self.kind == "ModelExchange":
             self.inner.enterContinuousTimeMode()

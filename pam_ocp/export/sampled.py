@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -12,11 +13,12 @@ import casadi as ca
 from ..core.block import Block
 from ..core.errors import ExportError, InputError
 from ..core.trajectory import Trajectory
+from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import source
 from .layout import Dependency, Layout
 
-__all__ = ["BlockLayout", "as_block", "block_data", "block_notes", "block_sources"]
+__all__ = ["BlockLayout", "as_block", "as_booleans", "block_data", "block_notes", "block_sources"]
 
 LEAST_SAMPLE_TIME = 1e-6
 """[s] Times of importers are sums of doubles: below, a day of samples cannot be told apart."""
@@ -36,11 +38,51 @@ def as_block(system: Any) -> Block | None:
     return Block.of(system)
 
 
-class BlockLayout(Layout):
-    """The variables of a block's FMU; its memory is not among them."""
+def as_booleans(block: Block) -> Block:
+    """The block with an output for each bit of its flags (``status.off``), for Booleans of FMI.
 
-    def __init__(self, block: Block, clock: bool = True) -> None:
+    Raises InputError for a block without flags.
+    """
+    if not block.flags:
+        raise InputError(f"booleans = True: {block.name} has no flags; leave it out")
+    m, u, p = (block.step.mx_in(i) for i in range(3))
+    after, outputs = block.step(m, u, p)
+    variables, values = [], []
+    for v, value in zip(block.outputs, ca.vertsplit(outputs), strict=True):
+        bits = block.flags.get(v.name, {})
+        for bit, name in bits.items():
+            words = f"{v.description.partition(':')[0]} {bit}" if v.description else ""
+            flag = Variable(f"{v.name}.{name}", "output", start=0.0, description=words)
+            variables.append(flag)
+            values.append(ca.fmod(ca.floor(value / bit), 2))
+        if not bits:
+            variables.append(v)
+            values.append(value)
+    step = ca.Function("step", [m, u, p], [after, ca.densify(ca.vertcat(*values))])
+    flags: dict[str, dict[int, str]] = {
+        v.name: {} for v in variables if v.name.rpartition(".")[0] in block.flags
+    }
+    flags |= {n: {} for n, bits in block.flags.items() if not bits}
+    return replace(block, outputs=tuple(variables), step=step, flags=flags)
+
+
+class BlockLayout(Layout):
+    """The variables of a block's FMU; its memory is not among them.
+
+    first : {output: what stands there until the first sample}; by default what it would give.
+    matrices : gains as arrays (FMI 3). booleans : flags of the block are Booleans.
+    """
+
+    def __init__(
+        self,
+        block: Block,
+        clock: bool = True,
+        first: Mapping[str, float] | None = None,
+        matrices: bool = False,
+        booleans: bool = False,
+    ) -> None:
         self.block, self.clock = block, clock
+        begins = first or {}
         self.sample_time = block.sample_time
         super().__init__(
             block.name,
@@ -48,9 +90,26 @@ class BlockLayout(Layout):
             [
                 ("input", block.inputs),
                 ("parameter", block.parameters),
-                ("output", block.outputs),
+                (
+                    "output",
+                    tuple(replace(v, start=begins.get(v.name, v.start)) for v in block.outputs),
+                ),
             ],
         )
+        self.entries = tuple(
+            replace(
+                e,
+                begins=e.role == "output" and e.name in begins,
+                boolean=booleans and e.name in block.flags,
+            )
+            for e in self.entries
+        )
+        place = {e.name: e.reference for e in self.of("parameter")}
+        if matrices:
+            self.arrays = {
+                min(r for n, r in place.items() if n.startswith(f"{name}.")): (name, *shape)
+                for name, shape in block.matrices.items()
+            }
 
     @cached_property
     def dependencies(self) -> Mapping[int, tuple[Dependency, ...]]:
@@ -60,14 +119,13 @@ class BlockLayout(Layout):
     @cached_property
     def initial_dependencies(self) -> Mapping[int, tuple[Dependency, ...]]:
         """For each output: the inputs and parameters it starts from."""
-        return self._depends("input", "parameter")
+        more = self._depends("parameter")
+        return {o: tuple(sorted(known + more[o])) for o, known in self.dependencies.items()}
 
-    def _depends(self, *roles: Any) -> Mapping[int, tuple[Dependency, ...]]:
+    def _depends(self, role: Any) -> Mapping[int, tuple[Dependency, ...]]:
         found: dict[int, tuple[Dependency, ...]] = {e.reference: () for e in self.of("output")}
-        for role in roles:
-            knowns = self.of(role)
-            if not knowns or not found:
-                continue
+        knowns = self.of(role)
+        if knowns and found:
             pattern = self.block.step.jac_sparsity(1, {"input": 1, "parameter": 2}[role])
             for row, column in zip(pattern.row(), pattern.get_col(), strict=True):
                 output = self.of("output")[row].reference
@@ -113,25 +171,37 @@ def block_sources(block: Block) -> source.ModelCode:
     return source.ModelCode({"plant.c": code}, work)
 
 
-def block_data(block: Block) -> dict[str, Any]:
+def block_data(layout: BlockLayout) -> dict[str, Any]:
     """What model_data.h says of a block beyond what it says of a plant."""
+    block = layout.block
     missing = getattr(block, "missing", ())
-    return {
-        "more": {
-            "MODEL_SAMPLED": "",
-            "MODEL_SAMPLE_TIME": source.number(block.sample_time),
-            "NM": str(len(block.memory)),
-        },
-        "tables": [
-            source.table("double", "M_START", map(source.number, block.start("memory"))),
-            source.table(
-                "double", "Y_START", (source.number(v.start or 0.0) for v in block.outputs)
-            ),
-            source.table(
-                "int", "U_MISSING", (str(int(v.name in missing)) for v in block.inputs), "0"
-            ),
-        ],
+    unknown = (str(int(v.name in missing)) for v in block.inputs)
+    begins = [str(int(e.begins)) for e in layout.of("output")]
+    booleans = [str(int(e.boolean)) for e in layout.entries]
+    more = {
+        "MODEL_SAMPLED": "",
+        "MODEL_SAMPLE_TIME": source.number(block.sample_time),
+        "NM": str(len(block.memory)),
     }
+    tables = [
+        source.table("double", "M_START", map(source.number, block.start("memory"))),
+        source.table("double", "Y_START", map(source.number, layout.vector("output", "start"))),
+        source.table("int", "Y_BEGINS", begins, "0"),
+        source.table("int", "U_MISSING", unknown, "0"),
+    ]
+    if layout.arrays:
+        more["MODEL_ARRAYS"] = ""
+        tables.append(source.table("int", "P_SIZE", map(str, _sizes(layout))))
+    if "1" in booleans:
+        more["MODEL_BOOLEANS"] = ""
+        tables.append(source.table("int", "V_BOOLEAN", booleans))
+    return {"more": more, "tables": tables}
+
+
+def _sizes(layout: BlockLayout) -> list[int]:
+    """How many values stand behind the reference of each parameter."""
+    shapes = {r: rows * columns for r, (_, rows, columns) in layout.arrays.items()}
+    return [shapes.get(e.reference, 1) for e in layout.of("parameter")]
 
 
 def block_notes(block: Block) -> list[str]:

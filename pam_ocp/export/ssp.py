@@ -1,29 +1,35 @@
-"""A system of FMUs in one file (SSP 1.0): plant, estimator, controller, motion."""
+"""A system of FMUs in one file (SSP): plant, estimator, controller, motion."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 from ..core.block import Block
 from ..core.errors import InputError, UnknownNameError, require_positive
 from ..core.files import atomic_path, require_ending
+from ..core.plausible import outside
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import assembly, description
 from .motion import export_motion, player
-from .package import export_fmu
+from .package import export_fmu, write_block
 from .sampled import as_block
-from .settings import FmiVersion
+from .settings import FmiVersion, checked
 from .structure import Part, Wire, system_structure
 
 __all__ = ["export_ssp"]
 
+LATE = 0.1
+"""Sample times: commands that act so much later than designed for lose little."""
+
+SspVersion: TypeAlias = Literal["1.0", "2.0"]
 Component: TypeAlias = Plant | Block | Trajectory | Any
 
 
@@ -39,8 +45,9 @@ def export_ssp(
     stop_time: float = 1.0,
     tolerance: float = 1e-6,
     platforms: Iterable[str] | None = None,
+    version: SspVersion = "1.0",
 ) -> Path:
-    """Write FMUs (Co-Simulation) and their connections as an SSP 1.0; returns its path.
+    """Write FMUs (Co-Simulation) and their connections as an SSP; returns its path.
 
     Parameters
     ----------
@@ -58,9 +65,18 @@ def export_ssp(
     stop_time : proposed end [s].
     tolerance : of the plants, see :func:`export_fmu`.
     platforms : see :func:`export_fmu`.
+    version : of SSP: "1.0" (default: read by every importer) or "2.0", which knows the types of
+        FMI 3; its name spaces are those of 1.0.
 
-    Start values and parameters stand in the FMUs and, to be changed there, in the SSP. Inputs are
-    held over a communication step, so a loop through two components lags by one step.
+    Start values and parameters stand in the FMUs and, to be changed there, in the SSP.
+
+    The exchange: outputs are handed over once after initialization, and after each communication
+    step, which all components take at once with inputs held. So a plant's inputs start with its
+    own start values, and commands act one step after their measurement: at the blocks' sample
+    time that is ``closed_loop(..., delay=1)``, to the last digits of the integration. Masters that
+    hand nothing over after initialization (FMPy) begin with zeros. Warns where a block is not
+    designed for that delay (``Mpc(delay=1)``, ``block(..., delay=1)``), or gets values through
+    another block, each of which takes one step more (``chain`` makes them one).
 
     Raises InputError (an open input, units that do not fit, sample times that differ, a step that
     does not fit them), UnknownNameError, ExportError.
@@ -83,10 +99,15 @@ def export_ssp(
     """
     require_ending(path, ".ssp", "a system")
     stop_time = require_positive("stop_time", stop_time, "s")
+    if version not in get_args(SspVersion):
+        raise UnknownNameError("SSP version", version, get_args(SspVersion))
+    kind = "Float64" if (version, fmi) == ("2.0", "3.0") else "Real"
     found = _named(components)
     size = _step_size(found, step_size)
-    parts = {n: _part(n, c, size, tolerance, fmi, platforms) for n, c in found.items()}
+    first = _first_commands(found, connections)
+    parts = {n: _part(n, c, size, tolerance, fmi, platforms, first) for n, c in found.items()}
     wires = _wires(parts, connections)
+    _warn_of_delays(found, wires, size)
     with (
         atomic_path(path) as target,
         tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder,
@@ -95,7 +116,7 @@ def export_ssp(
         for key, part in parts.items():
             file = part.write(Path(folder) / f"{key}.fmu")
             content[f"resources/{key}.fmu"] = file.read_bytes()
-        tree = system_structure(name, parts, wires, size, stop_time)
+        tree = system_structure(name, parts, wires, size, stop_time, version, kind)
         content["SystemStructure.ssd"] = description.to_text(tree).encode()
         assembly.write_archive(target, content)
     return Path(path)
@@ -124,7 +145,21 @@ def _named(components: Mapping[str, Component] | Sequence[Component]) -> dict[st
             raise InputError(
                 f"component {name!r} = {component!r} must be a Plant, a Block or a Trajectory"
             )
+        _require_own_prefix(name, found[name])
     return found
+
+
+def _require_own_prefix(name: str, component: Component) -> None:
+    """Importers take the component's name off parameters: those that begin with it get lost."""
+    variables = () if isinstance(component, Trajectory) else component.parameters
+    if isinstance(component, Plant):
+        variables += component.states
+    lost = next((v.name for v in variables if v.name.startswith(f"{name}.")), None)
+    if lost is not None:
+        raise InputError(
+            f"component {name!r} is named like the beginning of its parameter {lost}, whose value "
+            f"some importers then lose; name it otherwise, such as 'the_{name}'"
+        )
 
 
 def _own_name(component: Component) -> str:
@@ -159,16 +194,19 @@ def _part(
     tolerance: float,
     fmi: FmiVersion,
     platforms: Iterable[str] | None,
+    first: Mapping[str, float],
 ) -> Part:
     chosen = None if platforms is None else [platforms] if isinstance(platforms, str) else platforms
     more: dict[str, Any] = {"fmi": fmi, "platforms": chosen, "step_size": step_size}
     if isinstance(component, Block):
-        block = component
+        block, settings = component, checked(fmi, step_size, tolerance, None, 1.0)
+        begins = {v.name: first.get(f"{name}.{v.name}") for v in block.outputs}
+        given = {n: value for n, value in begins.items() if value is not None}
         return Part(
             block.inputs,
             block.outputs,
             block.parameters,
-            lambda path: export_fmu(block, path, clock=False, **more),
+            lambda path: write_block(block, path, settings, chosen, False, given),
             block.sample_time,
         )
     if isinstance(component, Trajectory):
@@ -188,6 +226,52 @@ def _part(
         model.states + model.parameters,
         lambda path: export_fmu(model, path, tolerance=tolerance, **more),
     )
+
+
+# ---- exchange -----------------------------------------------------------------------------------
+
+
+def _first_commands(
+    components: Mapping[str, Component], connections: Mapping[str, str]
+) -> dict[str, float]:
+    """{output of a block: start value of the plant's input that it drives}."""
+    found: dict[str, float] = {}
+    for target, start in connections.items():
+        (to, _, sink), of = target.partition("."), start.partition(".")[0]
+        plant = components.get(to)
+        if isinstance(plant, Plant) and isinstance(components.get(of), Block):
+            value = next((v.start for v in plant.inputs if v.name == sink), None)
+            found.setdefault(start, value or 0.0)
+    return found
+
+
+def _warn_of_delays(
+    components: Mapping[str, Component], wires: Iterable[Wire], step_size: float
+) -> None:
+    """What the exchange does to loops that are designed for another delay."""
+    said: dict[str, None] = {}
+    for of, _, to, sink in wires:
+        block, target = components[of], components[to]
+        if not isinstance(block, Block) or of == to:
+            continue
+        if isinstance(target, Block):
+            if not sink.startswith("sent."):  # those are of the sample before anyway
+                said[
+                    f"{to} gets what {of} gives one step ({1e3 * step_size:g} ms) later; make them "
+                    "one block by chain()"
+                ] = None
+            continue
+        designed = block.delay * block.sample_time
+        if isinstance(target, Plant) and abs(step_size - designed) > LATE * block.sample_time:
+            known = f"{1e3 * designed:g} ms" if block.delay else "no delay"
+            said[
+                f"commands of {of} act one step ({1e3 * step_size:g} ms) after their measurement, "
+                f"but it is designed for {known}; closed_loop(delay=1) shows what that costs. "
+                "Design it for that, as Mpc(delay=1) or block(..., delay=1), or give a step_size "
+                "of a tenth of its sample time"
+            ] = None
+    for text in said:
+        warnings.warn(f"export_ssp: {text}", stacklevel=outside())
 
 
 # ---- connections --------------------------------------------------------------------------------

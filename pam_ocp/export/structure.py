@@ -1,4 +1,7 @@
-"""SystemStructure.ssd, and parameter sets (SSV), of SSP 1.0."""
+"""SystemStructure.ssd and parameter sets (SSV) of SSP 1.0 and 2.0.
+
+Both have the name spaces SSP1; 2.0 knows the types of FMI 3 (Float64).
+"""
 
 from __future__ import annotations
 
@@ -42,16 +45,20 @@ class Part:
 
 
 def parameter_set(
-    values: Iterable[tuple[Variable, float]], name: str, spaces: bool = True
+    values: Iterable[tuple[Variable, float]],
+    name: str,
+    spaces: bool = True,
+    version: str = "1.0",
+    kind: str = "Real",
 ) -> ET.Element:
     """ssv:ParameterSet of values [SI]; with its namespaces and units where it is a file's root."""
     pairs = list(values)
     declared = {f"xmlns:{p}": _NAMESPACES[p] for p in ("ssv", "ssc")} if spaces else {}
-    group = ET.Element("ssv:ParameterSet", {**declared, "version": "1.0", "name": name})
+    group = ET.Element("ssv:ParameterSet", {**declared, "version": version, "name": name})
     parameters = ET.SubElement(group, "ssv:Parameters")
     for variable, value in pairs:
         parameter = ET.SubElement(parameters, "ssv:Parameter", name=variable.name)
-        ET.SubElement(parameter, "ssv:Real", value=repr(float(value)), unit=variable.unit)
+        ET.SubElement(parameter, f"ssv:{kind}", value=repr(float(value)), unit=variable.unit)
     if spaces:
         _units(ET.SubElement(group, "ssv:Units"), [variable for variable, _ in pairs])
     return group
@@ -63,17 +70,23 @@ def system_structure(
     wires: Iterable[Wire],
     step_size: float,
     stop_time: float,
+    version: str = "1.0",
+    kind: str = "Real",
 ) -> ET.Element:
     """The root of SystemStructure.ssd: components side by side, connectors with units.
+
+    version : of SSP. kind : type of all variables, "Float64" in 2.0 for units of FMI 3.
 
     OMSimulator's command line wants to be told its master; others pass over the annotation.
     """
     spaces = {f"xmlns:{prefix}": uri for prefix, uri in _NAMESPACES.items()}
-    root = ET.Element("ssd:SystemStructureDescription", {**spaces, "version": "1.0", "name": name})
+    root = ET.Element(
+        "ssd:SystemStructureDescription", {**spaces, "version": version, "name": name}
+    )
     system = ET.SubElement(root, "ssd:System", name=name)
     elements = ET.SubElement(system, "ssd:Elements")
     for place, (key, part) in enumerate(parts.items()):
-        _component(elements, key, part, place)
+        _component(elements, key, part, place, (version, kind))
     group = ET.SubElement(system, "ssd:Connections")
     for of, source, to, sink in wires:
         ends = {
@@ -110,7 +123,10 @@ def _master(system: ET.Element, step_size: float) -> None:
     )
 
 
-def _component(parent: ET.Element, name: str, part: Part, place: int) -> None:
+def _component(
+    parent: ET.Element, name: str, part: Part, place: int, form: tuple[str, str]
+) -> None:
+    version, type_ = form
     component = ET.SubElement(
         parent,
         "ssd:Component",
@@ -122,7 +138,7 @@ def _component(parent: ET.Element, name: str, part: Part, place: int) -> None:
     for kind, side, variables in (("input", 0.0, part.inputs), ("output", 1.0, part.outputs)):
         for i, variable in enumerate(variables):
             connector = ET.SubElement(connectors, "ssd:Connector", name=variable.name, kind=kind)
-            ET.SubElement(connector, "ssc:Real", unit=variable.unit)
+            ET.SubElement(connector, f"ssc:{type_}", unit=variable.unit)
             height = f"{(i + 1) / (len(variables) + 1):.4g}"
             ET.SubElement(connector, "ssd:ConnectorGeometry", x=f"{side:g}", y=height)
     left = place * (_WIDTH + _GAP)
@@ -134,4 +150,4 @@ def _component(parent: ET.Element, name: str, part: Part, place: int) -> None:
     bindings = ET.SubElement(component, "ssd:ParameterBindings")
     values = ET.SubElement(ET.SubElement(bindings, "ssd:ParameterBinding"), "ssd:ParameterValues")
     pairs = [(v, v.start or 0.0) for v in part.settable]
-    values.append(parameter_set(pairs, _PARAMETER_SET, spaces=False))
+    values.append(parameter_set(pairs, _PARAMETER_SET, False, version, type_))

@@ -56,7 +56,7 @@ def animate_plan(
 
     Examples
     --------
-    >>> pam.animate_plan(plan, "motion.gif", seconds=0.1, fps=10).name
+    >>> pam.figures.animate_plan(plan, "motion.gif", seconds=0.1, fps=10).name
     'motion.gif'
     """
     require_instance("plan", plan, Plan, "give what plan() returned")

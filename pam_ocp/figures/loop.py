@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from ..control.loop import ClosedLoop
     from ..control.mpc_statistics import MpcStatistics
 
-__all__ = ["plot_closed_loop"]
+__all__ = ["plot_closed_loop", "plot_durations"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -101,3 +102,19 @@ def _draw_times(ax: Axes, statistics: MpcStatistics, t: Array) -> None:
     ax.axhline(1e3 * statistics.median, color=COLOURS[2], lw=1.0, label="median")
     ax.set_ylim(bottom=0, top=1.1e3 * statistics.worst)
     ax.set_ylabel("time [ms]")
+
+
+def plot_durations(histograms: Mapping[str, tuple[Array, Array]]) -> Figure:
+    """Histograms {what: (edges [s] (n + 1), counts (n))} of durations, both axes logarithmic."""
+    figure, axes = new_figure(1, len(histograms), size=(8.5, 3.2))
+    for ax, (what, (edges, counts)) in zip(axes[0], histograms.items(), strict=True):
+        micro = 1e6 * np.asarray(edges, dtype=float)
+        micro[0] = max(micro[0], micro[1] / 2)
+        if not np.isfinite(micro[-1]):
+            micro[-1] = 2 * micro[-2]
+        there = np.flatnonzero(counts)
+        ax.stairs(np.maximum(counts, 0.5), micro, baseline=0.5, fill=True, color=COLOURS[0])
+        ax.set(xscale="log", yscale="log", xlabel=f"{what} [us]", ylabel="samples")
+        if len(there):
+            ax.set_xlim(micro[there[0]] / 1.5, micro[there[-1] + 1] * 1.5)
+    return figure

@@ -15,12 +15,16 @@ from .dynamic.free_run_result import FreeRunFit as FreeRunFit
 from .dynamic.ladder import Ladder as Ladder
 from .dynamic.ladder import fit_ladder as fit_ladder
 from .dynamic.plant_fit import PlantFit as PlantFit
+from .dynamic.plant_fit import load_plant_fit as load_plant_fit
 from .dynamic.rungs import Rung as Rung
 from .dynamic.runs import FreeRun as FreeRun
-from .dynamic.saved_plant import load_plant_fit as load_plant_fit
 from .dynamic.structures import ArxStructure as ArxStructure
 from .dynamic.structures import FreeRunStructure as FreeRunStructure
 from .dynamic.structures import PlantStructure as PlantStructure
+from .fleet import FleetFit as FleetFit
+from .fleet import FleetMuscle as FleetMuscle
+from .fleet import Population as Population
+from .fleet import fit_fleet as fit_fleet
 from .static.bootstrap import Bootstrap as Bootstrap
 from .static.branches import Hysteresis as Hysteresis
 from .static.branches import LackOfFit as LackOfFit
@@ -49,5 +53,7 @@ from .tables.force_table import read_table as read_table
 from .tables.preview import Preview as Preview
 from .tables.preview import look as look
 from .tables.raw import ReadingWarning as ReadingWarning
+from .tables.record_catalogue import Catalogue as Catalogue
+from .tables.record_catalogue import Record as Record
 from .tables.records import read_record as read_record
 from .tables.records import read_records as read_records

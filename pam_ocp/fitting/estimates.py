@@ -1,7 +1,11 @@
-"""What the results of all fits have in common: estimates with intervals, and words about them."""
+"""What the results of all fits have in common: estimates with intervals, tables of them (pandas,
+LaTeX), and words about them.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,16 +14,91 @@ import numpy as np
 
 from ..core.errors import UnknownNameError
 from ..core.units import significant
-from .statistics import Array, Coefficient, Linearisation
-from .tabled import Tabled
+from .statistics import Array, Coefficient, Linearisation, coefficient_frame
 
-__all__ = ["Estimates", "at_edge", "coefficient_line", "correlation_lines", "following"]
+if TYPE_CHECKING:
+    import pandas as pd
 
+__all__ = [
+    "Estimates",
+    "Tabled",
+    "at_edge",
+    "coefficient_line",
+    "correlation_lines",
+    "following",
+]
+
+ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+ESCAPES |= {sign: f"\\{sign}" for sign in "&%$#_{}"}
+PLAIN = range(-3, 4)
+"""Powers of ten of numbers that are written without one."""
 DOUBTFUL = 0.5
 """Probability of a correlation from which it is a warning; below it still counts in the intervals.
 """
 LIKELY = 0.95
 """Probability from which a correlation is stated as a fact."""
+
+
+class Tabled:
+    """Estimates with intervals, value ± t standard errors, also as a table."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def coefficients(self) -> Mapping[str, Coefficient]: ...
+
+    @property
+    def _called(self) -> str:
+        """What messages call an estimate."""
+        return "estimate"
+
+    def _half(self, c: Coefficient, level: float) -> float:
+        """Half width of the interval of an estimate."""
+        raise NotImplementedError
+
+    @property
+    def _free(self) -> Iterable[str]:
+        """What was estimated; the rest was known."""
+        return self.coefficients
+
+    def _entry(self, name: str) -> Coefficient:
+        if name not in self.coefficients:
+            raise UnknownNameError(self._called, name, self.coefficients)
+        return self.coefficients[name]
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of an estimate [its unit]."""
+        self._entry(name)
+        return self.intervals(level)[name]
+
+    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of all estimates."""
+        ends = ((c, self._half(c, level)) for c in map(self._entry, self._free))
+        return {c.name: (c.value - half, c.value + half) for c, half in ends}
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The estimates as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
+        return coefficient_frame(self.coefficients, self.intervals())
+
+    def to_latex(self, level: float = 0.95) -> str:
+        r"""The estimates as a LaTeX table (``\usepackage{booktabs}``): value ± standard error, both
+        rounded by the latter's second digit, confidence interval, unit; SI.
+
+        Examples
+        --------
+        >>> print(fit.to_latex().splitlines()[2])
+        Parameter & Value $\pm$ standard error & 95\,\% interval & Unit \\
+        """
+        intervals = self.intervals(level)
+        head = rf"Parameter & Value $\pm$ standard error & {100 * level:g}\,\% interval & Unit"
+        rows = [
+            rf"{_escaped(n)} & {_numbers(c, intervals.get(n))} & {_unit(c.unit)} \\"
+            for n, c in self.coefficients.items()
+        ]
+        begin, end = r"\begin{tabular}{lrrl}", r"\end{tabular}"
+        return "\n".join(
+            [begin, r"\toprule", rf"{head} \\", r"\midrule", *rows, r"\bottomrule", end]
+        )
 
 
 class Estimates(Tabled):
@@ -35,9 +114,8 @@ class Estimates(Tabled):
         def linearisation(self) -> Linearisation: ...
 
     @property
-    def _called(self) -> str:
-        """What messages call an estimate."""
-        return "estimate"
+    def _free(self) -> Iterable[str]:
+        return self.linearisation.names
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
@@ -76,27 +154,7 @@ class Estimates(Tabled):
         """Correlation matrix of the estimates."""
         return self.linearisation.correlation
 
-    def _entry(self, name: str) -> Coefficient:
-        if name not in self.coefficients:
-            raise UnknownNameError(self._called, name, self.coefficients)
-        return self.coefficients[name]
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of an estimate [its unit]: value ± t standard errors."""
-        self._entry(name)
-        return self.intervals(level)[name]
-
-    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Confidence intervals of all estimates."""
-        found = {}
-        for name in self.linearisation.names:
-            c = self.coefficients[name]
-            half = self._half(c, level)
-            found[name] = (c.value - half, c.value + half)
-        return found
-
     def _half(self, c: Coefficient, level: float) -> float:
-        """Half width of the interval of an estimate."""
         return self.linearisation.reach(level) * c.stderr
 
     @property
@@ -120,6 +178,42 @@ class Estimates(Tabled):
     def _warning_lines(self) -> list[str]:
         found = self.warnings
         return ["[[Warnings]]", *(f"    {text}" for text in found)] if found else []
+
+
+# ---- LaTeX ---------------------------------------------------------------------------------------
+def _escaped(text: str) -> str:
+    return "".join(ESCAPES.get(sign, sign) for sign in text)
+
+
+def _unit(name: str) -> str:
+    """Modelica's spelling, "m3/(s.Pa)", with raised powers."""
+    raised = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"$^{\1}$", _escaped(name))
+    return "" if name == "1" else raised.replace(".", r"\,")
+
+
+def _numbers(c: Coefficient, interval: tuple[float, float] | None) -> str:
+    """Value and interval, with one power of ten and the decimals that the standard error tells."""
+    known = 0 < c.stderr < math.inf and not c.held
+    size = abs(c.value) or (c.stderr if known else 1.0)
+    power = _order(size)
+    power = 0 if power in PLAIN else power
+    decimals = power + (1 - _order(c.stderr) if known else 3 - _order(size))
+
+    def text(value: float) -> str:
+        if not math.isfinite(value):
+            return rf"{'-' if value < 0 else ''}\infty"
+        return f"{round(value / 10.0**power, decimals) + 0.0:.{max(decimals, 0)}f}"
+
+    scale = rf" \times 10^{{{power}}}" if power else ""
+    if c.held or interval is None:
+        return f"${text(c.value)}{scale}$ (held) &"
+    both = rf"{text(c.value)} \pm {text(c.stderr)}"
+    low, high = map(text, interval)
+    return rf"${f'({both}){scale}' if power else both}$ & $[{low},\ {high}]{scale}$"
+
+
+def _order(size: float) -> int:
+    return math.floor(math.log10(size))
 
 
 # ---- words ---------------------------------------------------------------------------------------

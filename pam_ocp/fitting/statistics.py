@@ -33,6 +33,7 @@ __all__ = [
     "SolverStatistics",
     "coefficient_frame",
     "elementwise",
+    "f_test",
     "forces",
     "forces_and_slopes",
     "in_blocks",
@@ -126,6 +127,18 @@ def student_t(level: float, dof: int) -> float:
     return float(stdtrit(dof, (1 + level) / 2)) if dof > 0 else float("inf")
 
 
+def f_test(gained: float, more: int, left: float, dof: int) -> tuple[float, float]:
+    """(F, the probability that chance alone makes it as large) of nested models.
+
+    gained : what ``more`` freedoms take off the sum of squares, of which ``left`` with ``dof``
+    degrees of freedom stay.
+    """
+    from scipy.special import fdtrc
+
+    f = max(gained, 0.0) / more / (left / dof) if left else float("inf")
+    return f, float(fdtrc(more, dof, f)) if np.isfinite(f) else 0.0
+
+
 @dataclass(frozen=True)
 class Coefficient:
     """One coefficient of a fit [unit]; stderr is 0 where held,
@@ -180,6 +193,21 @@ class Prediction:
     level: float
     slack: NDArray[np.bool_]
     outside: NDArray[np.bool_]
+
+    @classmethod
+    def of_law(
+        cls,
+        force: Array,
+        stderr: Array,
+        confidence: tuple[Array, Array],
+        prediction: tuple[Array, Array],
+        level: float,
+        outside: NDArray[np.bool_],
+    ) -> Prediction:
+        """What a law and its bands say of a muscle, which is slack where they are below zero."""
+        pull, *ends = (np.maximum(a, 0.0) for a in (force, *confidence, *prediction))
+        bands = (ends[0], ends[1]), (ends[2], ends[3])
+        return cls(pull, stderr, *bands, level, np.asarray(force <= 0), outside)
 
 
 @dataclass(frozen=True)

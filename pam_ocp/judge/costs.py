@@ -129,7 +129,7 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
 
 @running_cost("work", unit="J", economical=True)
 def _work(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Mechanical work out of the muscles, each counted where its power is positive."""
+    """Mechanical work of the muscles, each counted where its power is positive."""
     muscles = muscles_of(plant)
     if not muscles:
         raise InputError(f"'work': plant {plant.name!r} has no muscle with force and contraction")

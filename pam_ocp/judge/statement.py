@@ -84,7 +84,7 @@ class Stop:
 class Constraint:
     """low <= expression <= high all along, for an expression of one's own.
 
-    expression : of the plant's symbols (``plant.expression(NAME)``) and ``pam_ocp.TIME``.
+    expression : of the plant's symbols (``plant.expression(NAME)``) and ``pam_ocp.planning.TIME``.
     low, high : numbers, None for an open end. nominal : a typical size of the expression.
 
     Examples

@@ -301,7 +301,7 @@ def energy_balance(
 @GASES.register(units={"dead_volume": "m3", "temperature": "K", "ambient": "Pa"})
 @dataclass(frozen=True)
 class Gas:
-    """How the air in a muscle behaves: dp_abs/dt = n (R T mdot - p_abs dV/dt)/V, or by its energy.
+    """The air in a muscle: dp_abs/dt = n (R T mdot - p_abs dV/dt)/V, or by its energy.
 
     volume : ``ConsistentVolume()`` (default), ``BraidVolume(...)`` or ``PolynomialVolume(...)``.
     dead_volume : of fittings and hose, added at every contraction [m3].

@@ -54,7 +54,7 @@ class ConstantHeatTransfer:
 @HEATS.register(units={"value": "W/(m2.K)", "pressure": "Pa"})
 @dataclass(frozen=True)
 class PressureHeatTransfer:
-    """h = value [p T/(p0 T0)]^exponent: heat passes better through dense air.
+    """h = value [p T/(p0 T0)]^exponent: heat transfer rises with density.
 
     value : [W/(m2.K)] at ``pressure`` p0 [Pa absolute] and T0 = 293.15 K. exponent : 0.5 by
         default, the form after Eichelberg that is in use for pneumatic cylinders (its figures for
@@ -96,7 +96,7 @@ class PressureHeatTransfer:
 )
 @dataclass(frozen=True)
 class Rubber:
-    """The membrane as one warm mass: C T' = h A (T_air - T) - G (T - T_outside) + warming P_loss.
+    """The membrane as a thermal mass: C T' = h A (T_air - T) - G (T - T_outside) + warming P_loss.
 
     capacity : C [J/K], mass times some 1.7 kJ/(kg.K). outward : G [W/K], to the surroundings.
     stiffening : part by which the law's force at zero pressure grows per kelvin above

@@ -8,10 +8,12 @@ numbers in Python than in its C code on a target.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
+from functools import cache
 
 import casadi as ca
 
-__all__ = ["portable"]
+__all__ = ["portable", "written_out"]
 
 LN2_HIGH, LN2_LOW = float.fromhex("0x1.62e42fee00000p-1"), float.fromhex("0x1.a39ef35793c76p-33")
 """ln(2) in two parts; the first has so few digits that its multiples by whole numbers are exact."""
@@ -60,20 +62,64 @@ def _tanh(x: ca.SX) -> ca.SX:
     return ca.SX(ca.if_else(x < 0, -value, value))
 
 
-_REPLACED = {ca.OP_EXP: _exp, ca.OP_EXPM1: _expm1, ca.OP_TANH: _tanh}
+NAME = "elementary"
+"""Of the Functions that stand for them."""
+_WRITTEN = {ca.OP_EXP: _exp, ca.OP_EXPM1: _expm1, ca.OP_TANH: _tanh}
+
+
+@cache
+def _replacement(code: int) -> ca.Function:
+    """A Function that is called, not written out at each place: a step of a plant has dozens of
+    exponentials, of 170 operations each, and compilers take more than their share for long code.
+    """
+    x = ca.SX.sym("x")
+    return ca.Function(NAME, [x], [_WRITTEN[code](x)], {"cse": True})
 
 
 def portable(function: ca.Function) -> ca.Function:
-    """An SX Function with exp, expm1 and tanh written out; itself where it has none.
+    """An SX Function whose exp, expm1 and tanh are sums and products, in Functions of their own;
+    itself where it has none.
 
     Rounding differs from the C library's by some units in the last place; an argument that is not a
     number gives none.
     """
+    return _rewritten(function, dict.fromkeys(_WRITTEN, _elementary))
+
+
+def written_out(function: ca.Function) -> ca.Function:
+    """An SX Function with what :func:`portable` calls written out, for those who read its
+    instructions; itself where it calls anything else, such as tables.
+    """
+    codes = (function.instruction_id(k) for k in range(function.n_instructions()))
+    calls = [k for k, code in enumerate(codes) if code == ca.OP_CALL]
+    if not calls:
+        return function
+    nodes = function.instructions_sx()
+    if any(nodes[k].which_function().name() != NAME for k in calls):
+        return function
+    return _rewritten(function, {ca.OP_CALL: _called})
+
+
+def _elementary(node: ca.SX, x: ca.SX) -> ca.SX:
+    return ca.SX(_replacement(node.op()).call([x], False, True)[0])
+
+
+def _called(node: ca.SX, x: ca.SX) -> ca.SX:
+    found: ca.SX = node.which_function().call([x], True, False)[0]
+    return found
+
+
+def _rewritten(
+    function: ca.Function, other: Mapping[int, Callable[[ca.SX, ca.SX], ca.SX]]
+) -> ca.Function:
+    """The Function with (instruction, argument) -> expression in place of some operations; itself
+    where it has none of them.
+    """
     count = function.n_instructions()
     codes = [function.instruction_id(k) for k in range(count)]
-    if not any(code in _REPLACED for code in codes):
+    if not any(code in other for code in codes):
         return function
-    arguments = function.sx_in()
+    nodes, arguments = function.instructions_sx(), function.sx_in()
     entries = [ca.vertsplit(a.nz[:]) if a.nnz() else [] for a in arguments]
     outputs: list[list[ca.SX]] = [
         [ca.SX(0.0)] * function.nnz_out(i) for i in range(function.n_out())
@@ -87,8 +133,8 @@ def portable(function: ca.Function) -> ca.Function:
             outputs[to[0]][to[1]] = work[from_[0]]
         elif code == ca.OP_CONST:
             work[to[0]] = ca.SX(function.instruction_constant(k))
-        elif code in _REPLACED:
-            work[to[0]] = _REPLACED[code](work[from_[0]])
+        elif code in other:
+            work[to[0]] = other[code](nodes[k], work[from_[0]])
         elif len(from_) == 1:
             work[to[0]] = ca.SX.unary(code, work[from_[0]])
         else:

@@ -8,6 +8,8 @@ from .linear import linearize as linearize
 from .linear import linearize_along as linearize_along
 from .linear import linearize_grid as linearize_grid
 from .linear import modes as modes
+from .moments import StaticOptimisation as StaticOptimisation
+from .moments import static_optimisation as static_optimisation
 from .nlsys import as_nlsys as as_nlsys
 from .operating_point import OperatingPoint as OperatingPoint
 from .resting_point import EquilibriumError as EquilibriumError

@@ -58,7 +58,7 @@ def equilibria(
 
     Examples
     --------
-    >>> found = pam.equilibria(plant, {"muscle.command": 3e5})
+    >>> found = pam.operating.equilibria(plant, {"muscle.command": 3e5})
     >>> [f"{1e3 * p['x']:.1f} mm" for p in found]
     ['45.4 mm']
     """

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.simulator import evaluated
-from .correction import Corrected, corrected
+from .correction import Corrected, corrected, integrated, left_as
 from .input_gains import gains
 from .problem.problem import Problem
 from .replay import Replay, chosen_plant, explained, interval_errors, replayed
@@ -26,7 +26,7 @@ from .solvers.solver import SETTLED, STUCK, Outcome
 from .stages import Stage, stage
 from .transcription.guess import from_solution
 from .transcription.mesh import Mesh
-from .transcription.solution import unpack
+from .transcription.solution import pack, unpack
 from .transcription.transcription import Program, transcribe
 
 __all__ = ["Candidate", "Checked", "Engine", "checked"]
@@ -86,7 +86,8 @@ class Candidate:
 
     number : of the start that it comes from. coarser : the candidate on the mesh before, for
     estimates of what finer meshes may gain. rounds : of refinement at the end of the path. gap :
-    such an estimate, where it is known from the same motion in other inputs.
+    such an estimate, where it is known from the same motion in other inputs. shot : whether it
+    comes from shooting, whose costs a way that goes on may lower.
     """
 
     solved: Solved
@@ -95,6 +96,7 @@ class Candidate:
     coarser: Candidate | None = field(default=None, repr=False)
     rounds: int = 0
     gap: float | None = None
+    shot: bool = False
 
     @property
     def is_solved(self) -> bool:
@@ -260,3 +262,17 @@ class Engine:
         outcome, why = c.solved.outcome, f"dynamics miss by {c.check.dynamic:.1g}"
         found = self.solve(program, 1.0, outcome.w, start, ("defect correction", why), outcome)
         return replace(c, solved=found) if found.outcome.success else None
+
+    def shot(self, c: Candidate) -> Candidate | None:
+        """The plant's own motion under the inputs of a candidate, brought to what is asked for by
+        the shortest steps (single shooting, with the mesh's derivatives); None where that fails.
+        """
+        motion = integrated(self.program(c.mesh), c.solved.solution)
+        if motion is None:
+            return None
+        program, why = left_as(self.program(c.mesh), motion), "the plant's own under these inputs"
+        guess = pack(program.problem, c.mesh, motion)
+        found = self.solve(program, 1.0, guess, "nearest", ("shooting", why), c.solved.outcome)
+        if not found.outcome.success:
+            return None
+        return replace(c, solved=found, place=1.0, coarser=None, shot=True)

@@ -20,7 +20,7 @@ from .mesh_sequence import MeshSequence, scale
 from .result import Solved
 from .smoothing import is_nonsmooth
 from .solvers.ipopt_options import Start
-from .solvers.solver import SETTLED
+from .solvers.solver import PROJECTIONS, SETTLED
 from .transcription.mesh import Mesh
 
 __all__ = ["Continuation"]
@@ -28,7 +28,7 @@ __all__ = ["Continuation"]
 
 class Continuation:
     """Leads candidates to the end; ``taken`` is called with each that solves the user's own
-    problem, ``is_enough`` says whether what was taken will do.
+    problem, ``is_enough`` says whether what was taken will do, ``is_met`` whether it is a plan.
     """
 
     def __init__(
@@ -37,10 +37,14 @@ class Continuation:
         meshes: MeshSequence,
         taken: Callable[[Candidate], None],
         is_enough: Callable[[], bool],
+        is_met: Callable[[], bool],
     ) -> None:
-        self.engine, self.meshes, self.taken, self.is_enough = engine, meshes, taken, is_enough
+        self.engine, self.meshes, self.taken = engine, meshes, taken
+        self.is_enough, self.is_met = is_enough, is_met
         self.nonsmooth = is_nonsmooth(engine.first.problem)
         self.settings = engine.settings
+        self.spent = False
+        """Whether the work allowed ended the last way."""
 
     def raised(self, c: Candidate) -> Candidate:
         """At its place, on the mesh that was asked for; on the finest that leads to a solution."""
@@ -54,19 +58,25 @@ class Continuation:
     def led(self, c: Candidate) -> Candidate | None:
         """The last candidate at the end of the path; None where it is blocked before."""
         s, step = self.settings, self.settings.step
-        most, blocked, reentered = self.engine.work + s.work, False, False
+        since, blocked, reentered = self.engine.work, False, False
         first, missed, costs = c.place, np.inf, True
+        self.spent = False
         while True:
-            spent = self.engine.work > most or self.is_enough()
+            spent = self.engine.work - since > self._allowed(c) or self.is_enough()
             if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
                 c = c if self.is_enough() else self._corrected(c, spent)
             if spent and not self._is_unstable(c) and self._misses_less(c, missed):
                 # work limits what is left to gain; what is missed goes on to fall
                 spent, missed, costs = False, c.check.miss, False
-                most = self.engine.work + s.work
+                since = self.engine.work
             if spent or self._is_unstable(c):
-                return c if c.place == 1.0 else None
+                shot = self._shot(c) if c.place < 1.0 else None
+                if shot is None or self.is_met():
+                    self.spent = spent
+                    return c if c.place == 1.0 else shot
+                c, since = shot, self.engine.work
+                continue
             meshes = [] if blocked else self.meshes.after(c, costs)
             if meshes:
                 finer = self._finer(c, meshes)
@@ -82,15 +92,23 @@ class Continuation:
             if c.place >= 1.0:
                 return c
             there = min(1.0, c.place + step)
-            further = self._further(c, there, last=step * s.shrink < s.least_step)
-            if further is None and step * s.shrink < s.least_step:
-                return None
+            last = step * s.shrink < s.least_step
+            further = self._further(c, there, last)
+            if further is None and (last or c.place >= s.reentry):
+                shot = self._shot(c)
+                if last and shot is None:
+                    return None
+                further = shot if last else None
             if further is not None:
                 if c.place == first or further.place == 1.0:  # mesh, path and end each have theirs
-                    most = self.engine.work + s.work
+                    since = self.engine.work
                 c, step, blocked = further, min(s.step, s.grow * step), False
                 continue
             step *= s.shrink
+
+    def _allowed(self, c: Candidate) -> float:
+        """Work of a part of the way, at most."""
+        return max(self.settings.work, self.settings.iterations * len(c.solved.outcome.w))
 
     def _finer(self, c: Candidate, meshes: list[tuple[Mesh, str]]) -> Candidate | None:
         """On the first of some meshes that leads to a solution. Along the path costs need not be at
@@ -163,9 +181,30 @@ class Continuation:
             near = found if found.outcome.success or there < 1.0 else c.solved
             least = self._at(near, c.mesh, there, "last", why)
             found = least if least.outcome.ended else found
+            for start in PROJECTIONS:
+                if not found.outcome.ended:
+                    found = self._at(c.solved, c.mesh, there, start, why)
         if not found.outcome.success:
             return None
         return replace(c, solved=found, place=there, coarser=None)
+
+    def _shot(self, c: Candidate) -> Candidate | None:
+        """At the end of the path by shooting, as often as each time halves what is missed; None
+        where that fails, or gave a plan before. So there is one early, whose costs are near those
+        of the place; the way goes on.
+        """
+        if self.is_met():
+            return None
+        found, missed = self.engine.shot(c), np.inf
+        while found is not None:
+            now = found.check.dynamic
+            if now <= self.meshes.tolerance:
+                self.taken(found)
+                return found
+            if not now < missed / 2:
+                return None
+            found, missed = self.engine.shot(found), now
+        return None
 
     def _at(
         self, near: Solved, mesh: Mesh, place: float, start: Start, why: tuple[str, str]

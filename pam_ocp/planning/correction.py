@@ -11,7 +11,7 @@ The optimum stays that of the mesh, to its error; the motion is the plant's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -25,7 +25,7 @@ from .transcription.solution import Solution, pack
 from .transcription.stage import nominals
 from .transcription.transcription import Program
 
-__all__ = ["Corrected", "corrected", "left_as"]
+__all__ = ["Corrected", "corrected", "integrated", "left_as"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -57,6 +57,18 @@ def corrected(program: Program, solution: Solution) -> Corrected | None:
     except RuntimeError:
         return None
     return _shifted(program, shift) if np.all(np.isfinite(shift)) else None
+
+
+def integrated(program: Program, solution: Solution) -> Solution | None:
+    """The plant's own motion under the inputs of a solution, at the same points; None where it ends
+    before.
+    """
+    plant = chosen_plant(program.problem, solution)
+    ranges = (plant.vector("state", attribute=a) for a in ("min", "max"))
+    start = np.clip(solution.states[0], *ranges)
+    run = Integration.over(plant, solution.inputs, solution.t, start, rtol=TOLERANCE)
+    states = run()
+    return None if states is None else replace(solution, states=run.at(solution.t, states))
 
 
 def left_as(program: Program, solution: Solution) -> Corrected:

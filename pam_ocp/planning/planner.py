@@ -155,7 +155,7 @@ def plan(
         {"integral(force)": 50.0}; "time" bounds the duration of the whole motion.
     design : {parameter of the plant: (low, high)}: chosen with the motion.
     integrand, final : further running cost, and cost of the end: CasADi expressions of the plant's
-        symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
+        symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.planning.TIME``.
     method : ``Collocation(intervals=50, degree=3, control=None, points="radau")`` per leg, or
         ``Shooting(intervals=50, steps=4)``, or ``Arcs()``: intervals that end where inputs switch.
     tolerance : of the plan's verdict, in units of nominal: how far a tight integration of the

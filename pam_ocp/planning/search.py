@@ -46,7 +46,8 @@ Guess: TypeAlias = tuple[str, Callable[[], Array | None], Start]
 GIVEN, LAST = -1, 99
 """Numbers of the candidates from a given plan, and from openings: before and behind all starts."""
 BLOCKED = "no way from wider smoothing to the plant's own terms"
-"""Status of a search whose starts are solved, while none is led to the end."""
+SPENT = "the iterations that are allowed ended on the way to the plant's own terms"
+"""Statuses of a search whose starts are solved, while none is led to the end."""
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
 SAME = 1e-6
@@ -101,7 +102,8 @@ class Search:
         )
         self.nonsmooth = is_nonsmooth(self.problem)
         self.place = 0.0 if self.nonsmooth else 1.0
-        self.continuation = Continuation(engine, self.meshes, self._take, self._is_enough)
+        ends = self._take, self._is_led, lambda: self.met
+        self.continuation = Continuation(engine, self.meshes, *ends)
         self.found = Found()
         self._began: list[float] = []
         """Objectives of the candidates that were led, on the first mesh."""
@@ -203,7 +205,8 @@ class Search:
             c = replace(finer if finer.is_solved else c, rounds=0)
         self.continuation.led(c)
         if self.found.best is None and self.found.failure is None:
-            blocked = replace(c.solved.outcome, success=False, status=BLOCKED)
+            status = SPENT if self.continuation.spent else BLOCKED
+            blocked = replace(c.solved.outcome, success=False, status=status)
             self.found.failure = replace(c.solved, outcome=blocked)
 
     def _by_arcs(self, c: Candidate) -> bool:
@@ -250,6 +253,11 @@ class Search:
     def _is_enough(self) -> bool:
         """Whether a plan is found and work is spent: what is left to gain is told with it."""
         return self.met and self.engine.work > self.settings.work
+
+    def _is_led(self) -> bool:
+        """The same of a way: what comes from shooting may cost more than the way's end."""
+        best = self.found.best
+        return self._is_enough() and best is not None and not best.shot
 
     @property
     def met(self) -> bool:

@@ -68,6 +68,9 @@ class Settings:
     work: float = 4e6
     """Iterations times unknowns for one candidate before, on and behind its path each, and of a
     search that has found a plan: half a minute or so (measured: 5e-6 to 2e-5 s each)."""
+    iterations: int = 600
+    """That ``work`` allows at least, of problems with many unknowns (measured: a path takes 8 to 16
+    steps of some 30 iterations)."""
     regularisation: float = 1e-3
     """Cost of the squared inputs, in nominals and times the weight of the time, that leads to the
     quickest motion of an over-actuated plant (measured: an arm with four muscles takes 130

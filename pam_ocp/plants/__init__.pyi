@@ -8,6 +8,9 @@ from .elastic import SpringOverMuscle as SpringOverMuscle
 from .hanging import HangingLoad as HangingLoad
 from .inversion import Inversion as Inversion
 from .joint import AntagonisticJoint as AntagonisticJoint
+from .limbs import Limb as Limb
+from .limbs import LimbMuscle as LimbMuscle
+from .limbs import limb as limb
 from .plant import Plant as Plant
 from .plant_data import save_plant as save_plant
 from .plant_file import load_plant as load_plant

@@ -232,7 +232,7 @@ class DryFriction:
 @LOADS.register(units={"value": ("kg", "kg.m2")})
 @dataclass(frozen=True)
 class Inertia:
-    """More mass [kg] (or moment of inertia [kg.m2]) that moves along; no force.
+    """Added mass [kg] (or moment of inertia [kg.m2]); no force.
 
     Examples
     --------

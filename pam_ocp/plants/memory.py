@@ -225,7 +225,7 @@ class MaxwellSlip:
 @LOSSES.register(units={"stiffness": "N", "time": "s"})
 @dataclass(frozen=True)
 class Creep:
-    """F = sum K_i (kappa - e_i), de_i/dt = (kappa - e_i)/tau_i: the membrane gives way in time.
+    """F = sum K_i (kappa - e_i), de_i/dt = (kappa - e_i)/tau_i: Kelvin-Voigt elements.
 
     A spring with a dashpot in series, beside the force law. A muscle under a constant load
     contracts at once against the stiffer sum, then creeps on as the e_i follow. Against a linear

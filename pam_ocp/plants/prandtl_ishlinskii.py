@@ -30,7 +30,7 @@ __all__ = ["PrandtlIshlinskii"]
 )
 @dataclass(frozen=True)
 class PrandtlIshlinskii:
-    """F = sum k_i (kappa - w_i), w_i a play operator with one envelope for each way: asymmetric.
+    """F = sum k_i (kappa - w_i), w_i a play operator with one envelope per direction: asymmetric.
 
     Each term is a spring k_i = contracting_i/yield_i that holds while -R_i(kappa) < F_i <
     C_i(kappa) and slides on these envelopes, C_i = contracting_i (1 + contracting_growth kappa)

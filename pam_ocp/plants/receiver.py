@@ -43,7 +43,7 @@ class Supply(Protocol):
 )
 @dataclass(frozen=True)
 class Receiver:
-    """A receiver of finite volume: what one muscle draws from it is missing to the others.
+    """A receiver of finite volume, shared by the muscles that it supplies.
 
     volume : [m3], with the manifold. pressure : gauge pressure at the start [Pa].
     source : what fills it, ``PressureRegulator(...)`` (default) or ``Compressor(...)``; None:

@@ -30,7 +30,7 @@ __all__ = ["PositionFeedback", "RegulatedLoad"]
 )
 @dataclass(frozen=True)
 class PositionFeedback:
-    """A regulator that follows the muscle's own shortening s = kappa l0 with a first-order lag.
+    """Position feedback: a regulator follows the muscle's shortening s = kappa l0 with a lag.
 
     lag p' = u - p,  u = set pressure + gain (reference - s) - derivative_gain s',
     held within 0 .. ``max_pressure``.
@@ -48,7 +48,7 @@ class PositionFeedback:
 
     Examples
     --------
-    >>> followed = pam.HangingLoad(muscle, 10.0, feed=pam.PositionFeedback(gain=5e5))
+    >>> followed = pam.HangingLoad(muscle, 10.0, feed=pam.plants.PositionFeedback(gain=5e5))
     >>> [v.name for v in followed.inputs]
     ['muscle.set_pressure', 'muscle.reference']
     """

@@ -19,7 +19,7 @@ __all__ = ["Sensor", "as_sensor"]
 @SENSORS.register(units={"filter": "s", "zero": ("m", "rad", "Pa", "N", "V", "1")})
 @dataclass(frozen=True)
 class Sensor:
-    """What is read of a quantity q: gain q + zero behind a first-order filter, in steps.
+    """A sensor of a quantity q: gain q + zero behind a first-order filter, quantised.
 
     gain : reading per quantity; 1 by default, in V/rad for an angle that is read in volts.
     zero : reading at q = 0 [unit of the reading].

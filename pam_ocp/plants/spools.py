@@ -16,10 +16,14 @@ __all__ = ["FirstOrderSpool", "SecondOrderSpool", "Spool"]
 
 FARTHEST = 1.5
 """Bound of a spool's position, as part of its travel: a second-order one may overshoot."""
+OPENING = 0.1
+"""Nominal position of a spool. Its place in its play counts by what it shifts of that."""
 EDGE = 0.05
 """Over this last part before it is dragged along, a spool with play begins to slide."""
-REST_RATE = 1e-3
-"""Rate of a spool [1/s] at which its absolute value is smoothed: a travel in a quarter hour."""
+REST_RATE = 0.1
+"""Rate of a spool [1/s] at which its absolute value is smoothed: where it is slower, its place in
+its play is off by ``EDGE`` at most.
+"""
 WIDEST_RATE = 3.0
 """The same where planning a motion begins [1/s]."""
 WIDEST_TRAVEL = 0.5
@@ -36,7 +40,7 @@ class Spool(Protocol):
 @SPOOLS.register(units={"time": "s"})
 @dataclass(frozen=True)
 class FirstOrderSpool:
-    """The spool follows its command with a lag, time s' = u - s, and perhaps with play.
+    """The spool follows its command with a lag, time s' = u - s, optionally with play.
 
     time : [s]; 2 to 20 ms are usual. hysteresis : width between the way up and down as part of the
         travel, 0 .. 0.2 (data sheets say some 0.004); 0 for none.
@@ -136,7 +140,7 @@ def _position_state(plant: Declares, name: str) -> ca.SX:
         f"{name}.valve.spool",
         min=-FARTHEST,
         max=FARTHEST,
-        nominal=0.1,
+        nominal=OPENING,
         memory="settling",
         description=f"position of the spool of {name}: -1 exhaust, 0 closed, 1 supply",
     )
@@ -155,6 +159,7 @@ def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) 
         f"{name}.valve.play",
         min=-1.0,
         max=1.0,
+        nominal=2 * OPENING / width,
         memory="held",
         description=f"where in its play the spool of {name} is: -1 going down, 1 going up",
     )

@@ -29,7 +29,7 @@ NEAREST = 0.05
 )
 @dataclass(frozen=True)
 class StrandFriction:
-    """F = mu(v) 4 pi a r0 p (1 - kappa)/tan(alpha0) tanh(v/v0): strands that turn on each other.
+    """F = mu(v) 4 pi a r0 p (1 - kappa)/tan(alpha0) tanh(v/v0): friction between crossing strands.
 
     The pressure presses the two layers of a braid together over its surface, A = 2 pi r l; while
     the muscle shortens, strands turn on each other by 2 alpha, with the moment of friction mu p A

@@ -102,7 +102,7 @@ class Tube:
 @TUBES.register(units={"length": "m", "diameter": "m"})
 @dataclass(frozen=True)
 class LumpedTube:
-    """A tube of n segments with volume, friction and inertia: sound runs through it in time.
+    """A tube of n segments with volume, friction and inertia: acoustic waves.
 
     Per segment of length dx = length/n, bore A: dp/dt = n_p R T (m_in - m_out)/(A dx), and for the
     flow m out of it towards the muscle dm/dt = (A/dx)(p - p_next - friction). Friction goes from

@@ -3,6 +3,8 @@ from .channels import Command as Command
 from .channels import Reading as Reading
 from .clock import RealClock as RealClock
 from .clock import SimulatedClock as SimulatedClock
+from .drift import Alarm as Alarm
+from .drift import Monitor as Monitor
 from .drivers.driver import Driver as Driver
 from .drivers.driver import DriverError as DriverError
 from .faults import Fault as Fault
@@ -11,10 +13,14 @@ from .guard import RigError as RigError
 from .homing import Homing as Homing
 from .identification import Identified as Identified
 from .learning import Learned as Learned
+from .real_time import Histogram as Histogram
+from .real_time import RealTimeError as RealTimeError
+from .real_time import RealTimeRun as RealTimeRun
 from .records import RecordWriter as RecordWriter
 from .records import read_run as read_run
 from .rig import Rig as Rig
 from .rig_file import driver as driver
 from .rig_file import load_rig as load_rig
 from .serving import serve as serve
+from .tuning import Tuned as Tuned
 from .twin import Twin as Twin

@@ -14,7 +14,7 @@ from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from .guard import RigError
-from .running import Running
+from .running import Running, noise_of
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -118,7 +118,7 @@ def home(
     hold_time = require_positive("hold_time", hold_time, "s")
     still = _held(rig, rig.vented, 1.0)
     readings = [n for n, r in rig.readings.items() if not r.slope_of]
-    noise = {n: _noise(still[n]) for n in readings}
+    noise = {n: noise_of(still[n]) for n in readings}
     means = {n: float(np.mean(still[n])) for n in readings}
     pressures = [n for n in readings if rig.readings[n].unit == "Pa" and n != "supply"]
     positions = [n for n in readings if n not in pressures and n != "supply"]
@@ -142,7 +142,7 @@ def home(
         slack=slack,
         hysteresis=hysteresis,
         leak=slope,
-        doubts=tuple(_doubts(rig, pressures, means, slope, slack, noise)),
+        doubts=tuple(_doubts(rig, pressures, means, slope, slack, noise, levels)),
         sweeps=sweeps,
     )
     if take_zeros:
@@ -169,13 +169,6 @@ def _levels(rig: Rig, level: object) -> dict[str, float]:
                 f"{channel.high:g} and away from its vent value {vent:g}"
             )
     return found
-
-
-def _noise(values: np.ndarray) -> float:
-    """Standard deviation of white noise, from second differences: what drifts does not count."""
-    if len(values) < 3:
-        return 0.0
-    return float(np.sqrt(np.mean(np.diff(values, 2) ** 2) / 6))
 
 
 def _held(rig: Rig, commands: Mapping[str, float], seconds: float) -> Trajectory:
@@ -269,6 +262,7 @@ def _doubts(
     slope: Mapping[str, float],
     slack: Mapping[str, float],
     noise: Mapping[str, float],
+    levels: Mapping[str, float],
 ) -> list[str]:
     span = max(c.high - c.low for c in rig.commands.values())
     found = []
@@ -286,7 +280,8 @@ def _doubts(
             found.append(f"{name} has no noise at all: look whether it is measured")
     found = [f for f in found if not f.endswith("it is measured") or rig.clock.real]
     found += [
-        f"nothing moved with {n}: look at its valve and tube"
+        f"nothing moved with {n} up to {levels[n]:.4g}: look at its valve and tube, or give a "
+        "higher level"
         for n, v in slack.items()
         if math.isnan(v)
     ]

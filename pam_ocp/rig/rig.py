@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from types import TracebackType
@@ -16,16 +17,19 @@ from ..core.variables import Variable
 from ..plants.plant import Given, Plant
 from .channels import Command, Reading, channels_of, usual_channels
 from .clock import Clock, RealClock
+from .drift import Monitor
 from .drivers.driver import Driver
 from .guard import Guard, RigError, Watch
 from .watchdog import Watchdog
 
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
-    from ..courtesy import Homing, Identified, Learned, RigSide
+    from ..courtesy import Homing, Identified, Learned, RealTimeRun, RigSide, Tuned
 
 __all__ = ["Rig"]
 
+PAST = 4000
+"""Samples of the past that are kept."""
 PATIENCE, PAUSE = 0.25, 0.005
 """How long a vent is sent again where no answer comes, and how often [s]; the watchdog's way is
 taken besides.
@@ -97,6 +101,12 @@ class Rig:
         self.vented = {n: float(c.vent or 0.0) for n, c in self.commands.items()}
         self.zeros: dict[str, float] = {}
         """What readings show where they should show nothing [SI]: taken off; found by home()."""
+        if not self.clock.real and hasattr(driver, "now"):
+            driver.now = self.clock.now  # its stamps are to be those of a twin's time
+        self.past: deque[tuple[float, dict[str, float]]] = deque(maxlen=PAST)
+        """What was read lately, and when by the stamps [s]."""
+        self.monitor: Monitor | None = None
+        """Watches runs for what drifts."""
         if hasattr(driver, "open"):
             driver.open(self.readings, self.commands)
 
@@ -301,6 +311,12 @@ class Rig:
         """
         return courtesy.run_on(self, inputs, duration, start)
 
+    def run_in_c(self, controller: Any, duration: float, **options: Any) -> RealTimeRun:
+        """A controller as compiled C in a loop of its own process: see
+        :func:`pam_ocp.rig.real_time.run_in_c`.
+        """
+        return courtesy.run_in_c(self, controller, duration, **options)
+
     def about(self) -> dict[str, Any]:
         """Channels with their calibrations, and the guard: what stands beside records."""
         channels = {n: asdict(c) for n, c in (*self.readings.items(), *self.commands.items())}
@@ -322,6 +338,10 @@ class Rig:
     def identify(self, free: Sequence[Any], **options: Any) -> Identified:
         """Fit the plant to designed excitations; see :mod:`pam_ocp.rig.identification`."""
         return courtesy.identify(self, free, **options)
+
+    def tune(self, **options: Any) -> Tuned:
+        """Training motions for tracking of any shape: see :func:`pam_ocp.rig.tuning.tune`."""
+        return courtesy.tune(self, **options)
 
     def learn(self, motion: Any, track: str, **options: Any) -> Learned:
         """Iterative learning along a motion: see :func:`pam_ocp.rig.learning.learn`."""

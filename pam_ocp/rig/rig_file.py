@@ -33,7 +33,7 @@ HELP = "see docs/rig.md: it has tables [driver], [plant], [readings], [commands]
 
 
 def driver(kind: str, **arguments: Any) -> Driver:
-    """A driver by its kind ("modbus", "serial", "udp", "opcua", "twin") and its arguments.
+    """A driver by its kind ("modbus", "serial", "udp", "opcua", "ros", "twin") and its arguments.
 
     Raises UnknownNameError, InputError.
 

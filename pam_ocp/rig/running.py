@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .guard import RigError, Watch
 from .records import RecordWriter
@@ -13,12 +17,17 @@ from .records import RecordWriter
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["Running", "Watch"]
+__all__ = ["Running", "Watch", "noise_of"]
 
 STEP = 1e-6
 """[s], by which rows differ at least."""
 SETTLED = 0.3
-"""How long a soft start waits where it has arrived [s]."""
+"""How long a soft start waits where it has arrived, at least [s]."""
+PATIENCE = 10.0
+"""How long it waits for rest, at most [s]."""
+STILL = 1e-3
+"""At rest, means over quarters of ``SETTLED`` differ by at most this share of a reading's range (or
+as noise lets them): what swings on from one run to the next is in no two runs the same."""
 
 
 class Running:
@@ -55,6 +64,8 @@ class Running:
 
     def _begin(self) -> None:
         rig = self.rig
+        if rig.monitor is not None:
+            rig.monitor.begin()
         if rig.record is not None:
             self._record = RecordWriter(rig.record, rig.variables, rig.about())
         self.zero = self.deadline = rig.clock.now()
@@ -118,6 +129,7 @@ class Running:
             if channel.slope_of:
                 seen[name] = self._slope(name, seen[channel.slope_of], stamp, channel.filter)
         self.values, self.stamp = {n: seen[n] for n in self.rig.readings}, stamp
+        self.rig.past.append((stamp, self.values))
 
     def _slope(self, name: str, value: float, stamp: float, filter_time: float) -> float:
         """Filtered slope of another reading [SI/s]."""
@@ -137,6 +149,8 @@ class Running:
         if self._record is not None:
             row = [*self.values.values(), *(self.sent[n] for n in self.rig.commands)]
             self._record.row(self.at, row)
+        if self.rig.monitor is not None:
+            self.rig.monitor.sample(self.at, self.values, self.sent)
 
     def _mark(self) -> None:
         """For the row to come: when the readings were taken, or, where they are those of the row
@@ -152,7 +166,7 @@ class Running:
 
     # ---- begin and end --------------------------------------------------------------------------
     def approach(self, target: Mapping[str, float]) -> None:
-        """A soft start: to commands at each one's rate ``soft``, and wait there a little."""
+        """A soft start: to commands at each one's rate ``soft``, and wait there for rest."""
         rig = self.rig
         goal = {n: v for n, v in target.items() if n in rig.commands}
         span = max(
@@ -163,8 +177,14 @@ class Running:
         for k in range(count):
             part = (k + 1) / count
             self.step({n: begin[n] + part * (v - begin[n]) for n, v in goal.items()})
-        for _ in range(math.ceil(SETTLED / self.sample_time)):
+        window = 4 * math.ceil(SETTLED / self.sample_time / 4)
+        seen: deque[list[float]] = deque(maxlen=window)
+        ranges = {n: r.high - r.low for n, r in rig.readings.items() if not r.slope_of}
+        for _ in range(max(window, math.ceil(PATIENCE / self.sample_time))):
             self.step(goal)
+            seen.append([self.values[n] for n in ranges])
+            if len(seen) == window and _still(np.array(seen), np.array(list(ranges.values()))):
+                return
 
     def __enter__(self) -> Running:
         return self
@@ -206,3 +226,17 @@ class Running:
             "late_worst": late[-1],
             "vented_for": reason,
         }
+
+
+def _still(seen: NDArray[np.float64], ranges: NDArray[np.float64]) -> bool:
+    """Whether readings (rows: samples) stay where they are."""
+    quarters = seen.reshape(4, -1, seen.shape[1]).mean(axis=1)
+    noise = np.array([noise_of(column) for column in seen.T]) / math.sqrt(len(seen) / 4)
+    return bool(np.all(np.ptp(quarters, axis=0) <= np.maximum(STILL * ranges, 4 * noise)))
+
+
+def noise_of(values: NDArray[np.float64]) -> float:
+    """Standard deviation of white noise, from second differences: what drifts does not count."""
+    if len(values) < 3:
+        return 0.0
+    return float(np.sqrt(np.mean(np.diff(values, 2) ** 2) / 6))

@@ -16,7 +16,7 @@ from typing import Any
 from ..core.arguments import with_kinds
 from ..core.errors import InputError, require_count
 from .drivers.driver import missing
-from .drivers.lines import LONGEST, Cut, LineServer
+from .drivers.lines import LONGEST, Cut, LineServer, framed, unframed
 from .drivers.modbus import check_of, layout
 from .twin import Twin
 
@@ -282,14 +282,34 @@ def _opcua(twin: Twin, host: str, port: int) -> Served:
 
     shown = {n: node(n, 0.0) for n in readings}
     told = {n: node(n, c.raw(float(c.vent or 0.0))) for n, c in twin.commands.items()}
-    vented = node("vent", True)
+    vented, sample, order = node("vent", True), node("sample", ""), node("order", "")
     server.start()
+    known: dict[Any, Any] = {}
+
+    def value_of(node: Any) -> Any:
+        """The last good one: damage on the way may write one of bad quality, or none."""
+        data = node.read_data_value(False)
+        if data.StatusCode.is_good() and data.Value is not None and data.Value.Value is not None:
+            known[node.nodeid] = data.Value.Value
+        return known[node.nodeid]
+
+    for each in (order, vented, *told.values()):
+        value_of(each)
 
     def work(own: Served) -> None:
+        try:
+            follow(own)
+        finally:
+            server.stop()  # its thread would keep the process
+
+    def follow(own: Served) -> None:
         before: tuple[Any, ...] = ()
+        ordered = _Ordered(list(told))
         while not own.ended.wait(2e-3):
-            sent = {n: float(v.read_value()) for n, v in told.items()}
-            now = (bool(vented.read_value()), *sent.values())
+            sent = ordered(value_of(order))
+            if sent is None:
+                sent = {n: float(value_of(v)) for n, v in told.items()}
+            now = (bool(value_of(vented)), *sent.values())
             if now != before:
                 if now[0]:
                     twin.vent()
@@ -302,8 +322,31 @@ def _opcua(twin: Twin, host: str, port: int) -> Served:
             if seen is not None:
                 age = timedelta(seconds=twin.now() - seen["time"])
                 stamp = datetime.now(timezone.utc) - age
+                numbers = " ".join(repr(float(seen[n])) for n in readings)
+                sample.write_value(
+                    framed(f"{round(1e6 * seen['time'])} {numbers}").decode().rstrip()
+                )
                 for n, v in shown.items():
                     v.write_value(ua.DataValue(ua.Variant(float(seen[n])), SourceTimestamp=stamp))
-        server.stop()
 
-    return Served({"kind": "opcua", "url": url, "vent_node": f"ns={space};s=vent"}, work)
+    address = {"kind": "opcua", "url": url, "vent_node": f"ns={space};s=vent", "check": True}
+    return Served(address, work)
+
+
+class _Ordered:
+    """Commands of the node "order": the newest that came whole; None before the first."""
+
+    def __init__(self, names: list[str]) -> None:
+        self._names, self._last = names, -1
+        self._values: dict[str, float] | None = None
+
+    def __call__(self, text: Any) -> dict[str, float] | None:
+        body = unframed(text.encode("ascii", "replace")) if isinstance(text, str) else None
+        number, *values = (body or "").split(" ")
+        try:
+            found = dict(zip(self._names, map(float, values), strict=True))
+            if int(number) > self._last:
+                self._last, self._values = int(number), found
+        except ValueError:
+            pass  # damaged: the last one stands
+        return self._values

@@ -102,7 +102,7 @@ class Twin:
             if name not in known:
                 raise UnknownNameError("reading of the twin", name, known)
         self._readers = readers_of(sensors, known, seed)
-        scale = require_positive("scale", scale)
+        self.scale = scale = require_positive("scale", scale)
         functions = self.plant.cached(("twin", scale), lambda: _functions(self.plant, scale))
         self._advance, self._look = (Buffered(f) for f in functions)
         self._x, self._p = self.plant.vector("state"), self.plant.vector("parameter")
@@ -223,6 +223,17 @@ class Twin:
         columns = {v.name: data[:, i] for i, v in enumerate(variables)}
         return Trajectory(t[keep], columns, variables, "previous")
 
+    def change(self, **values: float) -> None:
+        """Other values of parameters from now on [SI], such as a leak; "_" may stand for "."."""
+        with self._lock:
+            self._go_on()
+            places = {v.name: i for i, v in enumerate(self.plant.parameters)}
+            for name, value in values.items():
+                variable = self.plant.variable(name)
+                if variable.name not in places:
+                    raise UnknownNameError("parameter of the twin", name, places)
+                self._p[places[variable.name]] = variable.check(value)
+
     # ---- its inside -----------------------------------------------------------------------------
     def _close_down(self) -> None:
         self._sent.clear()
@@ -339,7 +350,11 @@ def _functions(plant: Plant, scale: float) -> tuple[ca.Function, ca.Function]:
         ca.SX.sym(n, v.numel()) for n, v in zip("xup", (plant.x, plant.u, plant.p), strict=True)
     )
     own = plant.function
-    rates, outputs = own(x, u, p)[:2] if scale == 1.0 else _scaled(plant, scale, x, u, p)
+    rates, outputs = (
+        own(x, u, p)[:2]
+        if scale == 1.0
+        else forces_changed(plant, lambda name, force: scale * force, x, u, p)
+    )
     nominal = plant.vector("state", attribute="nominal")
     slopes = ca.Function("slopes", [x, u, p], [rates, ca.jacobian(rates, x)])
     z, h = ca.SX.sym("z", x.numel()), ca.SX.sym("h")
@@ -349,22 +364,27 @@ def _functions(plant: Plant, scale: float) -> tuple[ca.Function, ca.Function]:
         return value / nominal, jacobian * (nominal[None, :] / nominal[:, None])
 
     after = stepped(slopes_at, z, h, "rosenbrock", 1) * nominal
+    for i, v in enumerate(plant.states):
+        if v.memory:  # elements that slide are stiffer than a step is short
+            after[i] = ca.fmin(ca.fmax(after[i], v.min), v.max)
     whole = ca.Function("step", [z, u, p, h], [after])
     step = ca.Function("step", [x, u, p, h], [whole(x / nominal, u, p, h)])
     return step, ca.Function("look", [x, u, p], [ca.densify(outputs)])
 
 
-def _scaled(plant: Plant, scale: float, x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Rates and outputs with every muscle's force multiplied, wherever it stands.
+def forces_changed(
+    plant: Plant, change: Callable[[str, ca.SX], ca.SX], x: ca.SX, u: ca.SX, p: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """Rates and outputs with every muscle's force changed, wherever it stands; change(name, force).
 
     The plant's expressions are walked in the order of their evaluation; what a force is stored as
-    is multiplied before anything else makes use of it.
+    is changed before anything else makes use of it.
     """
     forces = [v.name for v in plant.outputs if v.name.endswith(".force")]
     if not forces:
         raise InputError(
-            f"scale = {scale:g}: {plant.name!r} has no output that ends in '.force'; scale its own "
-            "parameters"
+            f"{plant.name!r} has no output that ends in '.force', whose scale could be changed; "
+            "scale its own parameters"
         )
     first = [plant.expression(n) for n in forces]
     rates = ca.vertcat(*(plant.expression(f"der({v.name})") for v in plant.states))
@@ -383,7 +403,7 @@ def _scaled(plant: Plant, scale: float, x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[c
             work[o[0]] = ca.SX(walked.instruction_constant(k))
         elif op == ca.OP_OUTPUT:
             if o[0] < len(first):
-                work[i[0]] = scale * work[i[0]]
+                work[i[0]] = change(forces[o[0]], work[i[0]])
             results[o[0]][o[1]] = work[i[0]]
         elif len(i) == 1:
             work[o[0]] = ca.SX.unary(op, work[i[0]])

@@ -18,6 +18,7 @@ from .guard import RigError
 __all__ = ["Watchdog"]
 
 SCRIPT = Path(__file__).with_name("watchdog_server.py")
+TRIPPED = "the watchdog has vented: the loop was late"
 PATIENCE = 10.0
 """For it to be ready, and to end [s]."""
 
@@ -75,10 +76,17 @@ class Watchdog:
         """All is well. What is wrong with the watchdog, "" where nothing is."""
         if not self._say(b"H"):
             return "the watchdog's process has ended"
-        if self._answer(0.0) == b"T":
-            self.tripped = True
-            return "the watchdog has vented: the loop was late"
-        return ""
+        return TRIPPED if self.heard_trip() else ""
+
+    @property
+    def told(self) -> int:
+        """The pipe by which it is told letters, for a loop in another process."""
+        return self._told
+
+    def heard_trip(self) -> bool:
+        """Whether it has said that it vented."""
+        self.tripped = self.tripped or self._answer(0.0) == b"T"
+        return self.tripped
 
     def idle(self) -> None:
         """The air is out: nothing to look after."""

@@ -112,7 +112,7 @@ def _force_fit(path: Path) -> Any:
 
 
 def _plant_fit(path: Path) -> Any:
-    from ..fitting.dynamic.saved_plant import load_plant_fit
+    from ..fitting.dynamic.plant_fit import load_plant_fit
 
     return load_plant_fit(path) if SYSTEM in said_in(path) else _facts(path)
 

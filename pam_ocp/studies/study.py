@@ -7,7 +7,7 @@ import logging
 import os
 import uuid
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -35,7 +35,7 @@ from ..core.progress import Bar, working
 from ..core.stop import check, limited
 from .kept_results import Kept, key_of, versions
 from .shards import ShardRecord, merged_cache, shard_of
-from .study_file import Entry, Study, read_study
+from .study_file import HELP, Entry, Study, read_study
 from .study_result import StudyResult, StudyStep
 from .working import digest_of_files, rehearse, work
 
@@ -67,7 +67,7 @@ def run_study(
 
     Parameters
     ----------
-    path : of the file (TOML); docs/studies.md has its keys.
+    path : of the file (TOML); see docs/studies.md.
     out : folder for figures, tables, parameter files, FMUs and the report; by default named as the
         file, in the working folder. A file of an earlier run that no step writes any more is
         removed, unless it was changed.
@@ -128,6 +128,7 @@ def run_study(
         run = _Run(study, target, kept, allow_code, fresh, progress, bar)
         if share is not None:
             run.share, run.record = share.share(study.entries), record
+            run.checked = study.entries if share.number == 1 else run.share
         run.prepare()
         run.go(pool)
         return run.finish()
@@ -168,6 +169,8 @@ class _Run:
         self.allow_code, self.progress = allow_code, progress
         self.share: frozenset[str] = frozenset(study.entries)
         """The steps that are run here: all, or those of a shard."""
+        self.checked: Container[str] = study.entries
+        """Those that are looked at before: what they are, for all shards but the first."""
         self.record: ShardRecord | None = None
         self.steps: dict[str, StudyStep] = {}
         self.keys: dict[str, str] = {}
@@ -195,8 +198,8 @@ class _Run:
                 if found is not None:
                     self.found[name] = found
         if len(self.found) < len(self.share):
-            with reading(self.study.path, "a study", "docs/studies.md tells every key"):
-                rehearse(self.study, self.allow_code)
+            with reading(self.study.path, "a study", HELP):
+                rehearse(self.study, self.allow_code, self.checked)
 
     def _key(self, entry: Entry) -> str:
         """The digest of all that goes into a step whose parts are there."""

@@ -20,6 +20,7 @@ __all__ = ["Entry", "Study", "read_study"]
 
 _KEYS = ("title", "author", "text", "steps")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
+HELP = "'pam-ocp components study-step' lists its keys"
 
 
 @dataclass(frozen=True)
@@ -66,14 +67,14 @@ class Study:
 
 
 def read_study(path: str | Path) -> Study:
-    """Read a study file (docs/studies.md has the keys).
+    """Read a study file (see docs/studies.md).
 
     Raises InputError in one sentence for unknown steps, kinds and keys, keys that are missing, and
     steps that go in a circle. What their values mean is asked later, with the nouns at hand.
     """
     source = Path(path)
     content = read_toml(source)
-    with reading(path, "a study", "docs/studies.md tells every key"):
+    with reading(path, "a study", HELP):
         known_keys("the study", content, _KEYS)
         said = table("steps", content.get("steps", {}))
         if not said:

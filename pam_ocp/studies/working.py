@@ -6,7 +6,7 @@ import hashlib
 import tempfile
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -90,13 +90,16 @@ def digest_of_files(files: Mapping[str, bytes], offers: Mapping[str, str]) -> st
     return found.hexdigest()
 
 
-def rehearse(study: Study, allow_code: bool) -> None:
-    """All that can be said against a study before anything runs. Raises InputError.
+def rehearse(study: Study, allow_code: bool, steps: Container[str]) -> None:
+    """All that can be said against steps of a study before anything runs. Raises InputError.
 
-    Where a noun is not made yet (a muscle that a fit will give), another of its kind stands in.
+    steps : each with those that it stands on. Where a noun is not made yet (a muscle that a fit
+    will give), another of its kind stands in.
     """
     nouns: dict[str, dict[str, Any]] = {}
     for name, entry in study.entries.items():
+        if name not in steps:
+            continue
         parts = {k: nouns[n].get(entry.step.parts[k]) for k, n in entry.parts.items()}
         job = Job(name, entry.said, parts, study.path.parent, Path(), allow_code)
         try:

@@ -138,7 +138,7 @@ def test_what_is_taken_from_a_file_is_what_was_written(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    plant, arguments = pam.load_problem("problem.toml")
+    plant, arguments = pam.planning.load_problem("problem.toml")
     for file in sorted(SLIDES):
         found = pam.plants.load_plant(file)
         assert [v.name for v in found.variables] == [v.name for v in plant.variables]

@@ -12,7 +12,7 @@ import pytest
 from cli_tools import run
 
 import pam_ocp as pam
-from pam_ocp.fitting.dynamic.saved_plant import load_plant_fit
+from pam_ocp.fitting.dynamic.plant_fit import load_plant_fit
 from pam_ocp.plants.plant_file import plant_of
 
 STUDY = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -21,9 +22,11 @@ from pam_ocp.control import (
     lqr,
     tvlqr,
 )
+from pam_ocp.control.blocks.guard import guarded
 from pam_ocp.control.blocks.kinds import BLOCKS
 from pam_ocp.control.estimators.stationary import WithEstimate
 from pam_ocp.control.references import sine
+from pam_ocp.core.block import Block
 from pam_ocp.core.errors import InputError, UnknownNameError
 
 MUSCLE = pam.muscle("DMSP-20-300")
@@ -261,6 +264,30 @@ def test_what_is_no_number_is_never_sent(slide):
         memory, outputs = (np.asarray(m).ravel() for m in made.step(memory, values, p))
         assert np.all(np.isfinite(memory))
         assert np.all((outputs >= low) & (outputs <= high))
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+def test_all_memory_stays_where_one_of_it_would_be_no_number(symbol):
+    memory, y, none = (symbol.sym(n, size) for n, size in (("m", 2), ("y", 1), ("p", 0)))
+    after = [memory[0] + 1 / y, memory[1] + 1]
+    law = Block(
+        "sums",
+        STEP,
+        (pam.Variable("y", "input"),),
+        (pam.Variable("command", "output", min=-9.0, max=9.0),),
+        (),
+        tuple(pam.Variable(n, "state", start=0.0) for n in ("sum", "count")),
+        ca.Function("step", [memory, y, none], [ca.vertcat(*after), memory[1]]),
+        commands=("command",),
+    )
+    made = guarded(law)
+    state, told = made.start("memory"), []
+    for value in (1.0, 2.0, 0.0, 4.0):
+        state, outputs = made.step(state, [value, 1.0], made.start("parameters"))
+        told.append([*np.asarray(state).ravel()[:2], *np.asarray(outputs).ravel()])
+    # sum and count after each step; the command, which is the count before it and begins anew where
+    # it stands; 32: the law gave no number
+    assert told == [[1, 1, 0, 0], [1.5, 2, 1, 0], [1.5, 2, 1, 32], [1.75, 3, 1, 0]]
 
 
 def test_a_filter_goes_on_without_what_is_missing(slide):

@@ -10,7 +10,7 @@ import pam_ocp as pam
 from pam_ocp.control import HysteresisCompensation
 from pam_ocp.control.blocks.draft import Draft
 from pam_ocp.control.blocks.running import Running
-from pam_ocp.control.compensation import MemoryModel, _PressureInputs, _Rounded
+from pam_ocp.control.compensation import MemoryModel, Rounded, _PressureInputs
 from pam_ocp.core.errors import InputError
 
 L = pam.losses
@@ -99,14 +99,14 @@ def test_the_memory_along_a_motion_is_that_of_the_sharp_operator():
 
 
 def test_a_corner_is_rounded_within_the_kernel_and_a_line_stays():
-    path = _Rounded(lambda t: abs(t - 1.0), 0.1, preview=True)
+    path = Rounded(lambda t: abs(t - 1.0), 0.1, preview=True)
     x, v, a = path(0.5)
     assert (x, v, a) == pytest.approx((0.5, -1.0, 0.0), abs=1e-12)
     x, v, a = path(1.0)
     assert x == pytest.approx(0.1 / 3, rel=1e-9)  # integral of (1 - |s|) |s| h
     assert v == pytest.approx(0.0, abs=1e-12)
     assert a == pytest.approx(2 / 0.1, rel=1e-9)
-    assert _Rounded(lambda t: t, 0.1, preview=False)(1.0)[0] == pytest.approx(0.9)
+    assert Rounded(lambda t: t, 0.1, preview=False)(1.0)[0] == pytest.approx(0.9)
 
 
 def test_inputs_give_a_pressure_the_rate_that_was_asked_whatever_feeds_it():

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from conftest import BAR
 from design_tools import Fixed
+from scipy.optimize import brentq
 
 import pam_ocp as pam
 from pam_ocp import InputError
-from pam_ocp.control.inverse import InverseDynamics
+from pam_ocp.control.inverse import InverseDynamics, stiffness_of
 from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.pid import PID, PositionController, PressureLoop
@@ -115,6 +116,19 @@ def test_out_of_reach_the_inverse_stays_in_range_and_keeps_the_acceleration_if_i
     given = moved.vector("state"), moved.vector("input"), joint.vector("parameter")
     xdot, *_ = joint.function(*given)
     assert float(xdot[1]) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_pair_that_is_slack_at_its_start_is_as_stiff_as_between_first_pull_and_full_pressure():
+    """By SciPy and the law alone: thin muscles of 250 mm pull from 3.4 bar on at 11 % only."""
+    muscle, at = pam.muscle("DMSP-10-250"), 0.11
+    pair = pam.AntagonisticSlide(muscle, pre_contraction=at)
+    highest = pair.variable("muscle1.pressure").max
+    first = brentq(lambda p: float(muscle.force(p, at)) - 1e-3, 1e5, highest)
+    middle, step = (first + highest) / 2, 1e-5
+    steep = float(muscle.force(middle, at - step)) - float(muscle.force(middle, at + step))
+    expected = 2 * steep / (2 * step * muscle.rest_length)
+    assert float(muscle.force(pair.variable("muscle1.pressure").start, at)) == 0.0
+    assert stiffness_of(pair) == pytest.approx(expected, rel=0.02)
 
 
 def test_the_inverse_says_what_it_lacks(joint, long_muscle):

@@ -26,7 +26,7 @@ def joint(long_muscle):
 def test_lqr_of_the_double_integrator_is_the_textbooks():
     """Cost q^2 x^2 + r^2 u^2: K = [q/r, sqrt(2 q/r)]."""
     plant = double_integrator()
-    point = pam.OperatingPoint(plant, np.zeros(2), np.zeros(1))
+    point = pam.operating.OperatingPoint(plant, np.zeros(2), np.zeros(1))
     feedback = lqr(plant, point, weights={"x": 3.0}, effort=0.5)
     assert np.allclose(feedback.K, [[6.0, np.sqrt(12.0)]], rtol=1e-10)
 
@@ -125,7 +125,9 @@ def test_an_lqi_goes_to_another_set_point(slide):
 
 def test_lqr_says_what_cannot_be_stabilised_or_weighed(long_muscle, slide):
     counted = pam.HangingLoad(long_muscle, feed=SpoolValve(totals=True))
-    somewhere = pam.OperatingPoint(counted, counted.vector("state"), counted.vector("input"))
+    somewhere = pam.operating.OperatingPoint(
+        counted, counted.vector("state"), counted.vector("input")
+    )
     with pytest.raises(InputError, match="totals of gas feeds"):
         lqr(counted, somewhere, weights={"muscle.work": 1.0, "x": 1.0})
     point = slide.equilibrium(x=0.0, stiffness=2.2e4)

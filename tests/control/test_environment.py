@@ -4,6 +4,7 @@ import importlib
 
 import numpy as np
 import pytest
+from design_tools import example
 
 import pam_ocp as pam
 
@@ -104,3 +105,13 @@ def test_what_is_asked_wrongly_is_told(plant):
     free.der(x, u)
     with pytest.raises(pam.InputError, match="input u has no finite range"):
         pam.env(free, "reach", {"x": 1.0})
+
+
+@pytest.mark.slow
+def test_a_trained_policy_comes_within_a_tenth_of_the_optimum(tmp_path, monkeypatch):
+    pytest.importorskip("cmaes")
+    monkeypatch.chdir(tmp_path)
+    run = example("world_policy")
+    assert run.told["success"]
+    assert run.path[-1] == pytest.approx(0.05, abs=1e-4)
+    assert 0.9 < run.optimum.duration / run.told["time"] < 1.02

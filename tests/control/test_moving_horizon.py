@@ -213,3 +213,20 @@ def test_unknown_names_get_the_nearest_one():
         MovingHorizonEstimator(
             free_mass(), sample_time=H, measured={"x": 1e-3}, bounds={"pushh": (0, 1)}
         )
+
+
+def test_a_reset_keeps_what_is_named_and_refuses_other_names():
+    settings = {"sample_time": H, "measured": {"double": 0.02}, "start": {"x": 0.3}}
+    known = {"uncertainty": {"x": 0.1, "v": 0.5}, "unknown": {"der(v)": (1.0, 0.1)}}
+    window = MovingHorizonEstimator(damped_spring(), horizon=4, **settings, **known)
+    for _ in range(10):
+        window.correct({"double": 1.0})
+        window.predict({"f": 0.0})
+    before = window.estimate.values
+    assert before["der(v)"] != 0.0
+    window.reset(["der(v)"])
+    assert window.estimate.values == before
+    window.reset()
+    assert window.estimate.values["der(v)"] == 0.0
+    with pytest.raises(UnknownNameError, match="kept"):
+        window.reset("nope")

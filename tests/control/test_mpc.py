@@ -24,7 +24,7 @@ def mass_mpc(limit: float = np.inf, **options) -> Mpc:
 
 
 @pytest.fixture(scope="module")
-def rest() -> pam.OperatingPoint:
+def rest() -> pam.operating.OperatingPoint:
     return benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
 
 

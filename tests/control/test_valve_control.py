@@ -384,7 +384,7 @@ def test_a_dead_zone_of_ones_own_is_inverted():
 
 def test_an_input_without_influence_is_called_so():
     plant = cart(False)
-    point = pam.OperatingPoint(plant, np.zeros(2), np.zeros(1))
+    point = pam.operating.OperatingPoint(plant, np.zeros(2), np.zeros(1))
     with pytest.raises(InputError, match="motor has no influence on x here: its slope is 0"):
         pam.lqr(plant, point)
     mpc = pam.Mpc(plant, horizon=5, sample_time=0.05, track={"x": 1.0})
@@ -420,7 +420,7 @@ def test_the_kalman_filter_finds_the_disturbance_itself_not_its_deviation():
     u, d = plant.input("u", unit="N"), plant.input("d", unit="N", disturbance=True)
     plant.der(x, v)
     plant.der(v, u + d - 4 * x - v)
-    point = pam.OperatingPoint(plant, np.array([1.25, 0.0]), np.array([2.0, 3.0]))
+    point = pam.operating.OperatingPoint(plant, np.array([1.25, 0.0]), np.array([2.0, 3.0]))
     watch = pam.control.kalman(
         plant, point, measured={"x": 1e-3}, process=0.1, disturbances={"d": 1.0}, sample_time=0.02
     )

@@ -141,5 +141,5 @@ def test_options_of_solvers_that_load_libraries_or_write_files_need_consent(name
     file = tmp_path / "problem.toml"
     file.write_text(PROBLEM.replace("max_iter = 50", f'{name} = "./evil.so"'))
     with pytest.raises(InputError, match=rf"options.{name} may load a library.*--allow-code"):
-        pam.load_problem(file)
-    assert pam.load_problem(file, allow_code=True)[1]["options"] == {name: "./evil.so"}
+        pam.planning.load_problem(file)
+    assert pam.planning.load_problem(file, allow_code=True)[1]["options"] == {name: "./evil.so"}

@@ -344,7 +344,7 @@ def test_per_mass_and_efficiency_come_with_every_feed() -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: pam.fit_branches(3), "table is an int"),
+        (lambda: pam.fitting.fit_branches(3), "table is an int"),
         (lambda: pam.compare_laws(None), "table is None"),
         (lambda: pam.read_records([]), "sources is empty"),
         (lambda: pam.Variable("a", "foo"), "causality = 'foo'"),

@@ -307,9 +307,9 @@ def test_a_path_of_rest_keeps_the_points_that_it_has():
 def test_a_search_for_points_of_rest_keeps_what_it_has(monkeypatch):
     plant = pam.HangingLoad("DMSP-20-300")
     at = {"muscle.command": 3e5}
-    (whole,) = pam.equilibria(plant, at)
+    (whole,) = pam.operating.equilibria(plant, at)
     over_at_call(monkeypatch, Search, "newton", 3)
-    found = pam.equilibria(plant, at, time_limit=1000.0)
+    found = pam.operating.equilibria(plant, at, time_limit=1000.0)
     assert found.ended == "time_limit = 1000 s was over"
     assert [p["x"] for p in found] == pytest.approx([whole["x"]], rel=1e-9)
 

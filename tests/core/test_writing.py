@@ -61,7 +61,7 @@ def writers() -> dict[str, Callable[[Path], Any]]:
         "played.ssp": lambda f: export_ssp(
             {"motion": motion, "again": motion}, {}, f, platforms=["native"]
         ),
-        "film.gif": lambda f: pam.animate_plan(plan, f, seconds=0.2, fps=10),
+        "film.gif": lambda f: pam.figures.animate_plan(plan, f, seconds=0.2, fps=10),
     }
 
 

@@ -41,6 +41,7 @@ from pam_ocp.control import (
 from pam_ocp.control.references import sine
 from pam_ocp.core.errors import InputError
 from pam_ocp.core.exceptions import WriteError
+from pam_ocp.export.c_code import vectors
 
 MUSCLE = pam.muscle("DMSP-20-300")
 REST = {"x": 0.002, "stiffness": 2.2e4}
@@ -348,6 +349,15 @@ def test_vectors_end_where_rounding_spoils_them(tmp_path):
         assert least < int(steps.group(1)) < most
         if COMPILER:
             assert "passed" in selftest(folder, "chaos")
+
+
+def test_a_step_beyond_the_budget_is_not_read_instruction_by_instruction(monkeypatch):
+    made = pid_block()
+    inputs = vectors.inputs_of(made, 3, 0)
+    assert vectors.single_outputs(made, inputs).shape == (3, len(made.outputs))
+    monkeypatch.setattr(vectors, "BUDGET", 10)
+    monkeypatch.setattr(vectors, "_program", lambda step: pytest.fail("it was read"))
+    assert vectors.single_outputs(made, inputs) is None
 
 
 def test_two_instances_do_not_disturb_each_other(tmp_path):

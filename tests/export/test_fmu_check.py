@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -100,3 +101,82 @@ def test_curved_inputs_that_jump_are_played_in_every_mode(fmi: Any, tmp_path: Pa
         motion.t, {n: motion[n] for n in motion.names}, motion.variables, "linear"
     )
     assert check_fmu(path, lines).largest > 1e-3  # the samples alone do not say how they are joined
+
+
+# ---- the binary against its description ---------------------------------------------------------
+
+
+def described(path: Path, change: Any) -> Any:
+    """The check of a copy with another description."""
+    other = path.with_name("other.fmu")
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(other, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                root = ElementTree.fromstring(content)
+                change(root)
+                content = ElementTree.tostring(root)
+            new.writestr(name, content)
+    return check_fmu(other)
+
+
+def attributes(root: Any, name: str, fmi: str) -> Any:
+    variable = next(v for v in root.find("ModelVariables") if v.get("name") == name)
+    return variable if fmi == "3.0" else variable[0]
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_description_that_is_not_the_binarys_is_found_out(fmi: Any, tmp_path: Path) -> None:
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
+    assert check_fmu(path).ok
+
+    def says(name: str, **changed: str) -> Any:
+        return described(path, lambda root: attributes(root, name, fmi).attrib.update(changed))
+
+    found = says("mass", start="3.0").findings
+    assert "mass is 2 at the start in CoSimulation, 3 in the description" in found
+    found = says("muscle1.command", start="200000.0").findings
+    assert "muscle1.command is 300000 at the start in ModelExchange, 200000 in the d" in str(found)
+    found = says("mass", max="2.5").findings
+    assert found == ("mass = 5 is taken, beyond its max 2.5 in the description",)
+    found = says("mass", min="-1.0").findings
+    assert found == ("mass = -1 is refused, its min in the description",)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_dependencies_that_are_not_told_are_found_out(fmi: Any, tmp_path: Path) -> None:
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
+
+    def forgotten(group: str, unknown: str, known: str) -> Any:
+        def change(root: Any) -> None:
+            variables = [v.get("name") for v in root.find("ModelVariables")]
+            numbers = {n: str(i + 1) for i, n in enumerate(variables)}
+            if fmi == "3.0":
+                numbers = {v.get("name"): v.get("valueReference") for v in root[-2]}
+            structure = root.find("ModelStructure")
+            entries = structure if fmi == "3.0" else structure.find(group + "s")
+            entry = next(
+                e
+                for e in entries
+                if e.tag in ("Unknown", group)
+                and numbers[unknown] in (e.get("index"), e.get("valueReference"))
+            )
+            pairs = zip(
+                entry.get("dependencies").split(),
+                entry.get("dependenciesKind").split(),
+                strict=True,
+            )
+            kept = [(d, k) for d, k in pairs if d != numbers[known]]
+            entry.set("dependencies", " ".join(d for d, _ in kept))
+            entry.set("dependenciesKind", " ".join(k for _, k in kept))
+
+        return described(path, change).findings
+
+    told = "depends on {} which the description does not tell"
+    found = forgotten("Output", "muscle1.force", "x")
+    assert found == ("muscle1.force " + told.format("x,"),)
+    found = forgotten("InitialUnknown", "muscle2.force", "muscle2.a5")
+    assert found == ("muscle2.force " + told.format("muscle2.a5 at the start,"),)
+    group = "Derivative" if fmi == "2.0" else "ContinuousStateDerivative"
+    found = forgotten(group, "der(muscle1.pressure)", "muscle1.command")
+    assert found == ("der(muscle1.pressure) " + told.format("muscle1.command,"),)

@@ -15,8 +15,10 @@ from fmu_tools import coupled
 
 import pam_ocp as pam
 from pam_ocp import InputError
+from pam_ocp.control import block, chain
 from pam_ocp.control.controller_plants import state_feedback_controller
 from pam_ocp.export import check_fmu, export_fmu, export_ssp
+from pam_ocp.export.runner import Runner, UnpackedFmu
 
 COMMANDS = ("muscle1.command", "muscle2.command")
 STATES = ("x", "v", "muscle1.pressure", "muscle2.pressure")
@@ -120,3 +122,95 @@ def test_what_is_no_state_feedback_is_refused(feedback: Any) -> None:
         state_feedback_controller(benchmark_slide())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="windup_time = 0 s must be > 0"):
         state_feedback_controller(feedback, windup_time=0.0)
+
+
+# ---- gains as arrays ----------------------------------------------------------------------------
+
+
+def test_gains_are_one_array_in_fmi_3_tunable_while_running(tmp_path: Path) -> None:
+    """Against the block's own step with these gains, whose entries FMI 2 has one by one."""
+    plant = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
+    law = pam.lqr(
+        plant, plant.equilibrium(x=0.0, stiffness=2e4), integral={"x": 20.0}, sample_time=2e-3
+    )
+    made = block(chain([law], name="whole"), plant=plant)
+    path = export_fmu(made, tmp_path / "k.fmu", fmi="3.0", platforms="native", matrices=True)
+    check = check_fmu(path)
+    assert check.ok, str(check)
+    unit = UnpackedFmu(path, tmp_path / "k")
+    (name,) = (n for n in unit.references if n.endswith(".K"))
+    shape = [int(d.start) for d in unit.variables[name].dimensions]
+    assert shape == list(law.K.shape) == [2, 4]
+    assert unit.variables[name].variability == "tunable"
+    assert not [n for n in unit.references if n.startswith(f"{name}.")]
+    x = {"x": 1e-3, "v": 0.02, "muscle1.pressure": 3.1e5, "muscle2.pressure": 2.9e5}
+    gains = np.random.default_rng(3).uniform(0.5, 1.5, 8) * law.K.ravel()
+    entries = [v.name for v in made.parameters if v.name.startswith(f"{name}.")]
+    outputs = [v.name for v in made.outputs]
+    memory, parameters = made.start("memory"), made.start("parameters")
+    places = [[v.name for v in made.parameters].index(n) for n in entries]
+    inputs = np.array([x.get(v.name, v.start or 0.0) for v in made.inputs])
+    with Runner(unit, "CoSimulation") as runner:
+        runner.initialize(x, 0.0, None)
+        reference = [unit.references[name]]
+        read = runner.inner.getFloat64(reference, 8)
+        assert list(read) == list(law.K.ravel())
+        for k in range(6):
+            if k == 3:
+                runner.inner.setFloat64(reference, gains.tolist())
+                parameters[places] = gains
+            memory, wanted = (np.asarray(r).ravel() for r in made.step(memory, inputs, parameters))
+            runner.step(k * 2e-3, 2e-3)
+            assert runner.get(outputs) == pytest.approx(wanted, rel=1e-12)
+        with pytest.raises(Exception, match="rror"):
+            runner.inner.setFloat64(reference, gains[:7].tolist())
+    with pytest.raises(InputError, match="matrices = 'yes': give True or False"):
+        export_fmu(made, tmp_path / "k1.fmu", matrices="yes")
+    with pytest.raises(InputError, match="'source' means no binaries at all; give it alone"):
+        export_fmu(made, tmp_path / "k1.fmu", platforms=["source", "native"])
+    with pytest.raises(InputError, match="FMI 2 has no arrays"):
+        export_fmu(made, tmp_path / "k2.fmu", matrices=True)
+    with pytest.raises(InputError, match="a plant has none"):
+        export_fmu(plant, tmp_path / "k3.fmu", fmi="3.0", matrices=True)
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_flags_are_booleans_and_tell_the_bits_of_the_status(fmi: Any, tmp_path: Path) -> None:
+    """Off, blind and at an end of the range, against what the guard says these bits mean."""
+    plant = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
+    law = pam.lqr(plant, plant.equilibrium(x=0.0, stiffness=2e4), sample_time=2e-3)
+    limits = dict.fromkeys(COMMANDS, (2e5, 4e5))
+    made = block(law, plant=plant, hold=1, limits=limits, fade_time=0.0)
+    path = export_fmu(made, tmp_path / "b.fmu", fmi=fmi, platforms="native", booleans=True)
+    check = check_fmu(path)
+    assert check.ok, str(check)
+    unit = UnpackedFmu(path, tmp_path / "b")
+    names = ["off", "missing", "lost", "at_range", "at_rate", "no_number"]
+    assert unit.booleans == {"enable", *(f"status.{n}" for n in names)}
+    assert "status" not in unit.references
+    assert unit.variables["enable"].variability == "discrete"
+    rest = {"x": 0.0, "muscle1.pressure": 3e5, "muscle2.pressure": 3e5}
+    cases = [
+        ({"enable": 1.0}, set()),
+        ({"enable": 0.0}, {"off"}),
+        ({"enable": 1.0, "x": np.nan}, {"missing"}),
+        ({"x": np.nan}, {"missing", "lost"}),
+        ({"x": 1.0}, set()),  # in action again: the command begins where it stood
+        ({}, {"at_range"}),
+        ({"x": 0.0, "enable": 0.0}, {"off"}),
+    ]
+    with Runner(unit, "CoSimulation") as runner:
+        runner.initialize(rest, 0.0, None)
+        for k, (given, wanted) in enumerate(cases):
+            runner.set(given)
+            runner.step(k * 2e-3, 2e-3)
+            found = dict(zip(names, runner.get([f"status.{n}" for n in names]), strict=True))
+            assert {n for n, v in found.items() if v} == wanted, k
+        reference = [unit.references["enable"]]
+        read = runner.inner.getReal if fmi == "2.0" else runner.inner.getFloat64
+        with pytest.raises(Exception, match="rror"):
+            read(reference)
+        with pytest.raises(Exception, match="rror"):
+            runner.inner.getBoolean([unit.references["x"]])
+    with pytest.raises(InputError, match="has no flags"):
+        export_fmu(block(law, guard=False), tmp_path / "c.fmu", booleans=True)

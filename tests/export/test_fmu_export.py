@@ -338,3 +338,29 @@ def test_a_file_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
     path.write_text("no zip")
     with pytest.raises(InputError, match="cannot be read as an FMU"):
         check_fmu(path)
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_a_source_code_fmu_is_built_as_its_build_description_says(fmi: Any, tmp_path: Path) -> None:
+    """By the machine's own compiler, and runs as the FMU that has a binary."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    plant = benchmark_slide()
+    bare = export_fmu(plant, tmp_path / "bare.fmu", fmi=fmi, platforms="source")
+    whole = export_fmu(plant, tmp_path / "whole.fmu", fmi=fmi, platforms="native")
+    folder = Path(fmpy.extract(str(bare), str(tmp_path / "bare")))
+    assert not (folder / "binaries").exists()
+    told = etree.parse(str(folder / "sources/buildDescription.xml")).getroot()[0]
+    files = [f.get("name", "") for f in told.iter("SourceFile")]
+    place = folder / "binaries" / ("linux64" if fmi == "2.0" else "x86_64-linux")
+    place.mkdir(parents=True)
+    library = place / f"{told.get('modelIdentifier')}.so"
+    options = ["-std=c11", "-shared", "-fPIC", "-ffp-contract=off"]
+    command = [compiler, *options, "-o", str(library), *files, "-lm"]
+    subprocess.run(command, cwd=folder / "sources", check=True)
+    run = {"stop_time": 0.1, "output_interval": 0.01, "start_values": {"muscle1.command": 4e5}}
+    built = fmpy.simulate_fmu(str(folder), **run)
+    packed = fmpy.simulate_fmu(str(whole), **run)
+    assert np.ptp(built["x"]) > 1e-4
+    assert built["x"] == pytest.approx(packed["x"], abs=1e-12)

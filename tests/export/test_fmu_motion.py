@@ -29,7 +29,7 @@ def held() -> pam.Trajectory:
 
 
 def curved() -> pam.Trajectory:
-    """Commands that are functions of time, so cubics."""
+    """Commands that are functions of time, so curved."""
     functions = {
         "muscle1.command": lambda t: (3 + 2 * np.sin(20 * t)) * BAR,
         "muscle2.command": lambda t: (3 - 1.5 * np.sin(15 * t)) * BAR,

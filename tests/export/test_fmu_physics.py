@@ -27,7 +27,7 @@ def laws():
     six = pam.muscle("DMSP-20-300")
     fitted = {}
     kappa, p = np.meshgrid(np.linspace(0.02, 0.2, 8), np.linspace(1e5, 6e5, 6))
-    table = pam.ForceTable(
+    table = pam.fitting.ForceTable(
         p.ravel(), kappa.ravel(), np.maximum(six.tension(p, kappa), 0).ravel(), 0.3
     )
     for law in ("geometric", "corrected", "five-parameter", "hildebrandt"):

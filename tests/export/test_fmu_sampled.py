@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import casadi as ca
 import fmpy.ssp.simulation
@@ -14,7 +15,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 import pam_ocp as pam
-from pam_ocp import ExportError, InputError
+from pam_ocp import ExportError, InputError, UnknownNameError
 from pam_ocp.core.block import Block
 from pam_ocp.core.variables import Variable
 from pam_ocp.export import export_fmu, export_ssp
@@ -274,6 +275,31 @@ def test_a_system_tells_its_units_its_places_and_its_master(tmp_path: Path) -> N
         assert part in text
     (tmp_path / "pi.fmu").write_bytes(inside)
     assert fmpy.read_model_description(str(tmp_path / "pi.fmu")).fmiVersion == "3.0"
+
+
+@pytest.mark.parametrize(("version", "fmi"), [("1.0", "3.0"), ("2.0", "2.0"), ("2.0", "3.0")])
+def test_ssp_2_has_the_name_spaces_of_1_and_the_types_of_fmi_3(
+    version: Any, fmi: Any, tmp_path: Path
+) -> None:
+    """As the schemas of SSP 2.0 say: SystemStructureDescription, ParameterValues, Common."""
+    plant = plant_with_valves("slide")
+    wires = {f"plant.{v.name}": f"pi.{v.name}" for v in plant.inputs}
+    wires |= {"pi.x": "plant.x", "pi.wanted.x": "plant.x"}
+    options = {"fmi": fmi, "version": version, "platforms": "native"}
+    path = export_ssp({"plant": plant, "pi": pi()}, wires, tmp_path / "s.ssp", **options)
+    with zipfile.ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("SystemStructure.ssd"))
+    space = "http://ssp-standard.org/SSP1/SystemStructure"
+    assert root.tag == f"{{{space}Description}}SystemStructureDescription"
+    sets = list(root.iter(f"{{{space}ParameterValues}}ParameterSet"))
+    assert [e.get("version") for e in (root, *sets)] == [version] * 3
+    kind = "Float64" if (version, fmi) == ("2.0", "3.0") else "Real"
+    connectors = list(root.iter(f"{{{space}Description}}Connector"))
+    assert {c[0].tag for c in connectors} == {f"{{{space}Common}}{kind}"}
+    parameters = list(root.iter(f"{{{space}ParameterValues}}Parameter"))
+    assert {p[0].tag for p in parameters} == {f"{{{space}ParameterValues}}{kind}"}
+    with pytest.raises(UnknownNameError, match="SSP version"):
+        export_ssp({"plant": plant, "pi": pi()}, wires, tmp_path / "t.ssp", version="1.1")
 
 
 # ---- refused ------------------------------------------------------------------------------------

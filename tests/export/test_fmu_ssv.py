@@ -25,14 +25,14 @@ def read(path: Path) -> dict[str, tuple[float, str]]:
     return {p.name: (float(p.value), p.unit) for p in found.parameters}
 
 
-def made_table(seed: int) -> tuple[pam.ForceTable, dict[str, float]]:
+def made_table(seed: int) -> tuple[pam.fitting.ForceTable, dict[str, float]]:
     """A table of the six-parameter law with random coefficients."""
     law = pam.muscle("DMSP-20-200N").law
     spread = np.random.default_rng(seed).uniform(0.9, 1.1, len(law.values))
     values = {n: v * s for (n, v), s in zip(law.values.items(), spread, strict=True)}
     p, k = np.meshgrid(np.linspace(1e5, 6e5, 6), np.linspace(0.0, 0.15, 8))
     force = np.asarray(type(law)(**values).tension(p.ravel(), k.ravel())).ravel()
-    return pam.ForceTable(p.ravel(), k.ravel(), force, rest_length=0.21), values
+    return pam.fitting.ForceTable(p.ravel(), k.ravel(), force, rest_length=0.21), values
 
 
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])

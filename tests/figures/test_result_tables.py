@@ -34,7 +34,7 @@ def results(plant, motion):
         pam.fit_force(table, "three-element"),
         pam.compare_laws(table, ["three-element", "polynomial-1-3"]),
         plant.equilibrium({"muscle.pressure": 2e5}),
-        pam.equilibria(plant, {"muscle.pressure": 2e5}),
+        pam.operating.equilibria(plant, {"muscle.pressure": 2e5}),
         pam.simulate_many(plant, cases, inputs={"muscle.command": 3e5}, duration=0.01),
         pam.load_study("DMSP-20-300", [5.0, 10.0], [2e5], duration=0.5),
     ]

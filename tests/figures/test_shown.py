@@ -28,7 +28,7 @@ def things():
         plant,
         plant.variable("x"),
         point,
-        pam.equilibria(plant, {"muscle.pressure": 2e5}),
+        pam.operating.equilibria(plant, {"muscle.pressure": 2e5}),
     ]
     return [*many, table, fit, plan, plan.verdict, motion, mpc]
 

@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import pdtrc
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import ForceTable, hysteresis, look
+from pam_ocp.fitting.tables.floor import _as_many
 from pam_ocp.muscles.law import SixParameterLaw
 
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.45, -8.7013, 267.672, -309.603))
@@ -87,7 +89,10 @@ def test_floors_by_branch_are_told_apart() -> None:
     assert found.by["inflation"] == pytest.approx(6.0, abs=0.5)
     assert found.by["deflation"] == pytest.approx(-3.0, abs=0.5)
     assert PULL[~table.slack].min() > -8.0
-    assert sum(len(t.table) - t.n for t in pam.fit_branches(table).values()) == table.slack.sum()
+    assert (
+        sum(len(t.table) - t.n for t in pam.fitting.fit_branches(table).values())
+        == table.slack.sum()
+    )
 
 
 @pytest.mark.parametrize("words", ["with pressure", "from the first to the last"])
@@ -243,3 +248,10 @@ def test_a_law_that_pushes_at_a_reading_says_so() -> None:
     index = np.concatenate([chosen, low])
     fit = pam.fit_force(ForceTable(P[index], KAPPA[index], force), loss="bisquare")
     assert any("the law pushes at 2 taut cells" in words for words in fit.warnings)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 40, 900])
+@pytest.mark.parametrize("expected", [0.0, 1e-9, 0.7, 3.0, 41.5, 800.0])
+def test_the_probability_of_so_many_readings_by_chance_is_that_of_poissons_law(count, expected):
+    exact = pdtrc(count - 1, expected) if count else 1.0
+    assert _as_many(count, expected) == pytest.approx(exact, rel=1e-9, abs=1e-14)

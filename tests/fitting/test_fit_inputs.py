@@ -140,10 +140,10 @@ def test_discarded_sensitivities_are_not_called_no_influence() -> None:
     from types import SimpleNamespace
 
     from pam_ocp.fitting.dynamic.free_run_fit import _require_sense
+    from pam_ocp.fitting.dynamic.rig import RunUnknowns, Unknown
 
-    unknowns = SimpleNamespace(
-        names=("stiffness",), low=[-1.0], high=[1.0], places=lambda kind: np.empty(0), along=()
-    )
+    row = Unknown("groups", None, "stiffness", "N/m", 0.0, 1.0, -1.0, 1.0)
+    unknowns = RunUnknowns((row,))
     for damped, words in ((4, "cannot be told"), (0, "no influence")):
         rollout = SimpleNamespace(
             weights=np.ones((4, 6)),

@@ -11,7 +11,7 @@ import pytest
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import fit_plant
-from pam_ocp.fitting.dynamic.saved_plant import load_plant_fit
+from pam_ocp.fitting.dynamic.plant_fit import load_plant_fit
 
 
 def cart(extra: bool = False) -> pam.Plant:

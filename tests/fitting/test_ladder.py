@@ -185,7 +185,7 @@ def test_the_truth_lies_within_the_intervals(ladder: Ladder) -> None:
 
 def test_errors_that_follow_each_other_widen_the_intervals() -> None:
     """Beside white noise of the same size: by sqrt((1 + a)/(1 - a)) for a mean."""
-    from pam_ocp.fitting.dynamic.run_statistics import widened
+    from pam_ocp.fitting.dynamic.free_run_result import widened
 
     random, n, a, blocks = np.random.default_rng(8), 4000, 0.8, 40
     ratios = {0.0: [], a: []}  # type: ignore[var-annotated]

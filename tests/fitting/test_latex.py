@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
+from pam_ocp.fitting.estimates import Tabled
 from pam_ocp.fitting.statistics import Coefficient
-from pam_ocp.fitting.tabled import Tabled
 
 
 def parsed(text):

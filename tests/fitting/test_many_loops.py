@@ -9,18 +9,18 @@ import pam_ocp as pam
 
 
 @pytest.fixture(scope="module")
-def table() -> pam.ForceTable:
+def table() -> pam.fitting.ForceTable:
     return pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)
 
 
-def test_a_bootstrap(table: pam.ForceTable) -> None:
+def test_a_bootstrap(table: pam.fitting.ForceTable) -> None:
     fit = pam.fit_force(table)
     here, there = (fit.bootstrap(12, seed=4, executor=n) for n in (0, 2))
     assert here.samples.shape == (12, 6)
     assert np.array_equal(here.samples, there.samples)
 
 
-def test_ranked_laws(table: pam.ForceTable) -> None:
+def test_ranked_laws(table: pam.fitting.ForceTable) -> None:
     names = ["six-parameter", "five-parameter", "polynomial-2-2"]
     here, there = (pam.compare_laws(table, names, executor=n) for n in (0, 2))
     assert str(here) == str(there)

@@ -286,7 +286,7 @@ def test_a_spool_held_beside_its_middle_has_not_moved_in_its_play():
 
 def test_a_plan_from_a_file_is_judged_by_the_words_in_it(tmp_path):
     plant = cart()
-    limit = pam.Constraint(plant.expression("x") * pam.TIME, high=2.0, name="late and far")
+    limit = pam.Constraint(plant.expression("x") * pam.planning.TIME, high=2.0, name="late and far")
     words = {"constraints": [limit, pam.Avoid({"v": (0.0, 0.5), "x": (0.5, 0.1)})]}
     words |= {"bounds": {"v": (None, "1.9 m/s")}, "minimise": {"time": 1.0, "effort": 1e-3}}
     with warnings.catch_warnings():

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pam_ocp.numerics.portable import portable
+from pam_ocp.export.c_code.counts import counted
+from pam_ocp.numerics.portable import portable, written_out
 
 
 @pytest.mark.parametrize("name", ["exp", "expm1", "tanh"])
@@ -21,8 +22,22 @@ def test_they_are_those_of_the_c_library_to_two_units_in_the_last_place(name):
     found = np.asarray(written(points[None])).ravel()
     assert np.max(np.abs(found - exact) / np.abs(exact)) <= 3 * 2.0**-52
     assert math.isnan(float(written(math.nan)))
-    codes = {written.instruction_id(k) for k in range(written.n_instructions())}
-    assert not codes & {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH}
+    flat = written_out(written)
+    codes = {flat.instruction_id(k) for k in range(flat.n_instructions())}
+    assert not codes & {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_CALL}
+    assert np.array_equal(np.asarray(flat(points[None])).ravel(), found)
+
+
+def test_they_stand_once_in_c_code_and_each_call_counts():
+    x = ca.SX.sym("x", 3)
+    written = portable(ca.Function("f", [x], [ca.exp(x) + ca.exp(2 * x)]))
+    generator = ca.CodeGenerator("f.c")
+    generator.add(written)
+    assert generator.dump().count("floor(") == 1
+    once, six = counted(portable(ca.Function("f", [x], [ca.exp(x[0])]))), counted(written)
+    assert once.whole
+    assert six.whole
+    assert six.by_kind["roundings"] == 6 * once.by_kind["roundings"] == 6
 
 
 def test_all_else_of_a_function_stays_as_it_is():

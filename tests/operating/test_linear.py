@@ -8,7 +8,8 @@ import pytest
 from conftest import BAR, flat
 
 import pam_ocp as pam
-from pam_ocp import EquilibriumError, InputError
+from pam_ocp import InputError
+from pam_ocp.operating import EquilibriumError
 from pam_ocp.operating.linear import linear_model, linearize_along, linearize_grid
 from pam_ocp.operating.several import equilibria, equilibrium_path
 from pam_ocp.plants.regulated import PositionFeedback
@@ -106,7 +107,7 @@ def test_jacobians_agree_with_differences_to_1e_8(kind, feed, long_muscle):
     plant = PLANTS[kind](long_muscle, FEEDS[feed])
     p = plant.vector("parameter")
     x, u = away_from_the_borders_of_pieces(plant, np.random.default_rng(1))
-    point = pam.OperatingPoint(plant, x, u)
+    point = pam.operating.OperatingPoint(plant, x, u)
     n = len(x)
 
     def values(z):

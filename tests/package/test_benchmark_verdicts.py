@@ -320,7 +320,7 @@ def test_all_muscles_losses_and_loads_are_drawn(study):
 def test_all_feeds_valves_supplies_and_heats_are_drawn(study):
     tasks, draw, muscle = study.random_tasks, np.random.default_rng(4), pam.muscle("DMSP-20-200N")
     feeds = [tasks.feed(draw, muscle, 5e5, pair=True)[0] for _ in range(300)]
-    regulated = pam.PositionFeedback  # which only a regulated load has
+    regulated = pam.plants.PositionFeedback  # which only a regulated load has
     assert {type(each) for each in feeds} == registered(kinds_of.FEEDS, [regulated])
     parts = {
         "tube": kinds_of.TUBES,

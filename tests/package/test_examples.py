@@ -13,7 +13,14 @@ import pytest
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 ALLOWED = {"pam_ocp", "casadi", "control", "distributed", "fmpy", "matplotlib", "numpy", "scipy"}
-ALLOWED |= {"gymnasium", "jax", "mujoco", "onnxruntime", "torch"}  # where they are installed
+ALLOWED |= {
+    "cmaes",
+    "gymnasium",
+    "jax",
+    "mujoco",
+    "onnxruntime",
+    "torch",
+}  # where they are installed
 each = pytest.mark.parametrize("example", EXAMPLES, ids=lambda p: p.stem)
 
 

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp import Collocation, InputError, Shooting
+from pam_ocp import Collocation, InputError
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.judge.statement import Statement
+from pam_ocp.planning import Shooting
 from pam_ocp.planning.problem.formulation import formulate
 from pam_ocp.planning.smoothing import is_nonsmooth, smoothed_at
 from pam_ocp.planning.starts import tasks

@@ -7,7 +7,8 @@ from numpy.polynomial import Polynomial, legendre
 from searches import solved
 
 import pam_ocp as pam
-from pam_ocp import Collocation, InputError, Shooting
+from pam_ocp import Collocation, InputError
+from pam_ocp.planning import Shooting
 from pam_ocp.planning.candidate import checked
 from pam_ocp.planning.transcription.mesh import (
     Form,

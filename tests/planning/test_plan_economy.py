@@ -303,7 +303,9 @@ def test_an_objective_that_has_not_converged_says_so(monkeypatch):
     assert "has not converged" in str(plan)
 
 
-@pytest.mark.parametrize("method", [pam.Shooting(30, 4), pam.Collocation(20, 3, points="gauss")])
+@pytest.mark.parametrize(
+    "method", [pam.planning.Shooting(30, 4), pam.Collocation(20, 3, points="gauss")]
+)
 def test_work_is_stated_in_all_forms_of_the_program(method):
     plant = pam.HangingLoad(MUSCLE, 10.0)
     plan = pam.plan(
@@ -340,7 +342,7 @@ def test_budgets_bound_the_work_from_both_sides():
 
 def test_a_saved_plan_of_least_work_is_loaded_with_its_objective(tmp_path):
     plant = pam.HangingLoad(MUSCLE, 10.0)
-    for method in (pam.Collocation(10, 3), pam.Shooting(20, 4)):
+    for method in (pam.Collocation(10, 3), pam.planning.Shooting(20, 4)):
         plan = pam.plan(
             plant, [{"x": 0.01}, {"x": 0.03}], duration=0.5, minimise="work", method=method
         )

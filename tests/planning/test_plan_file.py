@@ -10,7 +10,8 @@ from cli_tools import run
 from conftest import benchmark_slide
 
 import pam_ocp as pam
-from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
+from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Stop
+from pam_ocp.planning import Shooting
 from pam_ocp.planning.problem.problem_file import expression_of, load_problem
 from pam_ocp.plants.kinds import PLANTS
 from pam_ocp.plants.plant_file import muscle_of, plant_of
@@ -39,7 +40,7 @@ def written(tmp_path, *parts):
 
 
 def function(plant, expression):
-    return ca.Function("f", [plant.x, plant.u, plant.p, pam.TIME], [expression])
+    return ca.Function("f", [plant.x, plant.u, plant.p, pam.planning.TIME], [expression])
 
 
 def test_the_example_says_what_python_says():

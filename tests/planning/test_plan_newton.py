@@ -8,7 +8,8 @@ import pytest
 from conftest import hardening_cart as cart
 
 import pam_ocp as pam
-from pam_ocp import Collocation, Shooting
+from pam_ocp import Collocation
+from pam_ocp.planning import Shooting
 from pam_ocp.planning.solvers.condensed import Condensed
 from pam_ocp.planning.solvers.newton import Newton, Optimality, Point
 

@@ -457,3 +457,20 @@ def test_a_pair_that_chooses_its_pressures_begins_at_their_envelopes():
         pressure = plan.trajectory[f"muscle{k}.pressure"][0]
         share = (1 + 1.5e-6 * pressure) / (1 + 1.5e-6 * most)
         assert 0.95 * share <= abs(plan.trajectory[f"muscle{k}.slip1"][0]) <= 1.03 * share
+
+
+@pytest.mark.parametrize("reached", [0.0, 0.06, 0.3])
+def test_a_muscle_behind_a_tendon_was_contracted_before_as_far_as_it_rests(reached):
+    # a stop says where the load is; where the muscle's end is follows from the tendon
+    muscle = pam.muscle("DMSP-20-300")
+    loss = pam.losses.Preconditioning(reached=reached)
+    plant = pam.SeriesLoad(muscle, 10.0, 2e4, feed=pam.feeds.Regulator(), losses=loss)
+    method = pam.Collocation(10, 3)
+    plan = pam.plan(
+        plant, [{"x": 0.035}, {"x": 0.01}], duration=1.0, minimise="rate", method=method
+    )
+    assert plan.verified
+    stretch = 10.0 * 9.80665 / 2e4
+    contraction = (0.035 + stretch) / 0.3
+    begun = plan.trajectory["muscle.reached"][0]
+    assert begun == pytest.approx(max(reached, contraction), abs=1e-3)  # over which it is rounded

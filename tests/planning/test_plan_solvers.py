@@ -11,7 +11,8 @@ import pytest
 from conftest import hardening_cart as cart
 
 import pam_ocp as pam
-from pam_ocp import Collocation, InputError, Shooting
+from pam_ocp import Collocation, InputError
+from pam_ocp.planning import Shooting
 from pam_ocp.planning.solvers.solver import Ipopt, Outcome
 from pam_ocp.planning.transcription.derivatives import derivatives
 from pam_ocp.planning.transcription.guess import by_stops
@@ -75,7 +76,7 @@ PROBLEMS = {
         {
             "rest": False,
             "duration": (0.5, 2.0),
-            "integrand": pam.TIME * 0.1,
+            "integrand": pam.planning.TIME * 0.1,
             "minimise": {"final(x)": -1.0, "effort": 0.1},
             "method": Collocation(4, 3),
         },

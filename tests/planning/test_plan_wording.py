@@ -11,7 +11,8 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 import pam_ocp as pam
-from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
+from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Stop
+from pam_ocp.planning import Shooting
 from pam_ocp.planning.planner import SolveKeywords
 
 POLYNOMIAL = Collocation(6, 6, "polynomial")

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from searches import search_of
+from searches import engine_of, search_of, solved
 
 import pam_ocp as pam
 from pam_ocp.planning.candidate import Engine
@@ -21,6 +21,8 @@ from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.search import Search
 from pam_ocp.planning.settings import SETTINGS, Settings
 from pam_ocp.planning.smoothing import smoothed
+from pam_ocp.planning.solvers.solver import PROJECTIONS
+from pam_ocp.planning.transcription.guess import from_solution
 from pam_ocp.planning.transcription.mesh import Collocation
 
 MASS, LAG, RUB, SPEED = 2.0, 0.05, 3.0, 0.02
@@ -126,22 +128,110 @@ def test_relaxed_values_go_to_their_own_evenly_in_their_logarithms() -> None:
         assert smoothed(plant, 1.0, relaxed).variable("heavier").start == 1.0
 
 
-def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch: Any) -> None:
-    solve, refused = Engine.solve, []
+def refused_once(monkeypatch: Any, beyond: float) -> list[float]:
+    """The first solve at a place beyond this one is lost; that place, once it came."""
+    solve, refused = Engine.solve, list[float]()
 
     def sometimes(engine: Engine, program: Any, place: float, *rest: Any, **more: Any) -> Any:
         found = solve(engine, program, place, *rest, **more)
-        if not refused and place > 0.4:
+        if not refused and place > beyond:
             refused.append(place)
             return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
         return found
 
     monkeypatch.setattr(Engine, "solve", sometimes)
+    return refused
+
+
+def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch: Any) -> None:
+    refused = refused_once(monkeypatch, 0.4)
     plan = planner()()
     assert plan.verified
     path = places(plan)
     first = next(p for p in path if 0.3 < p < refused[0])
     assert first - 0.3 == pytest.approx(SETTINGS.shrink * SETTINGS.step, abs=6e-3)  # as printed
+
+
+@pytest.mark.parametrize("projection", ["feasible", "nearest"])
+def test_where_costs_lead_nowhere_the_next_motion_that_keeps_the_constraints_goes_on(
+    projection: str, monkeypatch: Any
+) -> None:
+    solve = Engine.solve
+
+    def projected(
+        engine: Engine, program: Any, place: float, guess: Any, start: str, *rest: Any
+    ) -> Any:
+        found = solve(engine, program, place, guess, start, *rest)
+        if 0.5 < place < 1.0 and start != projection:
+            return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
+        return found
+
+    monkeypatch.setattr(Engine, "solve", projected)
+    plan = planner()()
+    assert plan.verified
+    assert ends_at(plan) == pytest.approx([0.1, 0.0, plan.trajectory["f"][-1]], abs=2e-4)
+    by = {s["start"] for s in plan.statistics["stages"] if s["reason"].startswith("place 0.6")}
+    assert projection in by
+
+
+def test_projections_keep_the_constraints_and_end_near_their_guess() -> None:
+    quick = solved(planner(widest=0.0, minimise="time", duration=(0.05, 2.0)))
+    slower = engine_of(planner(widest=0.0, duration=0.4))
+    program = slower.first
+    guess = from_solution(program.problem, program.mesh, quick.solution)  # inputs at their limits
+    values = ca.Function("g", [program.nlp["x"], program.nlp["p"]], [program.nlp["g"]])
+    for start in PROJECTIONS:
+        found = slower.solve(program, 1.0, guess, start, ("test", "a test")).outcome
+        assert found.success
+        low, high = program.limits()
+        g = np.asarray(values(found.w, program.parameters())).ravel()
+        assert np.max(np.maximum(low - g, g - high)) < 1e-7
+        least, most = program.bounds()
+        assert np.max(np.maximum(least - found.w, found.w - most)) < 1e-7
+        assert np.max(np.abs(found.w - guess)) < 2.0
+
+
+def test_where_the_path_is_not_led_to_its_end_there_is_a_plan_by_shooting(monkeypatch: Any) -> None:
+    solve = Engine.solve
+
+    def blocked(
+        engine: Engine, program: Any, place: float, guess: Any, start: str, why: Any, *rest: Any
+    ) -> Any:
+        found = solve(engine, program, place, guess, start, why, *rest)
+        if place > 0.7 and why[0] == "smoothing":
+            return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
+        return found
+
+    monkeypatch.setattr(Engine, "solve", blocked)
+    plan = planner()()
+    monkeypatch.undo()
+    assert plan.verified
+    assert max(places(plan)) < 1.0
+    scale = np.array([0.1, 0.5, 10.0])
+    assert np.abs((ends_at(plan) - [0.1, 0.0, 0.0]) / scale).max() < 1.1e-3
+    best = planner()().objective
+    assert best * (1 - 1e-4) < plan.objective < 1.2 * best
+
+
+def test_a_plan_by_shooting_gives_way_to_the_cheaper_one_at_the_end_of_the_path(
+    monkeypatch: Any,
+) -> None:
+    refused_once(monkeypatch, 0.65)
+    plan = planner()()
+    stages = [(s["name"], s["solved"]) for s in plan.statistics["stages"]]
+    assert ("shooting", True) in stages
+    assert places(plan)[-1] == 1.0
+    monkeypatch.undo()
+    assert plan.objective == pytest.approx(planner()().objective, rel=1e-4)
+
+
+def test_large_problems_have_the_iterations_that_a_path_takes(monkeypatch: Any) -> None:
+    little = replace(SETTINGS, work=1.0)
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", little)
+    assert planner()().verified
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(little, iterations=1))
+    with pytest.raises(pam.PlanError, match="the iterations that are allowed ended on the way"):
+        planner()()
 
 
 @pytest.mark.parametrize("found", ["nothing", "another motion"])

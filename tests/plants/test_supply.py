@@ -270,6 +270,20 @@ def test_the_play_of_a_spool_is_as_wide_as_its_hysteresis(spool):
     assert play[at] == pytest.approx([-1.0, 1.0], abs=1e-3)  # 0.02 behind to either side
 
 
+@pytest.mark.parametrize("slowly", [1.0, 100.0])
+def test_however_slow_a_spool_is_its_play_is_off_by_its_edge_at_most(slowly):
+    """Against the play operator without smoothing, turn by turn; it rests at the end."""
+    plant = chambers("one", spool=FirstOrderSpool(1e-3, 0.04))
+    turns, times = [0.0, 0.3, -0.2, 0.1, 0.1], slowly * np.array([0.0, 1.0, 3.0, 4.0, 6.0])
+    t = np.linspace(0, times[-1], 4001)
+    command = {"one.command": np.interp(t, times, turns)}
+    motion = pam.simulate(plant, command, t=t, interpolation="linear", rtol=1e-8)
+    spool, exact = motion["one.valve.spool"], [motion["one.valve.play"][0]]
+    for step in np.diff(spool) / 0.02:
+        exact.append(min(max(exact[-1] + step, -1.0), 1.0))
+    assert np.abs(motion["one.valve.play"] - exact).max() < 0.055  # of one half of the play
+
+
 def test_offset_and_unequal_lands_shift_what_is_closed():
     plant = chambers("one", overlap=0.1, exhaust_overlap=0.3, offset=0.05)
     flows = {c: rates(plant, {"one.pressure": 3e5}, {"one.command": c}) for c in (0.55, -0.75)}

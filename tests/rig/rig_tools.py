@@ -9,7 +9,10 @@ import sys
 import threading
 import time
 
+import numpy as np
+
 import pam_ocp as pam
+from pam_ocp.control.inverse import stiffness_of
 from pam_ocp.rig.channels import channels_of
 
 
@@ -186,6 +189,36 @@ class BadSerial(Between):
             os.close(end)
 
 
+@contextlib.contextmanager
+def quiet(bad):
+    """While the line is good: who connects in vain says so and is gone."""
+    share, bad.share = bad.share, 1e-12
+    yield
+    bad.share = share
+
+
+def end_of(address):
+    """What a bad line is put before: a port or a path."""
+    return address["port"] if "port" in address else int(address["url"].rpartition(":")[2])
+
+
+def through(address, between):
+    """The address of the bad line in place of the device's."""
+    if "url" in address:
+        return {**address, "url": f"opc.tcp://127.0.0.1:{between.port}"}
+    return {**address, "port": getattr(between, "path", None) or between.port}
+
+
+def arm(driver, device, seconds=20.0):
+    """Until it is, over a bad line."""
+    end = time.monotonic() + seconds
+    while not device.armed and time.monotonic() < end:
+        with contextlib.suppress(pam.rig.DriverError):
+            driver.arm()
+        time.sleep(0.01)
+    assert device.armed
+
+
 def child(code, *arguments):
     """Start Python with a script."""
     import subprocess
@@ -196,3 +229,138 @@ def child(code, *arguments):
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+# ---- twins at random ----------------------------------------------------------------------------
+MUSCLES = ("DMSP-20-200N", "DMSP-20-400N", "DMSP-20-300", "DMSP-20-300-wall", "DMSP-40")
+
+
+def losses_at_random(rng, muscle):
+    """Hysteresis of one of three kinds, 2 to 4 % of a muscle's force at 6 bar, and creep."""
+    force = float(muscle.force(6e5, 0.1))
+    size = force * float(rng.uniform(0.02, 0.04))
+    kind = rng.integers(3)
+    if kind == 0:
+        own = pam.losses.BoucWen(size, float(rng.uniform(0.003, 0.008)))
+    elif kind == 1:
+        own = pam.losses.MaxwellSlip([0.3 * size, 0.3 * size, 0.2 * size, 0.2 * size])
+    else:
+        parts = ([0.5 * size, 0.4 * size], [0.3 * size, 0.25 * size])
+        own = pam.losses.PrandtlIshlinskii(*parts)
+    creep = pam.losses.Creep([force * float(rng.uniform(0.3, 0.9))], [float(rng.uniform(0.5, 3.0))])
+    return own, creep
+
+
+def drawn(rng):
+    """(muscle, {kind of plant: its options})."""
+    name = str(rng.choice(MUSCLES))
+    muscle = pam.muscle(name, **({"rest_length": 0.25} if name == "DMSP-40" else {}))
+    weight = float(muscle.force(6e5, 0.1))
+    return muscle, {
+        "slide": {"mass": float(rng.uniform(1.0, 4.0))},
+        "joint": {"inertia": float(rng.uniform(0.02, 0.08))},
+        "hanging": {"mass": weight / 9.81 * float(rng.uniform(0.1, 0.3)), "damping": 100.0},
+    }
+
+
+def drawn_widely(rng):
+    """The same with small muscles, light and heavy loads, lightly damped ones among them."""
+    name = str(rng.choice((*MUSCLES, "DMSP-10-250")))
+    muscle = pam.muscle(name, **({"rest_length": 0.25} if name == "DMSP-40" else {}))
+    weight = float(muscle.force(6e5, 0.1))
+    heavy, damped = rng.uniform(0.0, 1.0, 2)
+    pair = {"pre_contraction": float(rng.uniform(0.08, 0.12))}
+    return muscle, {
+        "slide": {"mass": 0.7 * 10**heavy, "damping": 7.0 * 10**damped, **pair},
+        "joint": {"inertia": 0.01 * 10**heavy, "damping": 0.1 * 10**damped, **pair},
+        "hanging": {"mass": weight / 9.81 * (0.05 + 0.3 * heavy), "damping": 30.0 * 5**damped},
+    }
+
+
+def twin_at_random(seed, kind=None, way="twin", wide=False):
+    """(rig, twin, model) of a slide, a joint or a hanging load on a simulated clock.
+
+    way : "modbus" or "serial" for a transport between (``twin.served.close()`` ends it).
+    wide : as :func:`drawn_widely` says.
+
+    The twin has losses, a force that is up to 20 % off, dead zones, a delay of 5 ms, noise; the
+    model none of these.
+    """
+    rng = np.random.default_rng(seed)
+    plants = {
+        "slide": pam.AntagonisticSlide,
+        "joint": pam.AntagonisticJoint,
+        "hanging": pam.HangingLoad,
+    }
+    muscle, made = (drawn_widely if wide else drawn)(rng)
+    chosen = kind or str(rng.choice(list(plants)))
+    plant_of, options = plants[chosen], made[chosen]
+    model, clock = plant_of(muscle, **options), pam.rig.SimulatedClock()
+    true = plant_of(muscle, losses=losses_at_random(rng, muscle), **options)
+    (position,) = model.load_positions
+    reach = model.variable(position)
+    half = (reach.max - reach.min) / 2
+    pressures = [v.name for v in model.states if v.name.endswith(".pressure")]
+    sensors = {n: pam.simulation.Instrument(noise=200.0) for n in pressures}
+    sensors[position] = pam.simulation.Instrument(noise=5e-4 * half)
+    zones = [
+        pam.rig.Fault("dead_zone", n.replace("pressure", "command"), float(rng.uniform(2e3, 8e3)))
+        for n in pressures
+    ]
+    readings = [
+        pam.rig.Reading(position, low=reach.min - 0.6 * half, high=reach.max, address=2),
+        *(
+            pam.rig.Reading(n, low="-0.3 bar", high="6.5 bar", address=4 + 2 * i)
+            for i, n in enumerate(pressures)
+        ),
+    ]
+    twin = pam.rig.Twin(
+        true,
+        clock=clock,
+        sensors=sensors,
+        scale=float(rng.choice([0.8, 1.2])) if rng.random() < 0.5 else float(rng.uniform(0.8, 1.2)),
+        delay=0.005,
+        seed=seed,
+        faults=zones,
+    )
+    address = {"kind": "twin", "twin": twin}
+    if way != "twin":
+        twin.served = pam.rig.serve(twin, way)
+        address = {**twin.served.address, "timeout": 1.0}
+    rig = pam.Rig(pam.rig.driver(**address), readings, plant=model, clock=clock)
+    return rig, twin, model
+
+
+def wanted_sine(model):
+    """A sine of 1 Hz through two fifths of what the model can do: (its trajectory, position).
+
+    Its own motion, without a feedback that could ring: pressures by inverse dynamics, commands by
+    the feeds' equations, which are linear in them.
+    """
+    (position,) = model.load_positions
+    velocity = model.load_positions[position]
+    reach = model.variable(position)
+    middle, size = (reach.min + reach.max) / 2, 0.2 * (reach.max - reach.min)
+    inverse = pam.control.InverseDynamics(model)
+    if len(inverse.muscles) == 1:
+        middle = reach.min + 0.35 * (reach.max - reach.min)
+    more = {"stiffness": stiffness_of(model)} if len(inverse.muscles) == 2 else {}
+    w, t = 2 * np.pi, np.linspace(0.0, 2.0, 801)
+    x = middle - size * np.cos(w * t)
+    v, a = w * size * np.sin(w * t), w**2 * size * np.cos(w * t)
+    pressures = np.array([inverse(*each, **more) for each in zip(x, v, a, strict=True)])
+    names = [f"{m}.pressure" for m in inverse.muscles]
+    columns = {position: x, velocity: v, **dict(zip(names, pressures.T, strict=True))}
+    assert {s.name for s in model.states} == set(columns)
+    states = np.column_stack([columns[s.name] for s in model.states])
+    places = [[s.name for s in model.states].index(n) for n in names]
+    slopes = np.gradient(pressures, t, axis=0)
+    p, rest = model.vector("parameter"), model.vector("input")
+    u = np.empty((len(t), len(model.inputs)))
+    for k, (state, slope) in enumerate(zip(states, slopes, strict=True)):
+        still = np.asarray(model.function(state, rest, p)[0]).ravel()[places]
+        steep = np.asarray(model.jacobians(state, rest, p)[1])[places]
+        u[k] = rest + np.linalg.solve(steep, slope - still)
+    columns |= {n.name: u[:, i] for i, n in enumerate(model.inputs)}
+    variables = [*model.states, *model.inputs]
+    return pam.Trajectory(t, columns, variables), position

@@ -3,13 +3,14 @@
 import socket
 import struct
 import sys
+import threading
 import time
 import zlib
 
 import numpy as np
 import pytest
 from rig_fixtures import made, plant  # noqa: F401 - fixtures
-from rig_tools import Bad, BadSerial, BadTcp, BadUdp, Counting
+from rig_tools import Bad, BadSerial, BadTcp, BadUdp, Counting, arm, end_of, quiet, through
 
 import pam_ocp as pam
 from pam_ocp.rig.drivers.driver import DeviceClock
@@ -26,8 +27,11 @@ def opened(kind, device, **address):
     return driver
 
 
-def talk(driver, device, seconds=SECONDS):
-    """Reads and writes for a while: (answers, failures, longest call [s])."""
+def talk(driver, device, seconds=SECONDS, doubled=False):
+    """Reads and writes for a while: (answers, failures, longest call [s]).
+
+    doubled : the same look may be read twice, of a server that looks by itself.
+    """
     good, failed, longest, last = 0, 0, 0.0, 0.0
     end, k = time.monotonic() + seconds, 0
     while time.monotonic() < end:
@@ -38,13 +42,15 @@ def talk(driver, device, seconds=SECONDS):
                 seen = driver.read()
                 assert seen["b"] == 1.0 - 2.0 * seen["a"]
                 assert seen["a"] == int(seen["a"])
-                assert seen["a"] > last  # neither doubled nor old
+                assert seen["a"] > last or (doubled and seen["a"] == last)  # neither old nor twice
                 last = seen["a"]
             else:
                 driver.write({"u": float(k), "w": 3.0 * k})
             good += 1
         except pam.rig.DriverError:
             failed += 1
+            if doubled:
+                time.sleep(2e-3)  # it is connecting
         longest = max(longest, time.monotonic() - begin)
     assert all(sent["w"] == 3.0 * sent["u"] for sent in device.written)
     numbers = [sent["u"] for sent in device.written]
@@ -119,6 +125,54 @@ def test_opc_ua_reads_and_writes_the_nodes_of_a_server():
     assert device.written[-1] == {"u": 5.0, "w": 15.0}
     assert device.vents > before
     assert seen["a"] >= 1.0
+
+
+def test_a_server_of_opc_ua_outlives_values_of_bad_quality_and_leaves_no_thread():
+    """A damaged frame may write one: seen after some minutes of a bad line."""
+    asyncua = pytest.importorskip("asyncua")
+    from asyncua.sync import Client
+
+    before, device, ua = set(threading.enumerate()), Counting(), asyncua.ua
+    with pam.rig.serve(device, "opcua") as served:
+        driver = opened(**{**served.address, "device": device, "timeout": 2.0})
+        arm(driver, device)
+        vents = device.vents
+        with Client(served.address["url"]) as client:
+            for name, value in (("order", "x"), ("vent", True), ("u", 1.0)):
+                wrong = ua.DataValue(ua.Variant(value), ua.StatusCode(0x7F000000))
+                client.get_node(f"ns=2;s={name}").write_value(wrong)
+        time.sleep(0.1)
+        assert device.vents == vents
+        last = driver.read()["a"]
+        driver.write({"u": 2.0, "w": 6.0})
+        end = time.monotonic() + 10.0
+        while not (device.written and device.written[-1]["u"] == 2.0) and time.monotonic() < end:
+            time.sleep(0.01)
+        assert device.written[-1] == {"u": 2.0, "w": 6.0}
+        assert driver.read()["a"] > last
+        driver.close()
+    end = time.monotonic() + 10.0
+    while (left := set(threading.enumerate()) - before) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not left
+
+
+@pytest.mark.slow
+def test_opc_ua_takes_no_wrong_value_from_a_bad_line_and_connects_again():
+    pytest.importorskip("asyncua")
+    device, bad = Counting(), Bad(5, share=0.008)
+    with pam.rig.serve(device, "opcua") as served, BadTcp(end_of(served.address), bad) as between:
+        address = through(served.address, between)
+        with quiet(bad):
+            driver = opened(device=device, **address)
+            arm(driver, device)
+        good, failed, longest = talk(driver, device, 12.0, doubled=True)
+        driver.close()
+    assert all(bad.done.values()), bad.done
+    assert failed > 3  # connections broke,
+    assert good > 200  # and were made anew
+    assert longest < 0.5
+    assert len(device.written) > 20
 
 
 def test_opc_ua_says_when_the_server_is_gone():

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from rig_fixtures import made, plant  # noqa: F401 - fixtures
+from rig_tools import twin_at_random, wanted_sine
 
 import pam_ocp as pam
 from pam_ocp.control.references import sine
@@ -187,6 +188,9 @@ def test_identification_finds_what_the_twin_has(plant):
     assert np.max(twin.motion()["x"]) < 0.08
     assert "excitations" in found.report()
     assert not twin.armed
+    short = rig.identify(["mass"], duration=1.0, rounds=3, width=1e-6, within=1.5)
+    assert len(short.records) == 1
+    assert "1.5 s are over" in short.report()
 
 
 def slide(seed):
@@ -228,6 +232,19 @@ def test_learning_brings_the_error_of_a_sine_down_to_a_fifth(seed):
     again = rig.run(found.inputs, start=found.start)
     error = np.interp(again.t, wanted.t, wanted["x"]) - again["x"]
     assert np.sqrt(np.mean(error**2)) < 1.5 * min(found.errors)
+
+
+def test_a_load_that_swings_long_is_learned_and_each_run_begins_at_rest():
+    """85 kg on a muscle, which swing on for seconds after a motion: decay at 0.59/s."""
+    rig, _, model = twin_at_random(66)
+    wanted, position = wanted_sine(model)
+    rig.arm()
+    found = rig.learn(wanted, position, runs=10)
+    assert found.gain >= 5.0, found.report()
+    assert max(found.errors) <= 2 * found.errors[0]
+    size = np.ptp(wanted[position])
+    for run in found.runs:
+        assert np.ptp(run[position][run.t < 0.02]) < 0.02 * size
 
 
 def test_a_plan_is_replayed_on_the_rig(made, plant):

@@ -232,9 +232,13 @@ def test_killed_twice_and_gone_on_with_it_is_the_same_bits(tmp_path, needs_arrow
     script, here = tmp_path / "run.py", os.path.dirname(__file__)
     script.write_text(KILLED)
     run = [sys.executable, str(script), str(tmp_path / "runs")]
-    for limit in ("700", "1300"):
+    kept = {}
+    for limit, parts in (("700", 1), ("1300", 2)):
         assert subprocess.run([*run, limit, here]).returncode == -signal.SIGKILL
+        kept |= {p: p.stat().st_ino for p in (tmp_path / "runs").rglob("*.parquet")}
+        assert len(kept) == parts
     subprocess.run([*run, "9999", here], check=True)
+    assert {p: p.stat().st_ino for p in kept} == kept  # what was whole is not written again
     pam.simulate_many(spring(), masses(2000), into=tmp_path / "one", chunk=500, executor=0, **SAID)
     assert content(tmp_path / "runs") == content(tmp_path / "one")
 
@@ -369,3 +373,20 @@ def test_batches_hold_numbers_as_arrays_and_give_the_cases_back():
     assert [first.case(i) for i in range(BATCH)] == cases[:BATCH]
     assert isinstance(second, Batch)
     assert second.cases == tuple(cases[BATCH:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["joblib", "executorlib"])
+def test_local_executors_of_joblib_and_executorlib_give_the_same_bits(kind):
+    if kind == "joblib":
+        from joblib.externals.loky import get_reusable_executor
+
+        executor = get_reusable_executor(2)
+    else:
+        executorlib = pytest.importorskip("executorlib", reason="executorlib is not installed")
+        executor = executorlib.SingleNodeExecutor(max_workers=2, block_allocation=True)
+    with executor:
+        there = pam.simulate_many(spring(), masses(300), executor=executor, **SAID)
+    here = pam.simulate_many(spring(), masses(300), executor=0, **SAID)
+    for name in ("x_end", "peak", "mass"):
+        assert np.array_equal(there[name], here[name])

@@ -209,3 +209,15 @@ def test_a_function_of_time_is_followed_to_a_billionth(hanging):
     signals = pam.simulate(hanging, {"muscle.command": wave}, duration=0.05, rtol=1e-6).signals
     t = np.linspace(0, 0.05, 9973)
     assert np.abs(signals(t)[:, 0] - wave(t)).max() < 3e-9 * 1e5
+
+
+@pytest.mark.parametrize("at", [0.02, 0.0234567])  # a time of the grid, and one between two
+def test_a_function_that_jumps_is_followed_on_both_sides(hanging, at):
+    def jump(t: float) -> float:
+        return (2e5 if t < at else 4e5) + 1e5 * np.cos(9 * t)
+
+    t = np.linspace(0, 0.05, 26)
+    signals = pam.simulate(hanging, {"muscle.command": jump}, t=t, rtol=1e-6).signals
+    near = at + np.array([-1e-3, -1e-6, -3e-9, 3e-9, 1e-6, 1e-3])
+    wanted = [jump(s) for s in near]
+    assert np.abs(signals(near)[:, 0] - wanted).max() < 3e-9 * 1e5

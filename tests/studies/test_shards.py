@@ -1,11 +1,10 @@
 """Studies as job arrays: shards, some of them killed, and what a merge makes of them."""
 
-import os
 import random
-import signal
+import re
+import shutil
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -16,49 +15,13 @@ from pam_ocp.studies import run_study
 from pam_ocp.studies.shards import Shard, shard_of
 from pam_ocp.studies.study_file import read_study
 
-STUDY = """
-title = "Loads"
-
-[steps.load]
-kind = "plant"
-arrangement = "HangingLoad"
-muscle = "DMSP-20-300"
-mass = "10 kg"
-
-[steps.lifted]
-kind = "simulate"
-plant = "load"
-inputs = { "muscle.command" = "3 bar" }
-duration = "20 ms"
-samples = 5
-
-[steps.heavier]
-kind = "sweep"
-of = "lifted"
-vary = { "load.mass" = [MASSES] }
-numbers = ["x.last"]
-"""
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from scheduler import array, drawn, loads, written
 
 
 @pytest.fixture
 def study(tmp_path) -> Path:
     return loads(tmp_path, 4)
-
-
-def loads(folder: Path, count: int) -> Path:
-    """The study with a sweep of so many masses."""
-    path = folder / "loads.toml"
-    path.write_text(STUDY.replace("MASSES", ", ".join(f'"{5 + i} kg"' for i in range(count))))
-    return path
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    """All that a study wrote, but for the page, which tells when and how long."""
-    return {
-        str(p.relative_to(folder)): p.read_bytes()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file() and p.name not in ("report.html", ".in-use") and "shards" not in p.parts
-    }
 
 
 def test_shares_cover_all_steps_but_the_tables_of_sweeps(study):
@@ -90,12 +53,28 @@ def test_merged_shards_are_the_study_in_one_go_and_missing_ones_are_named(tmp_pa
     assert merged.ok
     assert {s.state for n, s in merged.steps.items() if n != "heavier"} == {"kept"}
     run_study(study, tmp_path / "one", cache=tmp_path / "other")
-    assert files(out) == files(tmp_path / "one")
+    assert written(out) == written(tmp_path / "one")
     study.write_text(study.read_text().replace("10 kg", "11 kg"))
     with pytest.raises(InputError, match="another version of the study"):
         run_study(study, out, merge=True)
     with pytest.raises(InputError, match="shard or merge"):
         run_study(study, out, shard="1/3", merge=True)
+
+
+def test_a_shard_checks_the_steps_that_it_runs_and_the_first_one_all(tmp_path):
+    study, count = loads(tmp_path, 2), 6
+    study.write_text(study.read_text().replace('"15.000 kg"', '"-15 kg"'))
+    entries = read_study(study).entries
+    shares = {k: Shard(k, count).share(entries) for k in range(1, count + 1)}
+    wrong = {k for k, steps in shares.items() if any("heavier 2" in n for n in steps)} - {1}
+    assert wrong
+    assert len(wrong) < count - 1
+    for number in shares:
+        if number in wrong | {1}:
+            with pytest.raises(InputError, match=r"steps\.load\[heavier 2\]: .*mass"):
+                run_study(study, tmp_path / "out", cache=tmp_path, shard=f"{number}/{count}")
+        else:
+            assert run_study(study, tmp_path / "out", cache=tmp_path, shard=f"{number}/{count}").ok
 
 
 STAYS = """
@@ -138,49 +117,41 @@ def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(tmp_pat
         assert run_study(study, out, cache=cache).ok
 
 
-CRASHES = """
-import os, random, signal, sys
-from pam_ocp.cli.main import main
-from pam_ocp.studies import study as module
+@pytest.mark.slow
+def test_a_job_array_with_a_tenth_of_its_jobs_killed_is_the_same_bits(study, tmp_path):
+    """Six jobs of benchmarks/scheduler.py, which has 50 by itself."""
+    count, out = 6, tmp_path / "out"
+    doomed = drawn(count, random.Random(1))
+    said = [study, "--out", out, "--cache", tmp_path / "kept"]
+    assert set(array(said, out, count, doomed)) == doomed
+    assert main(["study", str(study), "--out", str(out), "--merge"]) == 0
+    run_study(study, tmp_path / "one", cache=tmp_path / "other")
+    assert written(out) == written(tmp_path / "one")
+    assert (out / "report.html").exists()
 
-number, attempt = int(sys.argv[1]), int(sys.argv[2])
-if attempt == 0 and number in {doomed}:
-    whole = module._Run._done
-    def done(self, *arguments):
-        whole(self, *arguments)
-        os.kill(os.getpid(), signal.SIGKILL)  # amid its work
-    module._Run._done = done
-sys.exit(main(["study", *sys.argv[3:]]))
-"""
+
+SNAKEFILE = Path(__file__).parents[2] / "examples" / "Snakefile"
 
 
 @pytest.mark.slow
-def test_a_job_array_with_a_tenth_of_its_jobs_killed_is_the_same_bits(study, tmp_path):
-    """A stub of a scheduler: as many jobs as there are shards, those that died once more."""
-    count, out, cache = 6, tmp_path / "out", tmp_path / "kept"
-    doomed = set(random.Random(1).sample(range(1, count + 1), max(1, count // 10)))
-    script = tmp_path / "job.py"
-    script.write_text(CRASHES.format(doomed=doomed))
-    said = [str(study), "--out", str(out), "--cache", str(cache)]
-    waiting, attempt = list(range(1, count + 1)), 0
+def test_the_commands_of_the_snakemake_example_make_the_report(study, tmp_path, monkeypatch):
+    """Its rules' words, filled in as Snakemake does, for two shards."""
+    rules = dict(re.findall(r'rule (\w+):.*?shell: "pam-ocp ([^"]+)"', SNAKEFILE.read_text(), re.S))
+    assert set(rules) == {"merged", "shard"}
+    monkeypatch.chdir(tmp_path)
+    for number in (1, 2):
+        words = rules["shard"].replace("{wildcards.k}", str(number))
+        assert main(words.format(STUDY=study.name, SHARDS=2).split()) == 0
+    assert main(rules["merged"].format(STUDY=study.name).split()) == 0
+    assert (tmp_path / "out" / "report.html").is_file()
 
-    def job(number: int) -> int:
-        shard = [*said, "--shard", f"{number}/{count}"]
-        command = [sys.executable, str(script), str(number), str(attempt), *shard]
-        return subprocess.run(command, stdout=subprocess.DEVNULL).returncode
 
-    while waiting:
-        with ThreadPoolExecutor(2) as pool:
-            codes = dict(zip(waiting, pool.map(job, waiting), strict=True))
-        waiting = [n for n, code in codes.items() if code]
-        if attempt == 0:
-            assert set(waiting) == doomed
-            assert {codes[n] for n in doomed} == {-signal.SIGKILL}
-            with pytest.raises(InputError, match="died at work"):
-                run_study(study, out, merge=True)
-        attempt += 1
-        assert attempt < 4
-    assert main(["study", str(study), "--out", str(out), "--merge"]) == 0
-    run_study(study, tmp_path / "one", cache=tmp_path / "other")
-    assert files(out) == files(tmp_path / "one")
-    assert os.path.exists(out / "report.html")
+def test_snakemake_plans_one_job_for_each_shard(study):
+    snakemake = shutil.which("snakemake")
+    if snakemake is None:
+        pytest.skip("snakemake is not installed")
+    said = ["--snakefile", str(SNAKEFILE), "--config", f"study={study.name}", "shards=3"]
+    command = [snakemake, *said, "--dry-run", "--cores", "1"]
+    run = subprocess.run(command, cwd=study.parent, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.count("rule shard:") == 3

@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 import pam_ocp as pam
-from pam_ocp import EquilibriumError, InputError, UnknownNameError, vibration
+from pam_ocp import InputError, UnknownNameError, vibration
+from pam_ocp.operating import EquilibriumError
 from pam_ocp.plants.regulated import RegulatedLoad
 from pam_ocp.vibration import VibrationError
 

@@ -33,4 +33,5 @@ static const double P_MIN[] = {0.0, -INFINITY};
 static const double P_MAX[] = {100.0, INFINITY};
 static const int P_TUNABLE[] = {1, 0};
 static const double Y_START[] = {0.0, 0.0, 0.0};
+static const int Y_BEGINS[] = {0, 0, 0};
 #endif

@@ -12,8 +12,7 @@ from nicegui import events, ui
 
 from ...core.errors import InputError
 from ...core.units import unit as unit_of
-from ...fitting.tables.cells import is_number
-from ...fitting.tables.headers import LABELS, QUANTITIES
+from ...fitting.tables.cells import LABELS, QUANTITIES, is_number
 from .. import elements as el
 from .. import look
 from ..elements import Menu, Number, Text, Words

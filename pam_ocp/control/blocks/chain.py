@@ -11,14 +11,17 @@ import numpy as np
 
 from ...core.arguments import with_kinds
 from ...core.block import Block
-from ...core.errors import InputError, UnknownNameError
+from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable
 from .draft import about
-from .kinds import law_of
+from .kinds import BEFORE, SENT, law_of
 
-__all__ = ["chain"]
+__all__ = ["chain", "with_delay"]
+
+_ENDS = ["memory", "inputs", "parameters"], ["memory_next", "outputs"]
+"""Names of a step's arguments and results."""
 
 
 @with_kinds
@@ -29,6 +32,7 @@ def chain(
     *,
     name: str = "chain",
     description: str = "",
+    delay: int | None = None,
 ) -> Block:
     """Several blocks as one: in each step they are called in their order.
 
@@ -37,6 +41,9 @@ def chain(
         with its value of the step before. Without a connection an input takes the output of its own
         name, or ``estimate.NAME``, of the nearest part before it; where there is none it is an
         input of the chain, shared by all parts that have it.
+    delay : samples after which commands act (``closed_loop(delay=)``; 1 in a system of
+        ``export_ssp``): estimators take the commands sent so much before. By default what a part,
+        such as an ``Mpc(delay=1)``, is designed for.
 
     Parameters and memory get the part's name in front, outputs only where two have one name. What
     another part takes drives no plant any more: it is no command of the chain. The chain has no
@@ -55,7 +62,48 @@ def chain(
     if not isinstance(parts, Sequence) or not parts:
         raise InputError("chain: parts has none; give a list of blocks or controllers")
     blocks = [law_of(part) for part in parts]
-    return _Chain(blocks, dict(connections or {}), name, description).block()
+    waits = max(b.delay for b in blocks) if delay is None else require_count("delay", delay, 0)
+    blocks = [with_delay(b, waits) for b in blocks]
+    return replace(_Chain(blocks, dict(connections or {}), name, description).block(), delay=waits)
+
+
+def with_delay(law: Block, delay: int) -> Block:
+    """The law for commands that act ``delay`` samples after they are sent: what sends none itself,
+    an estimator, takes those sent so much before. Raises InputError for a law of another delay.
+    """
+    if law.delay == delay:
+        return law
+    if law.delay:
+        raise InputError(
+            f"delay = {delay}: {law.name} is designed for delay = {law.delay}; give that"
+        )
+    sent = [i for i, v in enumerate(law.inputs) if v.name.startswith(SENT)]
+    if law.commands or not sent:
+        return replace(law, delay=delay)
+    kind: Any = ca.SX if law.step.is_a("SXFunction") else ca.MX
+    n, count = len(law.memory), len(sent)
+    sizes = n + delay * count, len(law.inputs), len(law.parameters)
+    m, u, p = (kind.sym(name, size) for name, size in zip(_ENDS[0], sizes, strict=True))
+    own, acted, later = ca.vertsplit(m, [0, n, n + count, n + delay * count])
+    entries = _entries(u)
+    now = ca.vertcat(*(entries[i] for i in sent))
+    for place, value in zip(sent, _entries(acted), strict=True):
+        entries[place] = value
+    after, outputs = law.step.call([own, ca.vertcat(*entries), p])
+    results = [ca.densify(ca.vertcat(after, later, now)), outputs]
+    waiting = [
+        Variable(
+            f"{v.name}{BEFORE}{delay - k}", "state", start=v.start, **about(v, "sent, acts later")
+        )
+        for k in range(delay)
+        for v in (law.inputs[i] for i in sent)
+    ]
+    return replace(
+        law,
+        memory=(*law.memory, *waiting),
+        step=ca.Function("step", [m, u, p], results, *_ENDS),
+        delay=delay,
+    )
 
 
 class _Chain:
@@ -157,6 +205,7 @@ class _Chain:
             commands=tuple(commands),
             missing=self._missing(inputs),
             loops={f"{b.name}: {k}": n for b in self.blocks for k, n in b.loops.items()},
+            matrices={f"{b.name}.{k}": n for b in self.blocks for k, n in b.matrices.items()},
         )
 
     def _late(self, i: int, k: int) -> Variable:
@@ -186,8 +235,7 @@ class _Chain:
             len(inputs),
             sum(len(b.parameters) for b in self.blocks),
         ]
-        names = ["memory", "inputs", "parameters"]
-        columns = [kind.sym(n, size) for n, size in zip(names, sizes, strict=True)]
+        columns = [kind.sym(n, size) for n, size in zip(_ENDS[0], sizes, strict=True)]
         memory = _parted(columns[0], [*(len(b.memory) for b in self.blocks), len(late)])
         gains = _parted(columns[2], [len(b.parameters) for b in self.blocks])
         outside = dict(zip(inputs, _entries(columns[1]), strict=True))
@@ -210,7 +258,7 @@ class _Chain:
             given.append(answer)
         after += [given[i][k] for i, k in late]
         results = [ca.densify(ca.vertcat(*after)), ca.densify(ca.vertcat(*given))]
-        return ca.Function("step", columns, results, names, ["memory_next", "outputs"])
+        return ca.Function("step", columns, results, *_ENDS)
 
 
 def _parted(column: Any, sizes: Sequence[int]) -> list[Any]:

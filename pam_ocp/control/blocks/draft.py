@@ -43,6 +43,7 @@ class Draft:
         self._outputs: list[tuple[Variable, Symbol]] = []
         self._commands: list[str] = []
         self._missing: list[str] = []
+        self._matrices: dict[str, tuple[int, int]] = {}
         self.loops: dict[str, int] = {}
 
     def _enter(self, variable: Variable) -> Symbol:
@@ -105,6 +106,7 @@ class Draft:
         ]
         if not right or not entries:
             return self.kind.zeros(len(entries), len(right))
+        self._matrices[name] = len(entries), len(right)
         return ca.vertcat(*(ca.horzcat(*line) for line in entries))
 
     def memory(self, name: str, start: float = 0.0, **about: Any) -> Symbol:
@@ -240,6 +242,7 @@ class Draft:
             commands=tuple(self._commands),
             missing=tuple(self._missing),
             loops=self.loops,
+            matrices=self._matrices,
         )
 
     def _step(self, groups: list[list[Symbol]], results: list[Symbol]) -> ca.Function:

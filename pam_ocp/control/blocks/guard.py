@@ -39,6 +39,8 @@ STATUS = {
     32: "the law gave no number: the last commands stay",
 }
 """Bits of the output ``status``; 0 where all is well."""
+FLAGS = {1: "off", 2: "missing", 4: "lost", 8: "at_range", 16: "at_rate", 32: "no_number"}
+"""Their names, where each is a Boolean of its own."""
 
 ROUNDING = 1e-9
 """A command so little beyond its range, scaled by nominals, was not limited."""
@@ -216,19 +218,17 @@ class _Guarded:
         return _function("watch", columns, [_cat(inner), _cat(held), _cat(ages), flags])
 
     def _act(self) -> ca.Function:
-        """(memory, inputs, enable, parameters, flags, law's memory before and after, law's outputs)
-        -> (law's memory, sent, fade, was active, limited and held back, outputs)."""
+        """(memory, inputs, enable, parameters, flags, law's memory is sound, law's outputs)
+        -> (law gave numbers, sent, fade, was active, limited and held back, outputs)."""
         columns, s = self._columns()
-        flags = ca.SX.sym("flags", 3)
-        before, after = (ca.SX.sym(n, len(self.law.memory)) for n in ("before", "after"))
+        flags, sound = ca.SX.sym("flags", 3), ca.SX.sym("sound")
         outputs = ca.SX.sym("outputs", len(self.law.outputs))
         names = [v.name for v in self.law.outputs]
         asked = {v.name: outputs[names.index(v.name)] for v in self.commands}
-        whole = ca.SX(1)
-        for entry in [*ca.vertsplit(after), *asked.values()] if after.numel() else asked.values():
+        whole = sound
+        for entry in asked.values():
             whole = ca.logic_and(whole, ca.fabs(entry) <= LARGEST)
         awake = ca.logic_and(flags[0], ca.logic_not(flags[2]))
-        memory_kept = ca.if_else(whole, after, before) if after.numel() else after
         status = ca.logic_not(flags[0]) + 2 * flags[1] + 4 * flags[2] + 32 * ca.logic_not(whole)
         sent, fade, at_range, narrowed, at_rate = [], [], ca.SX(0), ca.SX(0), ca.SX(0)
         given = [outputs[i] for i in range(len(names))]
@@ -247,8 +247,8 @@ class _Guarded:
         status += 8 * at_range + 16 * at_rate
         limited = [ca.fmax(at_range, at_rate), ca.fmax(narrowed, at_rate)]
         done = [ca.logic_and(awake, whole), *limited] if self.commands else []
-        results = [memory_kept, _cat(sent), _cat(fade), _cat(done), _cat([*given, status])]
-        return _function("act", [*columns, flags, before, after, outputs], results)
+        results = [whole, _cat(sent), _cat(fade), _cat(done), _cat([*given, status])]
+        return _function("act", [*columns, flags, sound, outputs], results)
 
     def _sent(
         self, v: Variable, s: Symbols, asked: ca.SX, awake: ca.SX, whole: ca.SX
@@ -301,6 +301,9 @@ class _Guarded:
             commands=law.commands,
             missing=tuple(v.name for v in self.inputs),
             loops=law.loops,
+            delay=law.delay,
+            flags={"enable": {}, "status": FLAGS},
+            matrices=law.matrices,
         )
 
     def _output(self, v: Variable) -> Variable:
@@ -325,8 +328,10 @@ class _Guarded:
         known = [of_guard, inputs, enable, settings]
         seen, held, ages, flags = _called(self._watch(), known)
         after, outputs = _called(law.step, [of_law, seen, gains])
-        results = _called(self._act(), [*known, flags, of_law, after, outputs])
-        memory, sent, fade, done, given = results
+        # of whole vectors, whose code stays short however much memory a law has
+        sound = ca.sum1(ca.fabs(after) <= LARGEST) == after.numel() if law.memory else kind(1)
+        whole, sent, fade, done, given = _called(self._act(), [*known, flags, sound, outputs])
+        memory = ca.if_else(whole, after, of_law) if law.memory else after
         order = [f"held.{v.name}" for v in self.inputs] + [f"age.{v.name}" for v in self.inputs]
         order += [f"{part}.{v.name}" for part in ("sent", "fade") for v in self.commands]
         order += ["was_active", "was_limited", "was_held_back"] if self.commands else []

@@ -23,13 +23,35 @@ from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, kind_of
 from ..kinds import BLOCKS
 
-__all__ = ["ACTIVE", "BLOCKS", "HELD_BACK", "LARGEST", "LIMITED", "SENT", "TOLD", "law_of"]
+__all__ = [
+    "ACTIVE",
+    "BEFORE",
+    "BLOCKS",
+    "HELD_BACK",
+    "LARGEST",
+    "LIMITED",
+    "SENT",
+    "TOLD",
+    "law_of",
+]
 
 ACTIVE, LIMITED, HELD_BACK, SENT = "active", "limited", "held_back", "sent."
+BEFORE = ".before"
+"""``sent.NAME.before1``: memory of a command on its way to act."""
 TOLD = (ACTIVE, LIMITED, HELD_BACK, "sent", "enable", "wanted", "ahead", "place")
 """First parts of names of inputs that are no measurements: references, and what the guard tells."""
 LARGEST = 1e30
 """A number beyond is none [SI]; single precision holds it."""
+
+
+def _kind(controller: Any) -> str | None:
+    return next((k.__name__ for k in type(controller).__mro__ if k.__name__ in BLOCKS), None)
+
+
+def takes(controller: Any, option: str) -> bool:
+    """Whether the maker of this controller's block has the option."""
+    kind = None if isinstance(controller, Block) else _kind(controller)
+    return kind is not None and option in list(BLOCKS.arguments(kind))[1:]
 
 
 def law_of(controller: Any, **options: Any) -> Block:
@@ -38,13 +60,13 @@ def law_of(controller: Any, **options: Any) -> Block:
         if options:
             raise InputError(f"{controller.name} is a block already; leave out {min(options)}")
         return controller
-    for kind in type(controller).__mro__:
-        if kind.__name__ in BLOCKS:
-            known = list(BLOCKS.arguments(kind.__name__))[1:]
-            for option in options:
-                if option not in known:
-                    raise UnknownNameError(f"option of a {kind.__name__}", option, known)
-            return BLOCKS[kind.__name__](controller, **options)
+    kind = _kind(controller)
+    if kind is not None:
+        known = list(BLOCKS.arguments(kind))[1:]
+        for option in options:
+            if option not in known:
+                raise UnknownNameError(f"option of a {kind}", option, known)
+        return BLOCKS[kind](controller, **options)
     raise InputError(
         f"{kind_of(controller)} is not known as a block; there are {', '.join(BLOCKS)}"
     )

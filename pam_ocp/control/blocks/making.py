@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.block import Block
-from ...core.errors import InputError, UnknownNameError
+from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.stop import locked, verb
 from ...core.units import unit
+from ...core.variables import Variable
 from ...plants.plant import Plant, require_plant
 from ..controller import Measured
 from ..references import Source
+from .chain import with_delay
 from .guard import Guard, guarded
-from .kinds import TOLD, law_of
+from .kinds import BEFORE, SENT, TOLD, law_of, takes
 from .running import Running
 
 __all__ = ["BlockController", "block"]
@@ -36,15 +39,19 @@ def block(
     hold: int = 10,
     fade_time: float = 0.05,
     guard: bool = True,
+    delay: int | None = None,
     **options: Any,
 ) -> Block:
     """A controller, an estimator or a planned motion as a Block, the form in which it is exported.
 
     controller : any that ``pam_ocp.control`` has, or a Block (a chain of them, say).
     plant : what it is to drive: InputError where its commands or measurements are not among that
-        plant's variables, or count in other units.
+        plant's variables, or count in other units. Before the first sample its start values act.
     name : of the block. limits, rates, safe, hold, fade_time : see :class:`Guard`, which stands
         around the law; ``guard`` False leaves it out (for parts of a chain).
+    delay : samples from measuring to acting that the controller is designed for, by default its
+        own (``Mpc(delay=1)``) or 0; loops and systems with another one warn. An estimator takes
+        the commands sent so much before. Of a chain see :func:`chain`.
     options : of this kind of controller.
 
     Examples
@@ -56,9 +63,16 @@ def block(
     """
     if name is not None:
         options["name"] = name
+    if plant is not None and takes(controller, "plant"):
+        options["plant"] = require_plant(plant)
+    if delay is not None and isinstance(controller, Block):
+        raise InputError(f"{controller.name} is a block already; leave out delay")
     law = law_of(controller, **options)
+    if delay is not None:
+        law = with_delay(law, require_count("delay", delay, 0))
     if plant is not None:
         _require_plant_of(law, require_plant(plant))
+        law = _begun(law, plant)
     if not guard:
         return law
     return guarded(law, Guard(limits or {}, rates or {}, safe or {}, hold, fade_time))
@@ -81,6 +95,20 @@ def _require_plant_of(law: Block, plant: Plant) -> None:
             )
         if name in drives and known[name].causality != "input":
             raise InputError(f"{law.name}: {name} is no input of {plant.name!r}")
+
+
+def _begun(law: Block, plant: Plant) -> Block:
+    """The law with the plant's start values as the commands before its first sample."""
+    starts = {c: plant.variable(c).start for c in law.commands}
+
+    def begun(v: Variable) -> Variable:
+        name = v.name.rpartition(SENT)[2].partition(BEFORE)[0] if BEFORE in v.name else v.name
+        start = starts.get(name)
+        return v if start is None else replace(v, start=start)
+
+    return replace(
+        law, outputs=tuple(map(begun, law.outputs)), memory=tuple(map(begun, law.memory))
+    )
 
 
 @locked
@@ -107,7 +135,7 @@ class BlockController:
         if not block.commands:
             raise InputError(f"{block.name} gives no commands, so it cannot close a loop")
         self.block, self._told = block, inputs
-        self.sample_time = block.sample_time
+        self.sample_time, self.delay = block.sample_time, block.delay
         self._running, self._start = Running(block, ()), block.start("inputs")
         self.parameters = block.start("parameters")
         self._reference: dict[str, Source] = {}

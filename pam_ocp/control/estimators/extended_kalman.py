@@ -65,6 +65,9 @@ class Estimator(ABC):
         self.plant, self.given = plant, Givens(plant)
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self._control_names = [v.name for v in self.given.controls]
+        self._at_rest = plant.vector("input")
+        names = [v.name for v in plant.inputs]
+        self._control_places = [names.index(n) for n in self._control_names]
         if not measured:
             raise InputError("measured is empty: name at least one state or output and its noise")
         self.measured = [plant.variable(n) for n in measured]
@@ -77,6 +80,7 @@ class Estimator(ABC):
             [require_positive(f"measured[{n!r}]", s) for n, s in measured.items()]
         )
         self._noise: Array = self.noise / np.array([v.nominal for v in self.measured])
+        self._measured_at = {v.name: i for i, v in enumerate(self.measured)}
         self.unknown = [self.given.name(n) for n in unknown or {}]
         self._at = np.array([self.given.names.index(n) for n in self.unknown], dtype=int)
         nx = len(plant.states)
@@ -115,22 +119,22 @@ class Estimator(ABC):
         for i, j in enumerate(self._at):
             q[int(j)] = unknown[i] * self._scale[nx + i]
 
-        def after(length: float, substeps: int) -> ca.SX:
+        def after(length: float, substeps: int) -> tuple[ca.SX, ca.SX]:
             scaled = u / np.array([v.nominal for v in given.controls])
             part = replace(how, substeps=substeps)
-            return ca.vertcat(part.expression(given, x, scaled, q, length), unknown)
+            end, slopes = part.with_slopes(given, x, scaled, q, z, length)
+            fixed = ca.jacobian(unknown, z)
+            return ca.vertcat(end, unknown), ca.SX(ca.vertcat(slopes, fixed))
 
         # of an even number of substeps the first half is the half step
         even = how.substeps % 2 == 0
-        half = after(self.sample_time / 2, how.substeps // 2 if even else how.substeps)
-        to_half = ca.densify(ca.jacobian(half, z))
+        half, to_half = after(self.sample_time / 2, how.substeps // 2 if even else how.substeps)
         if even:
             again = ca.Function("half", [z, u, rest], [half, to_half])
             whole, onward = again.call([half, u, rest])
             to_whole = onward @ to_half
         else:
-            whole = after(self.sample_time, how.substeps)
-            to_whole = ca.densify(ca.jacobian(whole, z))
+            whole, to_whole = after(self.sample_time, how.substeps)
         jacobians = [to_whole, to_half]
         self._predict = ca.Function("predict", [z, u, rest], [whole, *jacobians])
         inputs, p, _ = given.parts(q, u)
@@ -153,8 +157,9 @@ class Estimator(ABC):
         mean, covariance = ca.SX.sym("mean", n), ca.SX.sym("covariance", n, n)
         whole, a, half = step
         noise = self.noise_of_step(a, half)
-        spread = ca.densify(a @ covariance @ a.T + noise)
-        self.going = ca.Function("going", [*point, covariance], [whole, spread, a], {"cse": True})
+        spread = ca.densify(mirrored(a @ covariance @ a.T + noise))
+        results = [whole, spread, ca.densify(a)]
+        self.going = ca.Function("going", [*point, covariance], results, {"cse": True})
         """(z, u, q, covariance) -> (z, covariance a step on, Jacobian of the step)."""
         measured, weight = ca.SX.sym("measured", count), ca.SX.sym("weight", count)
         known = taken_in(
@@ -200,14 +205,10 @@ class Estimator(ABC):
     @property
     def estimate(self) -> Estimate:
         """The present knowledge."""
-        nx = len(self.plant.states)
-        values = (self._z * self._scale).tolist()
+        values = dict(zip(self.names, (self._z * self._scale).tolist(), strict=True))
         deviation = (np.sqrt(self.covariance.diagonal()) * self._scale).tolist()
-        return Estimate(
-            dict(zip(self.names[:nx], values[:nx], strict=True)),
-            dict(zip(self.names[nx:], values[nx:], strict=True)),
-            dict(zip(self.names, deviation, strict=True)),
-        )
+        unknown = {n: values.pop(n) for n in self.unknown}
+        return Estimate(values, unknown, dict(zip(self.names, deviation, strict=True)))
 
     @abstractmethod
     def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
@@ -221,14 +222,15 @@ class Estimator(ABC):
 
     def _seen(self, measurement: Values) -> Array:
         """Measured values scaled by nominals; NaN for those not in the measurement."""
-        known = {v.name: i for i, v in enumerate(self.measured)}
-        seen = np.full(len(known), np.nan)
+        known = self._measured_at
+        seen = [math.nan] * len(known)
         for given, value in measurement.items():
             name = given if given in known else self.plant.variable(given).name
             if name not in known:
                 raise UnknownNameError("measured variable", name, [*known])
-            seen[known[name]] = require_finite(given, value) / self.measured[known[name]].nominal
-        return seen
+            i = known[name]
+            seen[i] = require_finite(given, value) / self.measured[i].nominal
+        return np.array(seen)
 
     def noise_of_step(self, a: Symbol, half: Symbol) -> Any:
         """Covariance that the noise adds in a step, from the Jacobians over it and over its half:
@@ -236,18 +238,20 @@ class Estimator(ABC):
         """
         density = ca.DM(self._density)
         noise = ca.mtimes([a, density, a.T]) + 4 * ca.mtimes([half, density, half.T])
-        return self.sample_time / 6 * (noise + density)
+        return self.sample_time / 6 * mirrored(noise + density)
 
     def _inputs(self, inputs: Values | None) -> Array:
         """Controls [SI]; disturbances named among the inputs are taken as known."""
         if inputs is not None and self._only_controls(inputs):
             return np.array([inputs[n] for n in self._control_names])
-        everything = self.plant.vector("input", inputs)
-        values = {v.name: everything[i] for i, v in enumerate(self.plant.inputs)}
-        for variable in self.given.disturbances:
-            if variable.name not in self.unknown:
-                self._q[self.given.names.index(variable.name)] = values[variable.name]
-        return np.array([values[v.name] for v in self.given.controls])
+        everything = self._at_rest if inputs is None else self.plant.vector("input", inputs)
+        if self.given.disturbances:
+            values = {v.name: everything[i] for i, v in enumerate(self.plant.inputs)}
+            for variable in self.given.disturbances:
+                if variable.name not in self.unknown:
+                    self._q[self.given.names.index(variable.name)] = values[variable.name]
+        controls: Array = everything[self._control_places]
+        return controls
 
     def _only_controls(self, inputs: Values) -> bool:
         """Whether these are all the plant's inputs, under their full names, floats in their ranges:
@@ -330,6 +334,11 @@ def _deviations(plant: Plant, given: Mapping[str, float] | None, argument: str) 
             raise InputError(f"{argument}: {variable.name} is a {variable.causality}; give states")
         found[variable.name] = require_positive(f"{argument}[{name!r}]", value, zero=True)
     return found
+
+
+def mirrored(matrix: Symbol) -> Any:
+    """A symmetric matrix, its upper half from the lower one: symmetric to the last digit, too."""
+    return ca.tril2symm(ca.tril(matrix))
 
 
 # ---- equations -----------------------------------------------------------------------------------

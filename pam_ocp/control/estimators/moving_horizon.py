@@ -11,7 +11,7 @@ interior-point method whose steps are the same smoother (estimators/smoother.py)
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -19,7 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.block import Block
-from ...core.errors import InputError, require_count, require_finite, require_positive
+from ...core.errors import (
+    InputError,
+    UnknownNameError,
+    require_count,
+    require_finite,
+    require_positive,
+)
 from ...core.stop import locked
 from ...export.machine import quick
 from ...numerics.buffered import Buffered
@@ -36,6 +42,10 @@ from .smoother import PASSES, Smoother
 __all__ = ["MovingHorizonEstimator"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+LEAST = 1e-12
+"""Variance of an unknown that a reset keeps, in squares of nominal, at least: it can go on to move.
+"""
 
 
 @locked
@@ -103,30 +113,52 @@ class MovingHorizonEstimator(Estimator):
         self.horizon, self.iterations = horizon, iterations
         self.robust = math.inf if robust is None else require_positive("robust", robust)
         self._narrow(bounds or {})
-        self._empty()
         functions = self._predict, self._measure
         smoother = Smoother(self, horizon + 1, self.robust, functions, iterations)
         self._fit, self._arrive = (
             Buffered(quick(f, compiled)) for f in (smoother.improve(), smoother.arrive())
         )
+        self._window()
+        self._empty()
+
+    def _window(self) -> None:
+        """The window: memory of the Function that fits it, one row a node."""
+        z, square, change, prior, prior_square, *rest = self._fit.arguments
+        self._size, self._real = change, rest[4]
+        """``_real``: 1 for nodes that have one behind them."""
+        nodes, n = self.horizon + 1, len(self._z)
+        rows = [e.reshape(nodes, len(e) // nodes) for e in (z, *rest)]
+        self._nodes, *controls, self._values, self._has, _, q, q_then = rows
+        self._controls, self._givens = controls, [q, q_then]
+        """Of each node: when it was measured, and on the step that follows."""
+        self._moving = [*rows[:5], q, q_then]
+        """All that goes back by a node as the window moves."""
+        self._prior, self._square, self._prior_square = prior, square.reshape(n, n), prior_square
 
     def _empty(self) -> None:
         """A window of one node: the present."""
-        nodes = self.horizon + 1
-        self._prior, self._prior_covariance = self._z.copy(), self.covariance.copy()
+        self._prior[:], self._prior_square[:] = self._z, self.covariance.ravel()
         self._last = 0
         """Index of the present node: how many steps the window has."""
-        self._real = np.zeros(nodes)
-        """1 for nodes that have one behind them."""
-        self._nodes: Array = np.tile(self._z[:, None], nodes)
-        self._values = np.full((nodes, len(self.measured)), np.nan)
-        self._controls = np.zeros((2, len(self.given.controls), nodes))
-        """Of each node: when it was measured, and on the step that follows."""
-        self._givens = np.tile(self._q[None, :, None], (2, 1, nodes))
+        for rows in (self._real, self._values, self._has, *self._controls):
+            rows[:] = 0.0
+        self._nodes[:] = self._z
+        for given in self._givens:
+            given[:] = self._q
 
-    def reset(self) -> None:
-        """Back to what was known at first, with an empty window."""
+    def reset(self, kept: Sequence[str] = ()) -> None:
+        """Back to what was known at first, with an empty window; the unknowns that are named in
+        ``kept`` stay, with their deviations. Raises UnknownNameError for any other name.
+        """
+        names = (kept,) if isinstance(kept, str) else tuple(kept)
+        for name in names:
+            if name not in self.names:
+                raise UnknownNameError("kept", name, self.names)
+        places = [self.names.index(name) for name in names]
+        known, variance = self._z[places], self.covariance.diagonal()[places]
         super().reset()
+        self._z[places] = known
+        self.covariance[places, places] = np.maximum(variance, LEAST)
         self._empty()
 
     def _narrow(self, bounds: Mapping[str, Any]) -> None:
@@ -156,72 +188,46 @@ class MovingHorizonEstimator(Estimator):
     def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
         """Take measured values in, by name [SI], and fit the window anew."""
         k, seen = self._last, self._seen(measurement)
-        self._controls[0, :, k], self._givens[0, :, k] = self._inputs(inputs), self._q
-        self._values[k] = np.where(np.isfinite(seen), seen, self._values[k])
-        self._improve()
-        self._z = self._nodes[:, k].copy()
+        self._controls[0][k], self._givens[0][k] = self._inputs(inputs), self._q
+        has = np.isfinite(seen)
+        self._values[k, has], self._has[k, has] = seen[has], 1.0
+        self._nodes[k + 1 :] = self._nodes[k]  # they stand still
+        self._square[:], self._size[0] = self.covariance, 1.0
+        self._fit.call()
+        nodes, covariance, _ = self._fit.results
+        self._nodes[:] = nodes.T
+        self.covariance = covariance.reshape(self._square.shape).copy()
+        self._z = self._nodes[k].copy()
         return self.estimate
 
     def predict(self, inputs: Values | None = None) -> Estimate:
         """Go one step on, under inputs; the window moves when it is full."""
         k = self._last
-        self._controls[1, :, k], self._givens[1, :, k] = self._inputs(inputs), self._q
-        u = self._controls[1, :, k]
-        z, self.covariance = self._after(self._nodes[:, k], u, self._q, self.covariance)
+        u = self._controls[1][k] = self._inputs(inputs)
+        self._givens[1][k] = self._q
+        z, self.covariance = self._after(self._nodes[k], u, self._q, self.covariance)
         if k == self.horizon:
             self._forget()
-            for array in (self._nodes, self._controls, self._givens):
-                array[..., :-1] = array[..., 1:]
-            self._values[:-1] = self._values[1:]
+            for rows in self._moving:
+                rows[:-1] = rows[1:]
         self._last = k = min(k + 1, self.horizon)
         self._real[:k] = 1.0
-        self._nodes[:, k] = self._z = np.clip(z, self._low, self._high)
-        self._values[k] = np.nan
+        self._z = np.maximum(np.minimum(z, self._high), self._low)
+        self._nodes[k] = self._z
+        self._values[k] = self._has[k] = 0.0
         return self.estimate
 
     @property
     def window(self) -> dict[str, Array]:
         """The fitted trajectory of the window by name [SI], oldest first, one value a step."""
-        rows = self._nodes[:, : self._last + 1] * self._scale[:, None]
+        rows = self._nodes[: self._last + 1].T * self._scale[:, None]
         return dict(zip(self.names, rows, strict=True))
-
-    # ---- the fit --------------------------------------------------------------------------------
-    def _improve(self) -> None:
-        """Gauss-Newton steps of the window's trajectory."""
-        last, has = self._last, np.isfinite(self._values)
-        self._nodes[:, last + 1 :] = self._nodes[:, last : last + 1]  # they stand still
-        u, q = self._controls, self._givens
-        nodes, covariance, _ = self._fit(
-            self._nodes.T.ravel(),
-            self.covariance.ravel(),
-            1.0,
-            self._prior,
-            self._prior_covariance.ravel(),
-            *(e.T.ravel() for e in u),
-            np.where(has, self._values, 0.0).ravel(),
-            has.ravel(),
-            self._real,
-            *(e.T.ravel() for e in q),
-        )
-        self._nodes[:] = nodes
-        self.covariance = covariance.reshape(len(self._z), -1).copy()
 
     def _forget(self) -> None:
         """Carry what is known of the window's first node on to its second."""
-        values = self._values[0]
-        has = np.isfinite(values)
-        u, q = self._controls[:, :, 0], self._givens[:, :, 0]
-        prior, covariance = self._arrive(
-            self._prior,
-            self._prior_covariance.ravel(),
-            self._nodes[:, 0],
-            *u,
-            np.where(has, values, 0.0),
-            has,
-            *q,
-        )
-        self._prior = prior[:, 0].copy()
-        self._prior_covariance = covariance.reshape(len(prior), -1).copy()
+        firsts = (rows[0] for rows in self._moving)
+        prior, covariance = self._arrive(self._prior, self._prior_square, *firsts)
+        self._prior[:], self._prior_square[:] = prior[:, 0], covariance[:, 0]
 
 
 def _range(name: str, value: Any) -> tuple[float, float]:

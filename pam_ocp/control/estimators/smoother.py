@@ -17,7 +17,7 @@ import numpy as np
 
 from ...numerics.bounded_loop import inlined, repeated
 from ..blocks.kinds import LARGEST
-from .extended_kalman import Estimator, taken_in
+from .extended_kalman import Estimator, mirrored, taken_in
 
 __all__ = ["Smoother"]
 
@@ -49,7 +49,9 @@ class Side:
 class Smoother:
     """The Functions of a filter's window; columns are nodes, the last is the present.
 
-    linear : of all nodes. smooth : changes of all nodes, and the covariance of the last one.
+    steps, sights : linear, of all nodes but the last, and of all nodes. free : changes of all
+    nodes, and the covariance of the last one, as if there were no bounds; held : with them among
+    what is measured.
     improve : Gauss-Newton steps of the window. arrive : the prior one node on.
     """
 
@@ -76,8 +78,11 @@ class Smoother:
         self.n, self.m = len(filter.names), len(filter.measured)
         self.nu, self.nq = len(filter.given.controls), len(filter.given.names)
         self.predict, self.measure = functions
-        self.linear = self._linear().map(nodes)
-        self.smooth = self._smooth()
+        self.pattern = self.predict.sparsity_out(1) + ca.Sparsity.diag(self.n)
+        """Of the Jacobian of a step; a node that stands still has ones on its diagonal."""
+        self.steps, self.sights = self._step().map(nodes - 1), self._sight().map(nodes)
+        self.free = self._smooth([])
+        self.held = self._smooth(self.sides) if self.sides else self.free
 
     # ---- one node -------------------------------------------------------------------------------
     def moved(self, z: Any, u: Any, q: Any) -> tuple[Any, Any, Any]:
@@ -101,39 +106,49 @@ class Smoother:
             ca.if_else(has, variance, 1),
         )
 
-    def _linear(self) -> ca.Function:
-        """(z, following z, u, following u, y, has, real, q, following q) -> (a, gap, noise, c,
-        error, variance); ``u`` and ``q`` those of the measurement, the following those of the step;
-        without q where it is the same always. Nodes that are not ``real`` stand still.
+    def _step(self) -> ca.Function:
+        """(z, following z, u, real, q) -> (a, gap, noise); without q where it is the same always. A
+        node that is not ``real`` stands still.
         """
         n = self.n
         z, following = ca.SX.sym("z", n), ca.SX.sym("following", n)
-        u, then = ca.SX.sym("u", self.nu), ca.SX.sym("then", self.nu)
-        y, has = ca.SX.sym("y", self.m), ca.SX.sym("has", self.m)
-        real = ca.SX.sym("real")
-        told = [] if self.q is not None else [ca.SX.sym(k, self.nq) for k in ("q", "q_then")]
-        q, q_then = told if self.q is None else (self.q, self.q)
-        after, a, noise = self.moved(z, then, q_then)
-        c, error, variance = self.seen(z, u, q, y, has)
-        a = ca.if_else(real, a, ca.SX.eye(n))
+        u, real = ca.SX.sym("u", self.nu), ca.SX.sym("real")
+        told, q = self._given()
+        after, a, noise = self.moved(z, u, q)
+        a = ca.if_else(real, ca.project(a, self.pattern), ca.project(ca.SX.eye(n), self.pattern))
         gap = ca.if_else(real, after, z) - following
         noise = ca.if_else(real, noise, 0)
-        found = [ca.densify(ca.vec(e)) for e in (a, gap, noise, c, error, variance)]
-        given = [z, following, u, then, y, has, real, *told]
-        return ca.Function("linear", given, found, {"cse": True})
+        found = [a.nz[:], gap, ca.densify(ca.vec(noise))]
+        return ca.Function("step", [z, following, u, real, *told], found, {"cse": True})
+
+    def _sight(self) -> ca.Function:
+        """(z, u, y, has, q) -> (c, error, variance)."""
+        z, u = ca.SX.sym("z", self.n), ca.SX.sym("u", self.nu)
+        y, has = ca.SX.sym("y", self.m), ca.SX.sym("has", self.m)
+        told, q = self._given()
+        found = [ca.densify(ca.vec(e)) for e in self.seen(z, u, q, y, has)]
+        return ca.Function("sight", [z, u, y, has, *told], found, {"cse": True})
+
+    def _given(self) -> tuple[list[ca.SX], Any]:
+        """(symbols of q, q): without a symbol where it never changes."""
+        if self.q is not None:
+            return [], self.q
+        q = ca.SX.sym("q", self.nq)
+        return [q], q
 
     # ---- the smoother ----------------------------------------------------------------------------
-    def _forward(self) -> ca.Function:
+    def _forward(self, sides: list[Side]) -> ca.Function:
         """A node of the filter: takes (change, covariance) expected, gives those of the next node;
         keeps what the way back needs.
         """
-        n, rows = self.n, self.m + len(self.sides)
+        n, rows = self.n, self.m + len(sides)
         d, p = ca.SX.sym("d", n), ca.SX.sym("p", n * n)
-        a, gap, noise = ca.SX.sym("a", n * n), ca.SX.sym("gap", n), ca.SX.sym("noise", n * n)
+        a, gap = ca.SX.sym("a", self.pattern.nnz()), ca.SX.sym("gap", n)
+        noise = ca.SX.sym("noise", n * n)
         c, error = ca.SX.sym("c", self.m * n), ca.SX.sym("error", self.m)
         variance = ca.SX.sym("variance", self.m)
-        target, weight = (ca.SX.sym(k, len(self.sides)) for k in ("target", "weight"))
-        lines, square = self._lines(c), ca.reshape(p, n, n)
+        target, weight = (ca.SX.sym(k, len(sides)) for k in ("target", "weight"))
+        lines, square = self._lines(c, sides), ca.reshape(p, n, n)
         change = d
         gains, surprises = [], []
         for i in range(rows):
@@ -149,33 +164,32 @@ class Smoother:
                 gain = spread * (weight[j] / size)
                 surprise = weight[j] * (told - ca.mtimes(lines[i], change)) / size
             change = change + spread * surprise
-            square = square - ca.mtimes(gain, spread.T)
+            square = mirrored(square - ca.mtimes(gain, spread.T))
             gains.append(gain)
             surprises.append(surprise)
-        square = (square + square.T) / 2
-        jacobian = ca.reshape(a, n, n)
+        jacobian = ca.SX(self.pattern, a)
         following = ca.mtimes(jacobian, change) + gap
         carried = ca.mtimes([jacobian, square, jacobian.T]) + ca.reshape(noise, n, n)
         kept = [change, ca.vec(square), ca.vertcat(*gains), ca.vertcat(*surprises)]
         given = [d, p, a, gap, noise, c, error, variance, target, weight]
-        results = [ca.densify(e) for e in (following, ca.vec(carried), *kept)]
+        results = [ca.densify(e) for e in (following, ca.vec(mirrored(carried)), *kept)]
         return ca.Function("forward", given, results, {"cse": True})
 
-    def _lines(self, c: ca.SX) -> list[ca.SX]:
+    def _lines(self, c: ca.SX, sides: list[Side]) -> list[ca.SX]:
         """What is measured of a node, one row each: measurements, then bounded entries."""
         matrix, eye = ca.reshape(c, self.m, self.n), ca.SX.eye(self.n)
-        return [matrix[i, :] for i in range(self.m)] + [eye[s.entry, :] for s in self.sides]
+        return [matrix[i, :] for i in range(self.m)] + [eye[s.entry, :] for s in sides]
 
-    def _backward(self) -> ca.Function:
+    def _backward(self, sides: list[Side]) -> ca.Function:
         """A node of the way back: takes the adjoint from behind, gives that before the node."""
-        n, rows = self.n, self.m + len(self.sides)
+        n, rows = self.n, self.m + len(sides)
         after = ca.SX.sym("after", n)
         change, p = ca.SX.sym("change", n), ca.SX.sym("p", n * n)
-        a, c = ca.SX.sym("a", n * n), ca.SX.sym("c", self.m * n)
+        a, c = ca.SX.sym("a", self.pattern.nnz()), ca.SX.sym("c", self.m * n)
         gains, surprises = ca.SX.sym("gains", n * rows), ca.SX.sym("surprises", rows)
-        adjoint = ca.mtimes(ca.reshape(a, n, n).T, after)
+        adjoint = ca.densify(ca.mtimes(ca.SX(self.pattern, a).T, after))
         smoothed = change - ca.mtimes(ca.reshape(p, n, n), adjoint)
-        lines = self._lines(c)
+        lines = self._lines(c, sides)
         for i in reversed(range(rows)):
             gain = gains[i * n : (i + 1) * n]
             along = ca.mtimes(gain.T, adjoint)
@@ -183,31 +197,48 @@ class Smoother:
         given = [after, change, p, a, c, gains, surprises]
         return ca.Function("backward", given, [adjoint, smoothed], {"cse": True})
 
-    def _smooth(self) -> ca.Function:
+    def _smooth(self, sides: list[Side]) -> ca.Function:
         """(prior's change, its covariance, linear..., targets, weights) -> (changes, covariance of
         the last node).
         """
-        n, nodes, rows = self.n, self.nodes, self.m + len(self.sides)
-        sizes = (n * n, n, n * n, self.m * n, self.m, self.m, len(self.sides), len(self.sides))
+        n, nodes, rows = self.n, self.nodes, self.m + len(sides)
+        sizes = (*self._sizes, len(sides), len(sides))
         first, p = ca.MX.sym("first", n), ca.MX.sym("p", n * n)
         given = [ca.MX.sym(f"given{k}", size, nodes) for k, size in enumerate(sizes)]
-        forward = self._forward().mapaccum("forwards", nodes, 2)
+        forward = self._forward(sides).mapaccum("forwards", nodes, 2)
         _, _, change, square, gains, surprises = forward(first, p, *given)
         order = [nodes - 1 - k for k in range(nodes)]
-        behind = ca.horzcat(given[0][:, : nodes - 1], ca.MX.zeros(n * n, 1))
-        turned = [e[:, order] for e in (change, square, behind, given[3], gains, surprises)]
-        back = self._backward().mapaccum("backwards", nodes, 1)
+        turned = [e[:, order] for e in (change, square, given[0], given[3], gains, surprises)]
+        back = self._backward(sides).mapaccum("backwards", nodes, 1)
         _, smoothed = back(ca.MX.zeros(n, 1), *turned)
         assert gains.shape == (n * rows, nodes)
         return ca.Function("smooth", [first, p, *given], [smoothed[:, order], square[:, nodes - 1]])
+
+    @property
+    def _sizes(self) -> tuple[int, ...]:
+        """Of a node's part of what :meth:`_linear` gives."""
+        n, m = self.n, self.m
+        return self.pattern.nnz(), n, n * n, m * n, m, m
+
+    def _linear(
+        self, z: ca.MX, u: ca.MX, then: ca.MX, y: ca.MX, has: ca.MX, real: ca.MX, *q: ca.MX
+    ) -> list[ca.MX]:
+        """(a, gap, noise, c, error, variance) of all nodes: ``u`` and q[0] those of the
+        measurement, ``then`` and q[1] those of the step. The last node's step leads nowhere.
+        """
+        before = self.nodes - 1
+        step = self.steps.call(
+            [z[:, :before], z[:, 1:], *(e[:, :before] for e in (then, real, *q[1:]))]
+        )
+        none = (ca.horzcat(e, ca.MX.zeros(e.shape[0], 1)) for e in step)
+        return [*none, *self.sights.call([z, u, y, has, *q[:1]])]
 
     # ---- bounds ------------------------------------------------------------------------------
     def _bounded(self) -> ca.Function:
         """(first, p, linear..., free changes, nodes) -> changes that keep the bounds."""
         n, nodes, count = self.n, self.nodes, len(self.sides)
-        sizes = (n * n, n, n * n, self.m * n, self.m, self.m)
         first, p = ca.MX.sym("first", n), ca.MX.sym("p", n * n)
-        linear = [ca.MX.sym(f"linear{k}", size, nodes) for k, size in enumerate(sizes)]
+        linear = [ca.MX.sym(f"linear{k}", size, nodes) for k, size in enumerate(self._sizes)]
         z = ca.MX.sym("z", n, nodes)
         d, s, mu = (
             ca.MX.sym(k, size, nodes) for k, size in (("d", n), ("s", count), ("mu", count))
@@ -220,7 +251,7 @@ class Smoother:
         weight = mu / s
         push = centre / s + mu
         target = ends + signs * push / weight
-        new, _ = self.smooth(first, p, *linear, target, weight)
+        new, _ = self.held(first, p, *linear, target, weight)
         ahead = signs * (new[entries, :] - ends)
         ds, dmu = ahead - s, push - weight * ahead - mu
         share = 1 / ca.fmax(
@@ -256,10 +287,10 @@ class Smoother:
         if self.q is None:
             sizes |= {"q": self.nq, "q_then": self.nq}
         rest = [ca.MX.sym(k, size, nodes) for k, size in sizes.items()]
-        linear = self.linear(z, ca.horzcat(z[:, 1:], z[:, nodes - 1]), *rest)
-        none = ca.MX.zeros(len(self.sides), nodes)
+        linear = self._linear(z, *rest)
+        none = ca.MX(0, nodes)
         first = prior - z[:, 0]
-        free, covariance = self.smooth(first, p, *linear, none, none)
+        free, covariance = self.free(first, p, *linear, none, none)
         found = free
         low, high = ca.DM(self.filter._low), ca.DM(self.filter._high)
         if self.sides:
@@ -290,8 +321,7 @@ class Smoother:
         prior, p = ca.SX.sym("prior", n), ca.SX.sym("p", n * n)
         z, u, then = ca.SX.sym("z", n), ca.SX.sym("u", self.nu), ca.SX.sym("then", self.nu)
         y, has = ca.SX.sym("y", self.m), ca.SX.sym("has", self.m)
-        told = [] if self.q is not None else [ca.SX.sym(k, self.nq) for k in ("q", "q_then")]
-        q, q_then = told if self.q is None else (self.q, self.q)
+        (told, q), (told_then, q_then) = self._given(), self._given()
         c, error, variance = self.seen(z, u, q, y, has)
         # taken_in reads measured - expected alone
         mean, square = taken_in(
@@ -303,9 +333,11 @@ class Smoother:
             ca.vertsplit(has),
         )
         after, a, noise = self.moved(z, then, q_then)
-        square = ca.mtimes([a, square, a.T]) + noise
-        results = [after + ca.mtimes(a, mean - z), ca.vec((square + square.T) / 2)]
-        return ca.Function("arrive", [prior, p, z, u, then, y, has, *told], results, {"cse": True})
+        square = mirrored(ca.mtimes([a, square, a.T]) + noise)
+        results = [after + ca.mtimes(a, mean - z), ca.densify(ca.vec(square))]
+        return ca.Function(
+            "arrive", [prior, p, z, u, then, y, has, *told, *told_then], results, {"cse": True}
+        )
 
 
 def _finite(columns: ca.MX) -> ca.MX:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.block import Block
-from ...core.errors import InputError, require_instance, require_positive
+from ...core.errors import InputError, require_count, require_instance, require_positive
 from ...core.stop import verb
 from ...core.variables import Variable
 from ...numerics.buffered import Buffered
@@ -368,6 +368,8 @@ class WithEstimate:
     """A controller that sees the filter's estimate in place of the states, and what is measured.
 
     Outputs that the filter does not measure stay visible only if named in ``also``.
+    delay : samples after which the inputs act; the filter predicts with those that act, at first
+        with the plant's start values.
 
     Examples
     --------
@@ -382,14 +384,21 @@ class WithEstimate:
     controller: Controller
     filter: StationaryFilter
     also: Sequence[str] = ()
+    delay: int = 0
 
     def __post_init__(self) -> None:
         require_instance("filter", self.filter, StationaryFilter, "give that of kalman()")
+        require_count("delay", self.delay, 0)
+        self._waiting: list[Mapping[str, float]] = []
 
     def reset(self) -> None:
         """See :class:`Controller`."""
         self.controller.reset()
         self.filter.reset()
+        inversion = self.filter.inversion
+        whole = inversion.plant.inputs if inversion else ()
+        first = {v.name: v.start or 0.0 for v in whole if not v.disturbance}
+        self._waiting = [first] * self.delay
 
     def aims(self, t: float) -> dict[str, float]:
         """Those of the controller."""
@@ -403,7 +412,8 @@ class WithEstimate:
         visible = [n for n in (*self.filter.measured, *self.also) if n not in seen]
         seen.update({n: measured[n] for n in visible})
         inputs = self.controller(t, seen)
-        self.filter.predict(inputs)
+        self._waiting.append(inputs)
+        self.filter.predict(self._waiting.pop(0))
         return inputs
 
 
@@ -450,4 +460,4 @@ def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
 def with_estimate(controller: WithEstimate, name: str = "with_estimate") -> Block:
     """A controller that sees the filter's estimate, as :class:`WithEstimate`."""
     parts = [stationary_filter(controller.filter), law_of(controller.controller)]
-    return chain(parts, name=name)
+    return chain(parts, name=name, delay=controller.delay)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import casadi as ca
 
@@ -113,7 +114,7 @@ def mpc_block(
         )
     draft.repeats("SQP steps", core.iterations)
     draft.repeats("iterations of the interior-point method", core.worst_work)
-    return draft.block()
+    return replace(draft.block(), delay=mpc.delay)
 
 
 def _wanted(draft: Draft, variable: Variable, steps: int, horizon: int) -> Symbol:

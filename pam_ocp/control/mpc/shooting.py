@@ -163,9 +163,11 @@ class TrackingProgram:
         self.early = len(early[0])
         self.row_low, self.row_high = np.array(early[1] + late[1]), np.array(early[2] + late[2])
         y = ca.vertcat(self.x, self.v, self.u, self.s)
-        following = ca.vertcat(self.step.expression(self.given, self.x, self.u, self.q))
+        following, to_next = self.step.with_slopes(self.given, self.x, self.u, self.q, y)
         if self.rated:  # u[[]] of a scalar u is not empty
-            following = ca.vertcat(following, self.u[self.rated])
+            rated = self.u[self.rated]
+            following = ca.vertcat(following, rated)
+            to_next = ca.vertcat(to_next, ca.jacobian(rated, y))
         errors = [
             np.sqrt(e.weight) * (z - self.reference[i] / e.variable.nominal)
             for i, (e, z) in enumerate(zip(self.penalties, self._tracked, strict=True))
@@ -175,7 +177,7 @@ class TrackingProgram:
             np.sqrt(self.rate[self.given.controls[i].name]) * (self.u[i] - self.v[j])
             for j, i in enumerate(self.rated)
         ]
-        return self._node(y, following, early[0] + late[0], errors)
+        return self._node(y, (following, to_next), early[0] + late[0], errors)
 
     def _last_node(self) -> _Node:
         rows, low, high = self._rows(False)
@@ -186,13 +188,17 @@ class TrackingProgram:
             for i, (e, z) in enumerate(zip(self.penalties, self._tracked, strict=True))
             if e.terminal > 0 and not ca.depends_on(z, self.u)
         ]
-        return self._node(y, ca.SX(0, 1), rows, errors)
+        return self._node(y, (ca.SX(0, 1), ca.SX(0, y.numel())), rows, errors)
 
-    def _node(self, y: ca.SX, following: ca.SX, rows: list[ca.SX], errors: list[ca.SX]) -> _Node:
+    def _node(
+        self, y: ca.SX, step: tuple[ca.SX, ca.SX], rows: list[ca.SX], errors: list[ca.SX]
+    ) -> _Node:
+        """step : the node after, and its Jacobian over y."""
+        following, to_next = step
         row, error = ca.SX(ca.vertcat(*rows)), ca.SX(ca.vertcat(*errors))
         slack = self._slack_cost()
         cost = ca.sumsqr(error) / 2 + slack
-        to_next, to_row, to_error = (ca.jacobian(e, y) for e in (following, row, error))
+        to_row, to_error = (ca.jacobian(e, y) for e in (row, error))
         hessian = to_error.T @ to_error + ca.hessian(slack, y)[0]
         damping = ca.SX(y.numel(), 1)
         for i in range(self.nx + len(self.rated), y.numel() if following.numel() else 0):

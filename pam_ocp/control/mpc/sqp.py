@@ -146,7 +146,7 @@ def piqp(program: TrackingProgram) -> ca.Function:
 
 @QP_SOLVERS.register("hpipm")
 def hpipm(program: TrackingProgram) -> ca.Function:
-    """HPIPM, stage by stage: called directly where its library is there, else through CasADi."""
+    """HPIPM, stage by stage: called directly if its library is present, else through CasADi."""
     return conic(program, "hpipm", {**program.dimensions, "hpipm": HPIPM})
 
 

@@ -75,10 +75,13 @@ def _own(
     own: Counter[str] = Counter()
     whole = True
     if function.is_a("SXFunction"):
+        nodes = function.instructions_sx()
         for k in range(function.n_instructions()):
-            kind = codes.get(function.instruction_id(k))
-            if kind:
-                own[kind] += 1
+            code = function.instruction_id(k)
+            if code == ca.OP_CALL:
+                whole = _count(nodes[k].which_function(), 1, codes, own, known) and whole
+            elif code in codes:
+                own[codes[code]] += 1
     elif function.is_a("MXFunction"):
         for k in range(function.n_instructions()):
             whole = _instruction(function, k, codes, own, known) and whole

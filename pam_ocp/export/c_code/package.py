@@ -53,7 +53,7 @@ def export_c(
     seed: int = 0,
     **options: Any,
 ) -> Path:
-    """Write a controller as C99 source without heap, global state or calls of a system.
+    """Write a controller as C99 source without heap, global state or system calls.
 
     The folder holds ``NAME.h`` (structs of inputs, parameters, outputs and state; init and step),
     ``NAME.c``, ``NAME_selftest.c`` with test vectors, CMakeLists.txt, and README.md with memory,

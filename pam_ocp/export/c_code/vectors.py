@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import ExportError
+from ...numerics.portable import written_out
+from .counts import counted
 
 __all__ = ["inputs_of", "outputs_of", "sensitivity", "single_outputs"]
 
@@ -73,13 +75,15 @@ _TWO: dict[str, Callable[[Any, Any], Any]] = {
 def single_outputs(block: Block, inputs: Array) -> Array | None:
     """Outputs (steps, outputs) in single precision, of as many steps as the budget allows.
 
-    None where the step is not made of plain operations (tables, linear solvers).
+    None where the step is not made of plain operations (tables, linear solvers), or of too many.
     """
+    if counted(block.step).total > BUDGET:  # before they are written out and read one by one
+        return None
     try:
         step = block.step if block.step.is_a("SXFunction") else block.step.expand()
     except RuntimeError:
         return None
-    program = _program(step)
+    program = _program(step := written_out(step))
     if program is None:
         return None
     steps = min(len(inputs), BUDGET // max(len(program), 1))

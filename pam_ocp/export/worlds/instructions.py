@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from ...core.errors import ExportError
+from ...numerics.portable import written_out
 
 __all__ = ["OPERATIONS", "Instructions", "Operation", "Table", "array_table", "instructions"]
 
@@ -169,7 +170,7 @@ def _scalar(function: ca.Function, what: str, cse: bool) -> ca.Function:
     except RuntimeError as error:  # of CasADi
         raise _refusal(what, _reason(error)) from None
     dense = [ca.vec(ca.densify(r)) for r in results]
-    return ca.Function(function.name(), symbols, ca.cse(dense) if cse else dense)
+    return written_out(ca.Function(function.name(), symbols, ca.cse(dense) if cse else dense))
 
 
 def _expanded(function: ca.Function, arguments: Sequence[ca.SX]) -> list[ca.SX]:

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from ...core.atomic import atomic_path
-from ...core.errors import InputError, UnknownNameError, kind_of, require_finite
+from ...core.errors import InputError, UnknownNameError, kind_of, require_finite, require_positive
 from ...core.stop import verb
 from ...muscles.pneumatic_muscle import Muscle
 from ...numerics.buffered import Buffered
@@ -27,11 +27,12 @@ from ...plants.alone import muscle_alone
 from ...plants.components import as_muscle
 from ...plants.damping import Loss
 from ...plants.feeds import Feed
+from ...plants.limbs import Limb
 from ...plants.plant import Plant
 from .registry import ENDINGS, WORLDS
 from .signature import library
 
-__all__ = ["MujocoMuscle", "MujocoMuscles", "export_mjcf", "to_mujoco"]
+__all__ = ["MujocoMuscle", "MujocoMuscles", "export_mjcf", "mujoco_limb", "to_mujoco"]
 
 Way: TypeAlias = "Sequence[str] | Mapping[str, float]"
 
@@ -99,6 +100,51 @@ def to_mujoco(muscles: MujocoMuscle | Sequence[MujocoMuscle]) -> MujocoMuscles:
     """
     library("mujoco", "mujoco", "to_mujoco")
     return _muscles(muscles)
+
+
+@verb
+def mujoco_limb(limb: Limb, *, timestep: float = 1e-3) -> tuple[Any, MujocoMuscles]:
+    """(MuJoCo's model of a limb, its muscles there): the bodies of the limb's file, by RK4.
+
+    Its damping and offsets are the limb's, limits and contacts are off. Paths are of points alone
+    or of pulleys alone; loads, friction and stops of the limb are not taken along.
+
+    Raises InputError where MuJoCo is missing, and for a path that mixes points and pulleys.
+
+    Examples
+    --------
+    >>> model, made = pam.export.mujoco_limb(arm)  # doctest: +SKIP
+    """
+    timestep = require_positive("timestep", timestep, "s")
+    mujoco = library("mujoco", "mujoco", "mujoco_limb")
+    spec = mujoco.MjSpec.from_file(limb.file)
+    muscles = []
+    for one in limb.muscles:
+        pulleys = [e for e in one.path if isinstance(e[1], float)]
+        if pulleys and len(pulleys) < len(one.path):
+            raise InputError(
+                f"muscle {one.name!r}: MuJoCo takes a path of points or of pulleys, not both"
+            )
+        way: Way = {joint: -radius for joint, radius in pulleys}
+        if not pulleys:
+            way = [f"{one.name}.{i}" for i in range(len(one.path))]
+            for site, (link, xyz) in zip(way, one.path, strict=True):
+                (spec.body(link) or spec.worldbody).add_site(name=site, pos=xyz)
+        offset = limb.variable(f"{one.name}.offset").start or 0.0
+        muscles.append(MujocoMuscle(one.name, one.muscle, way, one.feed, one.losses, offset))
+    for joint in limb.joints:
+        own = spec.joint(joint.name)
+        own.limited = False
+        damping = limb.variable(f"{joint.name}.damper.coefficient").start or 0.0
+        own.damping = [damping, *[0.0] * (np.size(own.damping) - 1)]
+        own.frictionloss = 0.0
+    made = _muscles(muscles)
+    spec.option.timestep = timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    spec.option.gravity = limb.gravity
+    text = spec.to_xml().replace("</mujoco>", f"{made.mjcf()}</mujoco>")
+    return mujoco.MjModel.from_xml_string(text), made
 
 
 @verb

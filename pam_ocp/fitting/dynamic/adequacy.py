@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..static.correlation import neighbours
-from ..statistics import Array
-from .evidence import Evidence, Motion, projected, solved
+from ..statistics import Array, f_test
+from .evidence import Evidence, Motion, projected, roots, solved
 from .suspects import CAUSES, Suspect, sensor_suspects
 
 __all__ = ["Adequacy", "AdequacyTest", "Noise", "adequacy_of", "noise_of", "residual_adequacy"]
@@ -293,7 +293,7 @@ def adequacy_of(
     if evidence is None:
         return LOST
     motions = evidence.motions
-    rms = _roots(motions)
+    rms = roots(motions)
     if np.any(rms <= np.maximum(EXACT * evidence.integration, _resolved(evidence.measured))):
         return UNTESTED
     case = _Case(evidence, motions, 1 / rms, _columns(evidence))
@@ -451,8 +451,6 @@ def _columns(evidence: Evidence) -> tuple[tuple[Suspect, list[Array]], ...]:
 
 
 def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dict[str, float]]:
-    from scipy.special import fdtrc
-
     causes = [c for c in CAUSES if case.of(c)]
     level = LEVEL / (2 + len(causes))
     series = [[r[:, j] for r in base.residuals] for j in range(len(case.weights))]
@@ -460,14 +458,19 @@ def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dic
     test, noise = _noise_test(e.measured, e.outputs, base.sigma, base.dof, level)
     tests = [_whiteness(series, level), test]
     for cause in causes:
-        wider = case.regressed(case.of(cause))
-        more = wider.columns - base.columns
-        if more < 1 or wider.dof < FEWEST:
-            continue
-        f = (base.squares - wider.squares) / more / (wider.squares / wider.dof)
-        chance = float(fdtrc(more, wider.dof, max(f, 0.0)))
-        tests.append(AdequacyTest(cause, f, (more, wider.dof), chance, level))
+        found = _scored(base, case.regressed(case.of(cause)))
+        if found is not None:
+            tests.append(AdequacyTest(cause, *found, level))
     return tuple(tests), noise
+
+
+def _scored(base: _Regressed, wider: _Regressed) -> tuple[float, tuple[int, int], float] | None:
+    """(F, its degrees of freedom, probability) of more suspects; None where that tells nothing."""
+    more = wider.columns - base.columns
+    if more < 1 or wider.dof < FEWEST:
+        return None
+    f, chance = f_test(base.squares - wider.squares, more, wider.squares, wider.dof)
+    return f, (more, wider.dof), chance
 
 
 def _noise_test(
@@ -519,20 +522,15 @@ def _likeliest(case: _Case, base: _Regressed) -> _Cause:
     with each of them tell: where much is missing slopes do not reach so far, as values have moved
     to make up for it.
     """
-    from scipy.special import fdtrc
-
     noises = case.noises(base)
     white = case.regressed((), noises)
     causes = [c for c in CAUSES if case.of(c)]
     more, told = {}, False
     for cause in causes:
-        wider = case.regressed(case.of(cause), noises)
-        count = wider.columns - white.columns
-        if count < 1 or wider.dof < FEWEST:
-            continue
-        f = (white.squares - wider.squares) / count / (wider.squares / wider.dof)
-        told |= bool(fdtrc(count, wider.dof, max(f, 0.0)) < LEVEL / len(causes))
-        more[cause] = count
+        found = _scored(white, case.regressed(case.of(cause), noises))
+        if found is not None:
+            told |= found[2] < LEVEL / len(causes)
+            more[cause] = found[1][0]
     if not told:
         name = "coloured noise" if any(n.order for n in noises) else "unknown"
         return _Cause(name, noises, base)
@@ -619,7 +617,3 @@ def _subject(case: _Case, cause: _Cause) -> tuple[str, float, str]:
     fit, i = min(alone, key=lambda a: a[0].squares)
     suspect = case.columns[i][0]
     return suspect.subject, float(-fit.values[-1]) * suspect.size, suspect.unit
-
-
-def _roots(motions: Sequence[Motion]) -> Array:
-    return np.asarray(np.sqrt(np.mean(np.concatenate([m.error for m in motions]) ** 2, axis=0)))

@@ -16,6 +16,7 @@ range itself, and the parameters still determine it.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -29,9 +30,10 @@ from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.simulator import simulate
-from ..statistics import Array
+from ..estimates import Tabled
+from ..statistics import Array, Coefficient, student_t
 
-__all__ = ["Band", "Coverage", "Reach", "coverage", "visited"]
+__all__ = ["Band", "Coverage", "FittedPlant", "Reach", "coverage", "visited"]
 
 BEYOND = 0.05
 """Part of a range by which it may be left without a word."""
@@ -549,3 +551,40 @@ def _played(plant: Plant, motion: Trajectory) -> Trajectory:
         rtol=1e-7,
         interpolation=motion.interpolation,
     )
+
+
+# ---- of fits of plants ---------------------------------------------------------------------------
+class FittedPlant(Tabled, ABC):
+    """What fits of plants tell alike; intervals by Student's t, of as many residuals as are
+    independent (standard errors count autocorrelation, see ``coefficients``).
+    """
+
+    @property
+    def _called(self) -> str:
+        return "fitted parameter"
+
+    @abstractmethod
+    def _freedom(self, name: str) -> int:
+        """Degrees of freedom of a coefficient's interval."""
+
+    @abstractmethod
+    def _plain(self) -> Array:
+        """Covariance of the coefficients before their standard errors were widened."""
+
+    def _half(self, c: Coefficient, level: float) -> float:
+        return student_t(level, self._freedom(c.name)) * c.stderr
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the parameters, in the order of ``coefficients``."""
+        plain = self._plain()
+        size = np.sqrt(np.maximum(np.diag(plain), 1e-300))
+        wider = np.array([c.stderr for c in self.coefficients.values()])
+        ratio = np.where(np.isfinite(wider), wider / size, 1.0)
+        return np.asarray(plain * np.outer(ratio, ratio))
+
+    def coverage(self, other: Any, **options: Any) -> Coverage:
+        """Where the records of this fit have been, against a record or a signal that is to be
+        predicted: see :func:`pam_ocp.fitting.coverage`.
+        """
+        return coverage(self, other, **options)

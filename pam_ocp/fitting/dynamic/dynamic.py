@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,9 +26,9 @@ from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .descent import GRACE, Progress, Report, from_fewer, reporter
 from .estimation import (
     ORDERS,
+    Asked,
     FitTask,
     NoInfluence,
     PlantEstimate,
@@ -43,12 +43,11 @@ from .experiment import (
     groups,
     measured_names,
     named,
-    prepare,
     recorded,
 )
-from .gauss_newton import TIMED
+from .gauss_newton import GRACE, TIMED, Progress, from_fewer, reporter
 from .plant_fit import ACCURATE, PlantFit
-from .transcribe import METHODS, FitMethod, FitProblem, unknowns_with_starts
+from .transcribe import FitMethod
 
 __all__ = ["PlantFit", "fit_plant"]
 
@@ -162,7 +161,7 @@ def fit_plant(
     wanted = groups(plant, free, bounds)
     if iterations is not None:
         require_count("iterations", iterations)
-    asked = _Asked(
+    asked = Asked(
         names,
         _delays(delay),
         {"gains": gains, "offsets": offsets},
@@ -181,10 +180,9 @@ def fit_plant(
 
     def by(way: FitMethod, ran: Sequence[Trajectory]) -> Found:
         task = asked.task(plant, ran, wanted, way)
-        sigma = asked.sigma(task)
         if way != "simulation":  # which meets kinks as they are
-            task = _narrowed(task, sigma, asked.delays, roundings)
-        return _fitted(asked, task, sigma)
+            task = _narrowed(task, roundings)
+        return _fitted(task)
 
     def at_first(ran: Sequence[Trajectory]) -> Found:
         first, *rest = ways
@@ -207,77 +205,6 @@ def fit_plant(
     fit, between, words = decided(plant, chosen, fitted)
     seconds = time.perf_counter() - began
     return replace(fit, seconds=seconds, interpolation=between, inputs_ran=words)
-
-
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """What is asked of records, whatever the plant's values and the method.
-
-    delays : [s], lowest and highest. sensors : names by argument of :func:`unknowns_of`. noise : in
-    nominals, where it is known.
-    """
-
-    names: Sequence[str]
-    delays: tuple[float, float]
-    sensors: Mapping[str, Sequence[str]]
-    process: Sequence[tuple[int, float]]
-    noise: Array | None
-    degree: int | None
-    step: float | None
-    inputs: Mapping[str, float]
-    input_noise: Mapping[str, float]
-    iterations: int | None
-    report: Report
-
-    @property
-    def free_delay(self) -> bool:
-        return self.delays[0] < self.delays[1]
-
-    def task(
-        self,
-        plant: Plant,
-        records: Sequence[Trajectory],
-        wanted: Sequence[ParameterGroup],
-        method: Any,
-    ) -> FitTask:
-        if method not in METHODS:
-            raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
-        if self.step is not None:
-            require_positive("step", self.step, "s")
-        order = ORDERS[method][0] if self.degree is None else self.degree
-        require_count("degree", order, 1, 9)
-        low, high = self.delays
-        experiments = [
-            prepare(plant, r, self.names, high, self.step, self.inputs, self.input_noise)
-            for r in records
-        ]
-        width = max(e.coefficients.shape[1] for e in experiments)
-        if not self.input_noise:  # held and joined inputs side by side
-            experiments = [
-                replace(e, coefficients=_padded(e.coefficients, width)) for e in experiments
-            ]
-        delay = self.delays if self.free_delay else low
-        unknowns = unknowns_with_starts(
-            plant, wanted, self.names, experiments, delay=delay, **self.sensors
-        )
-        return FitTask(
-            FitProblem(plant, experiments, self.names, unknowns, low, self.process),
-            method,
-            order,
-            self.step,
-            self.inputs,
-            self.input_noise,
-            self.iterations,
-            self.report,
-        )
-
-    def sigma(self, task: FitTask) -> Array:
-        """Standard deviations in nominals; at first a part of what each variable spreads over."""
-        if self.noise is not None:
-            return self.noise
-        measured = np.concatenate([e.measured for e in task.problem.experiments])
-        spread = measured.std(axis=0) / task.problem.nominal
-        return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
 
 
 def _ways(plant: Plant, records: Sequence[Trajectory], method: Any, noisy: bool) -> list[FitMethod]:
@@ -303,15 +230,14 @@ def _poor(fit: PlantFit) -> bool:
 
 
 def _not_worse(
-    asked: _Asked, found: Found, records: Sequence[Trajectory], wanted: Sequence[ParameterGroup]
+    asked: Asked, found: Found, records: Sequence[Trajectory], wanted: Sequence[ParameterGroup]
 ) -> Found:
     """The same, or what is found from where fits with one parameter less lead."""
     plant, way = found[0].plant, found[0].method
     start = {plant.parameters[m].name: g.value for g in wanted for m in g.members}
 
     def fitted(at: Plant, free: Sequence[ParameterGroup]) -> Found:
-        task = asked.task(at, records, free, way)
-        return _fitted(asked, task, asked.sigma(task))
+        return _fitted(asked.task(at, records, free, way))
 
     def without(j: int) -> Found:
         return fitted(plant.with_values(start), [g for i, g in enumerate(wanted) if i != j])
@@ -324,26 +250,26 @@ def _not_worse(
     return from_fewer(found, lambda f: f[1], range(len(wanted)), without, again)
 
 
-def _fitted(asked: _Asked, task: FitTask, sigma: Array) -> Found:
+def _fitted(task: FitTask) -> Found:
     """The fit, and its deviance."""
-    delays, known = asked.delays, asked.noise is not None
+    asked, sigma = task.asked, task.sigma
     process = bool(asked.process)
-    require_influence(task, task.program(delays[0]), sigma)
-    found = estimate(task, sigma, delays, known)
+    require_influence(task, task.program(asked.delays[0]), sigma)
+    found = estimate(task, sigma)
     fit = _told(task, found)
     for order in ORDERS[task.method][1:] if asked.degree is None else ():
         if found.solution.timed or (fit.integration_error < ACCURATE and not process):
             break
         before, error = found.solution.residuals, fit.integration_error
         task = task.refined(found, order)
-        found = estimate(task, found.sigma, delays, known, found.delay)
+        found = estimate(task, found.sigma, found.delay)
         fit = _told(task, found)
         if process and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
             break
         if not process and fit.integration_error > SLOW * error:
             break  # kinks between the samples: no degree meets them
     if not process:
-        found, fit = _deferred(task, found, fit, delays, known)
+        found, fit = _deferred(task, found, fit)
     jumps = float(np.sum(found.solution.jumps**2))
     return fit, deviance(found.solution.residuals, asked.noise) + jumps
 
@@ -353,9 +279,7 @@ def _told(task: FitTask, found: PlantEstimate) -> PlantFit:
         return outcome(task, found)
 
 
-def _deferred(
-    task: FitTask, found: PlantEstimate, fit: PlantFit, delays: tuple[float, float], known: bool
-) -> tuple[PlantEstimate, PlantFit]:
+def _deferred(task: FitTask, found: PlantEstimate, fit: PlantFit) -> tuple[PlantEstimate, PlantFit]:
     """The estimate of the exact motion: what the integration is off by is added to the measured
     values, and the fit made anew, until both agree (deferred correction).
 
@@ -373,7 +297,7 @@ def _deferred(
             experiments.append(replace(e, measured=own + (e.measured - left) - simulated))
         problem = replace(task.problem, experiments=experiments)
         moved = replace(task, problem=problem).refined(found, task.degree)
-        again = estimate(moved, found.sigma, delays, known, found.delay)
+        again = estimate(moved, found.sigma, found.delay)
         better = _told(moved, again)
         if not better.integration_error < fit.integration_error:
             break
@@ -397,11 +321,10 @@ def _roundings(
     return {n: w for n, w in found.items() if n not in sought}
 
 
-def _narrowed(
-    task: FitTask, sigma: Array, delays: tuple[float, float], widths: Mapping[str, float]
-) -> FitTask:
+def _narrowed(task: FitTask, widths: Mapping[str, float]) -> FitTask:
     """The task, starting from what was found with wide roundings, step by step down to its own."""
-    plant = task.problem.plant
+    plant, asked, sigma = task.problem.plant, task.asked, task.sigma
+    few = replace(asked, noise=sigma, iterations=min(asked.iterations or NARROWING, NARROWING))
     own = {n: float(plant.variable(n).start or 0.0) for n in widths}
     delay = None
     for part in (0.0, 0.5) if widths else ():
@@ -409,18 +332,14 @@ def _narrowed(
             n: float(np.clip(w ** (1 - part) * max(own[n], 1e-3 * w) ** part, v.min, v.max))
             for (n, w), v in zip(widths.items(), map(plant.variable, widths), strict=True)
         }
-        stage = replace(
-            task,
-            problem=replace(task.problem, plant=plant.with_values(wide)),
-            iterations=min(task.iterations or NARROWING, NARROWING),
-        )
-        found = estimate(stage, sigma, delays, True, delay)
+        problem = replace(task.problem, plant=plant.with_values(wide))
+        stage = replace(task, problem=problem, asked=few)
+        found = estimate(stage, sigma, delay)
         if not found.solution.found:
             break  # where this led is no better a start than the plant's own values
-        delay = found.delay if delays[0] < delays[1] else None
+        delay = found.delay if asked.free_delay else None
         stage = stage.refined(found, stage.degree)
-        problem = replace(stage.problem, plant=plant)
-        task = replace(stage, problem=problem, iterations=task.iterations)
+        task = replace(stage, problem=replace(stage.problem, plant=plant), asked=asked)
     return task
 
 
@@ -481,11 +400,6 @@ def _constant(plant: Plant, given: Mapping[str, float] | None) -> dict[str, floa
         named("inputs", name, plant, "input").name: require_finite(name, value)
         for name, value in (given or {}).items()
     }
-
-
-def _padded(coefficients: Array, width: int) -> Array:
-    """Polynomials (n, degree + 1, nu) with higher powers that are zero."""
-    return np.pad(coefficients, ((0, 0), (0, width - coefficients.shape[1]), (0, 0)))
 
 
 def _noise(plant: Plant, names: Sequence[str], noise: Mapping[str, float] | None) -> Array | None:

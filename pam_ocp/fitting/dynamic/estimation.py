@@ -6,20 +6,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from ...core.errors import FitError
+from ...core.errors import FitError, InputError, require_count, require_positive
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ..statistics import Array, Linearisation
-from .descent import Report
-from .experiment import Experiment, measured_names, prepare, recorded
-from .gauss_newton import GaussNewtonResult, reduced_jacobian, solve
+from .experiment import Experiment, ParameterGroup, measured_names, prepare, recorded
+from .gauss_newton import GaussNewtonResult, Report, reduced_jacobian, solve
 from .plant_fit import PlantFit
 from .rig import Rig
 from .transcribe import (
+    METHODS,
     FitMethod,
     FitProblem,
     FitProgram,
@@ -32,6 +33,7 @@ from .transcribe import (
 
 __all__ = [
     "ORDERS",
+    "Asked",
     "FitTask",
     "NoInfluence",
     "PlantEstimate",
@@ -65,27 +67,97 @@ class NoInfluence(FitError):
 
 
 @dataclass(frozen=True, eq=False)
+class Asked:
+    """What is asked of records, whatever the plant's values and the method.
+
+    delays : [s], lowest and highest. sensors : names by argument of :func:`unknowns_of`. noise : in
+    nominals, where it is known. iterations : of the solver in each search, at most: the best until
+    then counts.
+    """
+
+    names: Sequence[str]
+    delays: tuple[float, float]
+    sensors: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    process: Sequence[tuple[int, float]] = ()
+    noise: Array | None = None
+    degree: int | None = None
+    step: float | None = None
+    inputs: Mapping[str, float] = field(default_factory=dict)
+    input_noise: Mapping[str, float] = field(default_factory=dict)
+    iterations: int | None = None
+    report: Report | None = None
+
+    @property
+    def free_delay(self) -> bool:
+        return self.delays[0] < self.delays[1]
+
+    def task(
+        self,
+        plant: Plant,
+        records: Sequence[Trajectory],
+        wanted: Sequence[ParameterGroup],
+        method: Any,
+    ) -> FitTask:
+        if method not in METHODS:
+            raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
+        if self.step is not None:
+            require_positive("step", self.step, "s")
+        order = ORDERS[method][0] if self.degree is None else self.degree
+        require_count("degree", order, 1, 9)
+        low, high = self.delays
+        experiments = [
+            prepare(plant, r, self.names, high, self.step, self.inputs, self.input_noise)
+            for r in records
+        ]
+        width = max(e.coefficients.shape[1] for e in experiments)
+        if not self.input_noise:  # held and joined inputs side by side
+            experiments = [
+                replace(e, coefficients=_padded(e.coefficients, width)) for e in experiments
+            ]
+        delay = self.delays if self.free_delay else low
+        unknowns = unknowns_with_starts(
+            plant, wanted, self.names, experiments, delay=delay, **self.sensors
+        )
+        problem = FitProblem(plant, experiments, self.names, unknowns, low, self.process)
+        return FitTask(problem, method, order, self)
+
+
+def _padded(coefficients: Array, width: int) -> Array:
+    """Polynomials (n, degree + 1, nu) with higher powers that are zero."""
+    return np.pad(coefficients, ((0, 0), (0, width - coefficients.shape[1]), (0, 0)))
+
+
+@dataclass(frozen=True, eq=False)
 class FitTask:
     """A problem and how it is solved."""
 
     problem: FitProblem
     method: FitMethod
     degree: int
-    step: float | None = None
-    inputs: Mapping[str, float] = field(default_factory=dict)
-    input_noise: Mapping[str, float] = field(default_factory=dict)
-    iterations: int | None = None
-    """Of the solver in each search, at most: the best until then counts."""
-    report: Report | None = None
+    asked: Asked
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations in nominals; at first a part of what each variable spreads over."""
+        if self.asked.noise is not None:
+            return self.asked.noise
+        measured = np.concatenate([e.measured for e in self.problem.experiments])
+        spread = measured.std(axis=0) / self.problem.nominal
+        return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
 
     def program(
         self, delay: float, bounds: tuple[float, float] | None = None
     ) -> FitProgram | SimulatedProgram:
         """The program at a delay, or with one that is free within bounds."""
         problem, u = self.problem, self.problem.unknowns
-        if u.delays:
+        if u.of("delays"):
+            late = [r.kind == "delays" for r in u.rows]
             low, high = bounds or (delay, delay)
-            problem = replace(problem, unknowns=u.moved("delays", delay, low, high))
+            columns = {
+                name: np.where(late, value / u.scale, getattr(u, name))
+                for name, value in (("guess", delay), ("low", low), ("high", high))
+            }
+            problem = replace(problem, unknowns=u.changed(**columns))
         if self.method == "simulation":
             return SimulatedProgram(problem)
         return transcribe(problem, self.method, self.degree)
@@ -109,7 +181,7 @@ class FitTask:
                 states[1:] = ends[first : first + len(e.mesh) - 1]
             first += len(e.mesh) - 1
             experiments.append(replace(e, states=states))
-        unknowns = replace(u, guess=np.clip(w[:head], u.low, u.high))
+        unknowns = u.changed(guess=np.clip(w[:head], u.low, u.high))
         moved = replace(problem, experiments=experiments, unknowns=unknowns)
         return replace(self, problem=moved, degree=order)
 
@@ -122,8 +194,8 @@ class FitTask:
         iterations: int | None = None,
     ) -> GaussNewtonResult:
         """A search that tells what it does, within the limit of iterations."""
-        most = min((n for n in (iterations, self.iterations) if n is not None), default=None)
-        return solve(program, weights, guess, most, self.report, stage)
+        limits = (n for n in (iterations, self.asked.iterations) if n is not None)
+        return solve(program, weights, guess, min(limits, default=None), self.asked.report, stage)
 
     @property
     def usual(self) -> float:
@@ -140,18 +212,12 @@ class PlantEstimate:
     delay: float
 
 
-def estimate(
-    task: FitTask,
-    sigma: Array,
-    limits: tuple[float, float],
-    known_noise: bool,
-    start: float | None = None,
-) -> PlantEstimate:
+def estimate(task: FitTask, sigma: Array, start: float | None = None) -> PlantEstimate:
     """Solve; with several measured variables of unknown noise,
     weigh them by their residuals anew.
     """
-    solution, program, found = _seek_delay(task, sigma, limits, start)
-    for number in range(0 if known_noise else 2):
+    solution, program, found = _seek_delay(task, sigma, start)
+    for number in range(2 if task.asked.noise is None else 0):
         last, sigma = sigma, np.maximum(np.sqrt(np.mean(solution.residuals**2, axis=0)), 1e-9)
         # of one variable the size of its noise weighs nothing, but a search in units that are far
         # too coarse ends before it is there
@@ -159,7 +225,7 @@ def estimate(
         if solution.timed or (enough and len(sigma) == 1):
             sigma = last
             break
-        bounds = _around(task, found, limits)
+        bounds = _around(task, found)
         again = program if bounds is None else task.program(found, bounds)
         weighed = task.solved(again, 1 / sigma, solution.w, "noise weighed")
         if solution.found and not weighed.found and not weighed.timed:
@@ -167,7 +233,7 @@ def estimate(
             break
         program, solution = again, weighed
         found = task.problem.delay(solution.w)
-    if not solution.found and not solution.timed and task.iterations is None:
+    if not solution.found and not solution.timed and task.asked.iterations is None:
         raise FitError(
             f"the fit of {task.problem.plant.name!r} came to no solution ({solution.status} after "
             f"{solution.iterations} iterations); start nearer with plant.with_values(...), free "
@@ -214,27 +280,26 @@ def _constant(experiment: Experiment) -> bool:
 
 
 # ---- the delay -----------------------------------------------------------------------------------
-def _around(task: FitTask, delay: float, limits: tuple[float, float]) -> tuple[float, float] | None:
+def _around(task: FitTask, delay: float) -> tuple[float, float] | None:
     """One mesh interval to either side, within the limits; None for a known delay."""
-    if limits[0] == limits[1]:
-        return None
-    return max(limits[0], delay - task.usual), min(limits[1], delay + task.usual)
+    low, high = task.asked.delays
+    return (max(low, delay - task.usual), min(high, delay + task.usual)) if low < high else None
 
 
 def _seek_delay(
-    task: FitTask, sigma: Array, limits: tuple[float, float], start: float | None
+    task: FitTask, sigma: Array, start: float | None
 ) -> tuple[GaussNewtonResult, FitProgram | SimulatedProgram, float]:
     """Solve at a few fixed delays, then let the best one move until it stays within an interval."""
-    low, high = limits
+    low, high = task.asked.delays
     if low == high:
         program = task.program(low)
         return task.solved(program, 1 / sigma, program.guess, "fit"), program, low
     if start is None:
-        delay, w = _scanned(task, sigma, limits)
+        delay, w = _scanned(task, sigma)
     else:
         delay, w = start, task.program(start).guess
     for _ in range(int(np.ceil((high - low) / task.usual)) + 3):
-        program = task.program(delay, _around(task, delay, limits))
+        program = task.program(delay, _around(task, delay))
         solution = task.solved(program, 1 / sigma, w, "delay", 6 * SCAN_ITERATIONS)
         w, moved = solution.w, task.problem.delay(solution.w)
         settled = abs(moved - delay) < 0.5 * task.usual
@@ -244,16 +309,17 @@ def _seek_delay(
     # once more with the samples in their right intervals
     if solution.timed:
         return solution, program, delay
-    program = task.program(delay, _around(task, delay, limits))
+    program = task.program(delay, _around(task, delay))
     solution = task.solved(program, 1 / sigma, w, "fit")
     return solution, program, task.problem.delay(solution.w)
 
 
-def _scanned(task: FitTask, sigma: Array, limits: tuple[float, float]) -> tuple[float, Array]:
+def _scanned(task: FitTask, sigma: Array) -> tuple[float, Array]:
     """The best of a few fixed delays, followed for some iterations, and the unknowns there."""
     best: tuple[float, float, Array] | None = None
-    guess = task.program(limits[0]).guess
-    for delay in np.linspace(*limits, SCANNED_DELAYS):
+    low, high = task.asked.delays
+    guess = task.program(low).guess
+    for delay in np.linspace(low, high, SCANNED_DELAYS):
         program = task.program(float(delay))
         answer = task.solved(program, 1 / sigma, guess, f"delay {delay:.3g} s", SCAN_ITERATIONS)
         cost = float(np.sum((answer.residuals / sigma) ** 2))
@@ -315,10 +381,10 @@ def outcome(task: FitTask, estimate: PlantEstimate) -> PlantFit:
         at_bound=at_bound,
         method=task.method,
         degree=task.degree,
-        step=task.step,
-        inputs=task.inputs,
+        step=task.asked.step,
+        inputs=task.asked.inputs,
         process_noise={plant.states[i].name: size for i, size in problem.process},
-        input_noise=task.input_noise,
+        input_noise=task.asked.input_noise,
         status=solution.status,
         iterations=solution.iterations,
         seconds=0.0,
@@ -338,11 +404,11 @@ def _linearised(
     dof = max(solution.residuals.size - len(u.names) + int(tight.sum()), 0)
     squares = float(np.sum((solution.residuals / sigma) ** 2) + np.sum(solution.jumps**2))
     values = w * u.scale
-    values[u.places("gains")] += 1.0
+    values[[j for j, _ in u.of("gains")]] += 1.0
     linearisation = Linearisation(
         list(u.names),
         values,
-        list(u.units),
+        [r.unit for r in u.rows],
         jacobian / program.head_scale,
         np.sqrt(squares / max(dof, 1)),
         dof,
@@ -400,10 +466,10 @@ def _replay(fit: PlantFit, record: Trajectory) -> Trajectory:
     between = record.interpolation if record.interpolation_known else fit.interpolation
     clean = Trajectory(record.t, corrected, record.variables, between)
     noisy = {n: s for n, s in fit.input_noise.items() if n in clean}
-    experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs, noisy)
-    unknowns = unknowns_with_starts(fit.plant, [], names, [experiment])
-    problem = FitProblem(fit.plant, [experiment], names, unknowns, fit.delay)
-    task = FitTask(problem, fit.method, fit.degree)
+    delays, step = (fit.delay, fit.delay), fit.step
+    asked = Asked(names, delays, step=step, inputs=fit.inputs, input_noise=noisy)
+    task = replace(asked.task(fit.plant, [clean], [], fit.method), degree=fit.degree)
+    problem, unknowns = task.problem, task.problem.unknowns
     sigma = np.maximum(np.array([fit.noise[n] for n in names]) / problem.nominal, 1e-9)
     program = task.program(fit.delay)
     solution = solve(program, 1 / sigma, program.guess)

@@ -19,13 +19,12 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup, with_inputs
-from .rig import Rig, RunUnknowns
+from .rig import Rig, RunUnknowns, Unknown
 from .rollout import Rollout
-from .run_statistics import LEAST_STEPS, MOST_STEPS
-from .runs import Runs, runs_of, settled_starts
+from .runs import LEAST_STEPS, MOST_STEPS, Runs, runs_of, settled_starts
 from .suspects import Suspect, Suspected, sensor_suspects, suspected
 
-__all__ = ["Evidence", "Motion", "evidence_of"]
+__all__ = ["Evidence", "Motion", "evidence_of", "projected", "roots", "solved"]
 
 STEEP = 1e3
 """What a start may change, in spreads per nominal, for a motion to be followed."""
@@ -145,26 +144,26 @@ def evidence_of(
         )
         runs, x0 = _followed(case)
         z, x0, _ = _least_squares(case, runs, runs, case.z, x0)
-        fine, ready = runs, _with_starts(case, runs)
+        fine = _with_starts(case, runs).rollout(runs)
         every = np.concatenate([z, x0.ravel()])
-        modelled = ready.rollout(fine).predicted(every)
+        modelled = fine.predicted(every)
         while True:
-            finer = replace(fine, steps=2 * fine.steps)
-            better = ready.rollout(finer).predicted(every)
+            finer = fine.finer()
+            better = finer.predicted(every)
             with np.errstate(over="ignore", invalid="ignore"):
                 gap, rms = (
                     np.sqrt(np.nanmean((better - a) ** 2, axis=(0, 1)))
                     for a in (modelled, runs.measured)
                 )
-            if np.all(gap <= ACCURATE * rms) or finer.steps > MOST_STEPS:
+            if np.all(gap <= ACCURATE * rms) or finer.runs.steps > MOST_STEPS:
                 break
             # values that were found with long steps leave more than they should
-            z, x0, _ = _least_squares(case, fine, finer, z, x0)
+            z, x0, _ = _least_squares(case, fine.runs, finer.runs, z, x0)
             every = np.concatenate([z, x0.ravel()])
-            fine, modelled = finer, ready.rollout(finer).predicted(every)
+            fine, modelled = finer, finer.predicted(every)
         if not np.all(np.isfinite(gap)):
             return None  # shorter steps diverge, and shall say what longer ones cannot
-        return _evidence(replace(case, steps=fine.steps), fine, z, x0, better, gap)
+        return _evidence(replace(case, steps=fine.runs.steps), fine.runs, z, x0, better, gap)
     except (PamError, np.linalg.LinAlgError):
         return None
 
@@ -294,7 +293,7 @@ def _least_squares(
     modelled = shown(best, weights)
     for number in range(ROUNDS):
         blocks = _blocks(rollout, best, k, 0, modelled)
-        weights = 1 / np.maximum(_roots(blocks), 1e-12 * rollout.spread)
+        weights = 1 / np.maximum(roots(blocks), 1e-12 * rollout.spread)
         last, more = _squares(modelled, runs, weights), 0
         if sensors:
             columns = sensors([m.error + y for m, y in zip(blocks, _rows(runs), strict=True)])
@@ -400,7 +399,8 @@ def _step(blocks: Sequence[Motion], weights: Array, k: int, damping: float) -> A
     return np.concatenate([step, *begun])
 
 
-def _roots(blocks: Sequence[Motion]) -> Array:
+def roots(blocks: Sequence[Motion]) -> Array:
+    """Of the mean squares of each measured variable."""
     return np.asarray(np.sqrt(np.mean(np.concatenate([m.error for m in blocks]) ** 2, axis=0)))
 
 
@@ -412,12 +412,7 @@ def _evidence(
     found = suspected(case.plant, case.records, case.groups, delays, runs.names)
     suspects = found.suspects
     u, m, count = ready.unknowns, len(suspects), len(case.groups)
-    wide = replace(
-        u,
-        groups=found.groups,
-        names=(*u.names[:count], *(s.subject for s in suspects), *u.names[count:]),
-        scale=np.concatenate([u.scale[:count], np.ones(m), u.scale[count:]]),
-    )
+    wide = u.with_more(*map(Unknown.of_group, found.groups[count:]))
     rig = replace(case.rig, delays={**case.rig.delays, **found.delays})
     later = replace(ready, plant=found.plant, records=found.records, unknowns=wide, rig=rig)
     length = runs.horizons[0] if runs.horizons else None
@@ -452,16 +447,8 @@ def _squares_with(
     chosen = tuple(
         g for g, s in zip(found.groups[count:], found.suspects, strict=True) if s.cause == cause
     )
-    u = case.unknowns
     at = [count] * len(chosen)
-    unknowns = replace(
-        u,
-        groups=(*u.groups, *chosen),
-        names=(*u.names[:count], *(g.name for g in chosen), *u.names[count:]),
-        scale=np.insert(u.scale, at, 1.0),
-        low=np.insert(u.low, at, -np.inf),
-        high=np.insert(u.high, at, np.inf),
-    )
+    unknowns = case.unknowns.with_more(*map(Unknown.of_group, chosen))
     wide = replace(
         case,
         plant=found.plant,

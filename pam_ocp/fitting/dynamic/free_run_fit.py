@@ -23,14 +23,13 @@ from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .descent import GRACE, Descent, Progress, descend, from_fewer, reporter
 from .disturbances import Disturbances, disturbed
 from .experiment import decided, groups, measured_names, recorded
-from .free_run_result import FreeRunFit, ran
+from .free_run_result import FreeRunFit, fine_runs, fineness, ran, spread_of
+from .gauss_newton import GRACE, Descent, Progress, descend, from_fewer, reporter
 from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
 from .rollout import Rollout, followed, require_followed
-from .run_statistics import LEAST_STEPS, MOST_STEPS, fine_runs, fineness, spread_of
-from .runs import FreeRun, Runs, hidden_states, runs_of, settled_starts
+from .runs import LEAST_STEPS, MOST_STEPS, FreeRun, Runs, hidden_states, runs_of, settled_starts
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
@@ -101,14 +100,15 @@ def free_run(
     runs = runs_of(plant, records, horizon, every, outputs, history, first, warm_up)
     rig = known_rig(plant, runs.names, delay, gains, offsets, starts, corrections)
     nothing = np.empty(0)
-    predicted = Rollout(plant, runs, (), rig).predicted(nothing) if steps is None else nothing
-    while steps is None and 2 * runs.steps <= MOST_STEPS:
-        halved = replace(runs, steps=2 * runs.steps)
-        finer = Rollout(plant, halved, (), rig).predicted(nothing)
-        if fine_runs(predicted, finer):
+    rollout = Rollout(plant, runs, (), rig)
+    predicted = rollout.predicted(nothing)
+    while steps is None and 2 * rollout.runs.steps <= MOST_STEPS:
+        finer = rollout.finer()
+        better = finer.predicted(nothing)
+        if fine_runs(predicted, better):
             break
-        runs, predicted = halved, finer
-    return ran(plant, runs, (), rig)
+        rollout, predicted = finer, better
+    return ran(runs, predicted)
 
 
 @verb
@@ -319,13 +319,13 @@ class _Search:
     ) -> Descent:
         """The same, or what is found from where fits with one unknown less lead."""
         u = self.unknowns
-        spare = [j for j in range(u.shared) if j not in u.places("corrections")]
+        spare = [j for j in range(u.shared) if u.rows[j].kind != "corrections"]
         budget = max(self.evaluations - found.evaluations, 4)
 
         def without(j: int) -> Descent:
             low, high = u.low.copy(), u.high.copy()
             low[j] = high[j] = z[j]
-            fixed = replace(self, unknowns=replace(u, low=low, high=high))
+            fixed = replace(self, unknowns=u.changed(low=low, high=high))
             return fixed._descended(records, rollout, z)[1]
 
         def again(poorer: Descent) -> Descent:
@@ -370,7 +370,7 @@ class _Search:
         if every is None:
             records = [r.at(r.t[: self._samples(r, horizon)]) for r in records]
         else:
-            same = bool(u.starts or u.own_starts)
+            same = bool(u.of("starts") or u.own_starts)
             options |= {"horizon": horizon, "every": every if same else max(every, horizon)}
         return Rollout(self.plant, runs_of(self.plant, records, **options), u, self.rig)
 
@@ -394,15 +394,13 @@ class _Search:
         rig = u.rig(self.plant, runs.names, self.rig, found.z)
         predicted = rollout.predicted(found.z)
         training = runs.result(predicted)
-        halved = replace(runs, steps=2 * runs.steps)
-        finer = Rollout(self.plant, halved, u, self.rig).predicted(found.z)
         own = found.z[u.shared :] * u.scale[u.shared :]
         edge = (found.z - u.low < 1e-9) | (u.high - found.z < 1e-9)
         spread = spread_of(rollout, runs, u, found.z, edge)
         # hidden starts that are found by default are nobody's question
         named = u.shared if u.along else len(u.names)
         stderr = np.array([c.stderr for c in spread.coefficients.values()]) / u.scale[: u.shared]
-        steps = fineness(rollout, found.z, finer, ~edge, stderr)
+        steps = fineness(rollout, found.z, ~edge, stderr)
         return FreeRunFit(
             fitted,
             training,
@@ -433,13 +431,11 @@ def _require_sense(rollout: Rollout, z: Array, unknowns: RunUnknowns) -> None:
     require_followed(rollout, z)
     _, _, square, damped = rollout.normal(z)
     # a correction may begin where the runs need none, and a hidden start may be forgotten at once
-    fixed = unknowns.places("corrections").tolist()
-    if unknowns.along:
-        fixed += list(range(unknowns.shared, len(unknowns.names)))
+    fixed = ("corrections", "own_starts") if unknowns.along else ("corrections",)
     dead = [
-        n
-        for j, n in enumerate(unknowns.names)
-        if not square[j, j] > 0 and j not in fixed and unknowns.low[j] < unknowns.high[j]
+        r.name
+        for j, r in enumerate(unknowns.rows)
+        if not square[j, j] > 0 and r.kind not in fixed and r.low < r.high
     ]
     if not dead:
         return

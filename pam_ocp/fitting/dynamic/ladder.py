@@ -41,8 +41,8 @@ from .adequacy import Adequacy, adequacy_of
 from .choice import paired
 from .evidence import evidence_of
 from .experiment import bounds_of, groups, measured_names, recorded
+from .free_run_result import BLOCKS
 from .rig import Rig, unknowns_of
-from .run_statistics import BLOCKS
 from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
 
 __all__ = ["LADDER", "Builder", "Ladder", "fit_ladder"]

@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ... import courtesy
+from ...core.errors import InputError
+from ...core.files import read_json, reading, write_json
 from ...core.shown import shown
 from ...core.signals import Interpolation
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
-from ...plants.plant import Plant
+from ...core.variables import data_of_variable, variable_of
+from ...plants.plant import Plant, require_plant
+from ...plants.plant_data import carried
+from ...plants.plant_file import load_plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ..estimates import coefficient_line
 from ..static.correlation import neighbours, widening
 from ..statistics import Array, Coefficient, Linearisation
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
+from .coverage import FittedPlant
 from .evidence import Evidence, evidence_of
 from .experiment import groups, running, with_inputs
-from .fit_result import FittedPlant
 from .gauss_newton import DONE
 from .rig import Rig, unknowns_of
 from .transcribe import FitMethod
@@ -31,7 +37,7 @@ from .transcribe import FitMethod
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PlantFit"]
+__all__ = ["PlantFit", "load_plant_fit", "write_plant_fit"]
 
 ACCURATE = 0.02
 """Largest error of the integration that a fit is content with, in standard deviations of the noise.
@@ -147,7 +153,7 @@ class PlantFit(FittedPlant):
             offsets=tuple(self.offsets),
         )
         z = np.array([found[n] for n in unknowns.names]) / unknowns.scale
-        z[unknowns.places("gains")] -= 1.0
+        z[[j for j, _ in unknowns.of("gains")]] -= 1.0
         rig = Rig({v.name: self.delay for v in self.plant.inputs if self.delay})
         known = running(self.records, self.interpolation)
         records = [with_inputs(self.plant, r, self.inputs) for r in known]
@@ -302,7 +308,7 @@ class PlantFit(FittedPlant):
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
-        return courtesy.write_plant_fit(self, path)
+        return write_plant_fit(self, path)
 
     def save_ssv(self, path: str | os.PathLike[str]) -> Path:
         """Write the fitted parameters as SSV (SSP 1.0), which sets the plant's FMU without
@@ -365,3 +371,128 @@ def _report(fit: PlantFit, level: float) -> str:
         lines.append("[[Correlations]] (beyond 0.8)")
         lines += [f"    C({a}, {b}) = {r:+.4f}" for r, a, b in pairs]
     return "\n".join(lines)
+
+
+# ---- files ---------------------------------------------------------------------------------------
+FORMAT = "pam_ocp plant fit"
+_TUPLES = ("measured", "parameters", "starts", "at_bound")
+_OWN_WAY = (*_TUPLES, "plant", "records", "simulated", "linearisation", "residuals")
+_PLAIN = tuple(f for f in fields(PlantFit) if f.name not in _OWN_WAY)
+"""Written as they are; those with defaults are not in older files."""
+
+
+def write_plant_fit(fit: PlantFit, path: str | os.PathLike[str]) -> Path:
+    """See :meth:`PlantFit.save`."""
+    linear = fit.linearisation
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": 1,
+        "units": "SI",
+        "plant": fit.plant.name,
+        "values": {v.name: v.start for v in fit.plant.parameters},
+        "states": [v.name for v in fit.plant.states],
+        "fitted": {n: c.value for n, c in fit.coefficients.items()},
+        "stderr": {n: c.stderr for n, c in fit.coefficients.items() if np.isfinite(c.stderr)},
+        "rmse": fit.rmse,
+        "fit_percent": {n: v if np.isfinite(v) else None for n, v in fit.fit_percent.items()},
+        "warnings": list(fit.warnings),
+        **{n: _plain(getattr(fit, n)) for n in (*(f.name for f in _PLAIN), *_TUPLES)},
+        "linearisation": {
+            "names": list(linear.names),
+            "values": linear.values.tolist(),
+            "units": list(linear.units),
+            # what matters of the Jacobian is its triangle: J^T J = R^T R
+            "jacobian": _triangle(linear.jacobian).tolist(),
+            "scale": float(linear.scale),
+            "dof": linear.dof,
+            "active": None if linear.active is None else np.asarray(linear.active).tolist(),
+        },
+        "residuals": [r.tolist() for r in fit.residuals],
+        "records": [_record(r, r.names) for r in fit.records],
+        "simulated": [_record(r, fit.measured) for r in fit.simulated],
+    }
+    return write_json(path, content | carried(fit.plant))
+
+
+@verb
+def load_plant_fit(path: str | os.PathLike[str], plant: Plant | None = None) -> PlantFit:
+    """Read what :meth:`PlantFit.save` wrote.
+
+    plant : the same plant (any parameter values), on which the fitted values are set; None: the one
+        that the file carries.
+
+    Raises InputError for a file that holds no fit, or one of another plant.
+
+    Examples
+    --------
+    >>> path = dynamic_fit.save("fit.json")
+    >>> print(f"{pam.fitting.load_plant_fit(path, plant).values['mass']:.2f} kg")
+    10.00 kg
+    """
+    name = os.fspath(path)
+    content = read_json(path, "a fit of a plant", FORMAT, "PlantFit.save() writes one")
+    plant = load_plant(path) if plant is None else require_plant(plant)
+    with reading(path, "a fit of a plant", "give one that PlantFit.save() wrote"):
+        _require_same(name, content, plant)
+        linear = dict(content["linearisation"])
+        for key in ("values", "jacobian"):
+            linear[key] = np.array(linear[key], dtype=float)
+        if linear["active"] is not None:
+            linear["active"] = np.array(linear["active"], dtype=float)
+        arguments: dict[str, Any] = {
+            **{f.name: content[f.name] for f in _PLAIN if f.name in content or not _optional(f)},
+            **{n: tuple(content[n]) for n in _TUPLES},
+            "plant": plant.with_values(content["values"]),
+            "records": tuple(_trajectory(r) for r in content["records"]),
+            "simulated": tuple(_trajectory(r) for r in content["simulated"]),
+            "linearisation": Linearisation(**linear),
+            "residuals": tuple(np.array(r, dtype=float) for r in content["residuals"]),
+        }
+        return PlantFit(**arguments)
+
+
+def _optional(f: Field[Any]) -> bool:
+    return f.default is not MISSING or f.default_factory is not MISSING
+
+
+def _require_same(name: str, content: Mapping[str, Any], plant: Plant) -> None:
+    for kind, saved, own in (
+        ("parameters", list(content["values"]), [v.name for v in plant.parameters]),
+        ("states", content["states"], [v.name for v in plant.states]),
+    ):
+        other = [n for n in (*saved, *own) if (n in saved) != (n in own)]
+        if other:
+            side = "the file" if other[0] in saved else "the plant"
+            raise InputError(
+                f"{name} is a fit of plant {content['plant']!r}, whose {kind} are others: only "
+                f"{side} has {other[0]}; give the plant that was fitted"
+            )
+
+
+def _triangle(jacobian: Array) -> Array:
+    """R (k, k) with R^T R = J^T J; J itself when it has fewer rows."""
+    return np.asarray(
+        np.linalg.qr(jacobian, mode="r") if len(jacobian) > jacobian.shape[1] else jacobian
+    )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _record(record: Trajectory, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "t": record.t.tolist(),
+        "columns": {n: record[n].tolist() for n in names},
+        "variables": [data_of_variable(record.variable(n)) for n in names],
+        "interpolation": record.interpolation if record.interpolation_known else None,
+    }
+
+
+def _trajectory(content: Mapping[str, Any]) -> Trajectory:
+    variables = [variable_of(said) for said in content["variables"]]
+    return Trajectory(content["t"], content["columns"], variables, content["interpolation"])

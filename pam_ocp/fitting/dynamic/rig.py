@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -19,7 +20,7 @@ from ..statistics import Array
 from .disturbances import GAIN
 from .experiment import ParameterGroup, named
 
-__all__ = ["Delay", "Rig", "RunUnknowns", "given_starts", "known_rig", "unknowns_of"]
+__all__ = ["Delay", "Rig", "RunUnknowns", "Unknown", "given_starts", "known_rig", "unknowns_of"]
 
 Delay: TypeAlias = "float | tuple[float, float] | Mapping[str, float | tuple[float, float]]"
 """[s] of all inputs, or by input (a name or a pattern: those have one delay in common); a pair is
@@ -43,102 +44,131 @@ class Rig:
     corrections: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class RunUnknowns:
-    """Everything that is sought in free runs, scaled: z = (parameters, dead times, gains - 1,
-    offsets, starts, corrections, starts of each record).
+KINDS = ("groups", "delays", "gains", "offsets", "starts", "corrections", "own_starts")
+"""Of unknowns, in their order; those of the plant and of its sensors first."""
+OF_MODEL = KINDS[:4]
 
-    delays : of each, the positions of its inputs. gains, offsets : positions among the measured
-    names. starts, own_starts : positions of states whose start is one for all runs, or one for each
-    record. corrections : positions (state, measured name). along : those of ``own_starts`` that
-    hold for the begin of a record: runs begin where the plant has come by then.
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """A number that is sought; guess and bounds in parts of ``scale``.
+
+    key : what it belongs to: a group of parameters; positions of the inputs that are late, of a
+    measured name (gains less 1), of a state (where it begins in all runs, or in one record), of a
+    state and the measured name that corrects it.
     """
 
-    groups: Sequence[ParameterGroup] = ()
-    delays: Sequence[tuple[int, ...]] = ()
-    gains: Sequence[int] = ()
-    offsets: Sequence[int] = ()
-    starts: Sequence[int] = ()
-    corrections: Sequence[tuple[int, int]] = ()
-    own_starts: Sequence[int] = ()
-    along: Sequence[int] = ()
-    records: int = 1
-    names: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    guess: Array = field(default_factory=lambda: np.empty(0))
-    scale: Array = field(default_factory=lambda: np.empty(0))
-    low: Array = field(default_factory=lambda: np.empty(0))
-    high: Array = field(default_factory=lambda: np.empty(0))
+    kind: str
+    key: Any
+    name: str
+    unit: str
+    guess: float
+    scale: float
+    low: float
+    high: float
 
-    @property
-    def shared(self) -> int:
-        """How many unknowns are the same for all records."""
-        return len(self.names) - len(self.own_starts) * self.records
-
-    def places(self, kind: str) -> NDArray[np.intp]:
-        """Positions of one kind of unknowns in z."""
-        kinds = ("groups", "delays", "gains", "offsets", "starts", "corrections")
-        first = 0
-        for name in kinds:
-            count = len(getattr(self, name))
-            if name == kind:
-                return np.arange(first, first + count)
-            first += count
-        return np.arange(first, len(self.names))
-
-    def moved(self, kind: str, value: float, low: float, high: float) -> RunUnknowns:
-        """With all unknowns of a kind at a value, within bounds."""
-        at, found = self.places(kind), {}
-        for name, number in (("guess", value), ("low", low), ("high", high)):
-            found[name] = getattr(self, name).copy()
-            found[name][at] = number / self.scale[at]
-        return replace(self, **found)
-
-    def with_delay(
-        self,
-        inputs: tuple[int, ...],
+    @classmethod
+    def sized(
+        cls,
+        kind: str,
+        key: Any,
         name: str,
+        unit: str,
+        value: float,
         scale: float,
-        guess: float,
         low: float,
         high: float,
-    ) -> RunUnknowns:
-        """With one more dead time [s], that of the inputs at these positions."""
-        at = len(self.groups) + len(self.delays)
-        return replace(
-            self,
-            delays=(*self.delays, inputs),
-            names=(*self.names[:at], name, *self.names[at:]),
-            units=(*self.units[:at], "s", *self.units[at:]),
-            guess=np.insert(self.guess, at, guess / scale),
-            scale=np.insert(self.scale, at, scale),
-            low=np.insert(self.low, at, low / scale),
-            high=np.insert(self.high, at, high / scale),
-        )
+    ) -> Unknown:
+        """Of values in their unit."""
+        return cls(kind, key, name, unit, value / scale, scale, low / scale, high / scale)
+
+    @classmethod
+    def of_group(cls, g: ParameterGroup) -> Unknown:
+        return cls.sized("groups", g, g.name, g.unit, g.value, g.scale, g.low, g.high)
+
+    @classmethod
+    def of_start(cls, plant: Plant, place: int, kind: str) -> Unknown:
+        v = plant.states[place]
+        start = float(v.start or 0.0)
+        return cls.sized(kind, place, f"{v.name}(0)", v.unit, start, v.nominal, v.min, v.max)
+
+
+@dataclass(frozen=True, eq=False)
+class RunUnknowns:
+    """Everything that is sought in free runs: z, scaled, a row for each.
+
+    rows : in the order of KINDS, own starts record after record. records : how many of them have
+    starts of their own. along : positions of states whose own starts hold for the begin of a
+    record: runs begin where the plant has come by then.
+    """
+
+    rows: tuple[Unknown, ...] = ()
+    records: int = 1
+    along: tuple[int, ...] = ()
+
+    def of(self, kind: str) -> list[tuple[int, Any]]:
+        """(position in z, key) of each unknown of a kind."""
+        return [(i, r.key) for i, r in enumerate(self.rows) if r.kind == kind]
+
+    @cached_property
+    def groups(self) -> tuple[ParameterGroup, ...]:
+        return tuple(g for _, g in self.of("groups"))
+
+    @cached_property
+    def own_starts(self) -> tuple[int, ...]:
+        """Positions of the states that begin in each record by themselves."""
+        every = [i for _, i in self.of("own_starts")]
+        return tuple(every[: len(every) // max(self.records, 1)])
+
+    @cached_property
+    def shared(self) -> int:
+        """How many unknowns are the same for all records."""
+        return sum(r.kind != "own_starts" for r in self.rows)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(r.name for r in self.rows)
+
+    @cached_property
+    def guess(self) -> Array:
+        return np.array([r.guess for r in self.rows])
+
+    @cached_property
+    def scale(self) -> Array:
+        return np.array([r.scale for r in self.rows])
+
+    @cached_property
+    def low(self) -> Array:
+        return np.array([r.low for r in self.rows])
+
+    @cached_property
+    def high(self) -> Array:
+        return np.array([r.high for r in self.rows])
+
+    def changed(self, **columns: Sequence[Any] | Array) -> RunUnknowns:
+        """With other names, guesses or bounds, one for each."""
+        every = [
+            dict(zip(columns, own, strict=True)) for own in zip(*columns.values(), strict=True)
+        ]
+        rows = (replace(r, **own) for r, own in zip(self.rows, every, strict=True))
+        return replace(self, rows=tuple(rows))
+
+    def with_more(self, *rows: Unknown) -> RunUnknowns:
+        """With more unknowns, each behind those of its kind."""
+        every = sorted((*self.rows, *rows), key=lambda r: KINDS.index(r.kind))
+        return replace(self, rows=tuple(every))
 
     @property
     def of_model(self) -> NDArray[np.intp]:
         """Positions in z of what belongs to plant and sensors, not to an observer or a start."""
-        kinds = ("groups", "delays", "gains", "offsets")
-        return np.concatenate([self.places(k) for k in kinds]).astype(np.intp)
+        return np.nonzero([r.kind in OF_MODEL for r in self.rows])[0]
 
     def of_motions(self, plant: Plant, motions: int) -> RunUnknowns:
         """What belongs to the model, and where every state begins in each of so many motions."""
-        kept = self.of_model
-        low, high, nominal = (plant.vector("state", attribute=a) for a in ("min", "max", "nominal"))
-        starts = [f"start {i}" for i in range(motions * len(nominal))]
-        return RunUnknowns(
-            groups=self.groups,
-            delays=self.delays,
-            gains=self.gains,
-            offsets=self.offsets,
-            own_starts=tuple(range(len(nominal))),
-            records=motions,
-            names=(*(self.names[i] for i in kept), *starts),
-            scale=np.concatenate([self.scale[kept], np.tile(nominal, motions)]),
-            low=np.concatenate([self.low[kept], np.tile(low / nominal, motions)]),
-            high=np.concatenate([self.high[kept], np.tile(high / nominal, motions)]),
-        )
+        states = range(len(plant.states))
+        begin = [Unknown.of_start(plant, i, "own_starts") for i in states] * motions
+        model = (r for r in self.rows if r.kind in OF_MODEL)
+        return RunUnknowns((*model, *begin), motions)
 
     def parameters(self, plant: Plant, z: Array) -> dict[str, float]:
         """Values of the plant's parameters at z."""
@@ -161,9 +191,9 @@ class RunUnknowns:
         """Gains and offsets of the sensors at z, numbers or symbols."""
         gains: list[Any] = [known.gains.get(n, 1.0) for n in measured]
         offsets: list[Any] = [known.offsets.get(n, 0.0) for n in measured]
-        for i, j in zip(self.gains, self.places("gains").tolist(), strict=True):
+        for j, i in self.of("gains"):
             gains[i] = 1 + z[j]
-        for i, j in zip(self.offsets, self.places("offsets").tolist(), strict=True):
+        for j, i in self.of("offsets"):
             offsets[i] = z[j] * self.scale[j]
         return gains, offsets
 
@@ -180,20 +210,18 @@ class RunUnknowns:
         """The rig at z, with what was ``known`` of its dead times."""
         value, states = z * self.scale, [v.name for v in plant.states]
 
-        def found(kind: str, keys: Sequence[Any], first: float = 0.0) -> dict[Any, float]:
-            return {
-                k: first + float(value[j]) for k, j in zip(keys, self.places(kind), strict=True)
-            }
+        def found(kind: str) -> list[tuple[Any, float]]:
+            return [(key, float(value[j])) for j, key in self.of(kind)]
 
         delays = dict(known.delays)
-        for members, late in found("delays", self.delays).items():
+        for members, late in found("delays"):
             delays |= {plant.inputs[i].name: late for i in members}
         return Rig(
             delays,
-            found("gains", [measured[i] for i in self.gains], 1.0),
-            found("offsets", [measured[i] for i in self.offsets]),
-            found("starts", [states[i] for i in self.starts]),
-            found("corrections", [(states[i], measured[k]) for i, k in self.corrections]),
+            {measured[i]: 1.0 + v for i, v in found("gains")},
+            {measured[i]: v for i, v in found("offsets")},
+            {states[i]: v for i, v in found("starts")},
+            {(states[i], measured[k]): v for (i, k), v in found("corrections")},
         )
 
 
@@ -258,65 +286,38 @@ def unknowns_of(
     """
     order = [v.name for v in plant.states]
     inputs = [v.name for v in plant.inputs]
-    rows: list[tuple[str, str, float, float, float, float]] = [
-        (g.name, g.unit, g.value / g.scale, g.scale, g.low / g.scale, g.high / g.scale)
-        for g in groups
-    ]
-    free_delays: list[tuple[int, ...]] = []
+    rows = [Unknown.of_group(g) for g in groups]
     known: dict[str, float] = {}
     for names, ends in _delays(plant, delay):
         if isinstance(ends, tuple):
-            low, high = ends
-            free_delays.append(tuple(inputs.index(n) for n in names))
+            members = tuple(inputs.index(n) for n in names)
             label = "delay" if len(names) == len(inputs) else f"delay of {' = '.join(names)}"
-            middle = (low + high) / 2
-            rows.append((label, "s", middle / sampling, sampling, low / sampling, high / sampling))
+            middle = sum(ends) / 2
+            rows.append(Unknown.sized("delays", members, label, "s", middle, sampling, *ends))
             known |= dict.fromkeys(names, middle)
         else:
             known |= dict.fromkeys(names, ends)
     gained = [_place("gains", n, plant, measured) for n in require_names("gains", gains)]
     shifted = [_place("offsets", n, plant, measured) for n in require_names("offsets", offsets)]
-    rows += [(f"{measured[i]}.gain", "1", 0.0, 1.0, -0.9, np.inf) for i in gained]
+    for i in gained:
+        rows.append(Unknown("gains", i, f"{measured[i]}.gain", "1", 0.0, 1.0, -0.9, np.inf))
     for i in shifted:
-        variable = plant.variable(measured[i])
-        rows.append(
-            (f"{variable.name}.offset", variable.unit, 0.0, variable.nominal, -np.inf, np.inf)
-        )
+        v = plant.variable(measured[i])
+        name = f"{v.name}.offset"
+        rows.append(Unknown("offsets", i, name, v.unit, 0.0, v.nominal, -np.inf, np.inf))
     common, own = _starts(plant, starts, measured)
-    begin = [_start_row(plant, s) for s in common]
-    rows += begin
-    pulls, values = _corrections(plant, correct, measured, sampling, pushed or {})
-    rows += values
-    guesses = dict(hidden or {})
+    rows += [Unknown.of_start(plant, place, "starts") for place in common]
+    pulls = _corrections(plant, correct, measured, sampling, pushed or {})
+    guesses = hidden or {}
     for r in range(records):
         for place in (*own, *guesses):
-            name, unit, value, size, low, high = _start_row(plant, place)
-            if place in guesses:
-                value = float(guesses[place][r]) / size
-            rows.append((f"{name[:-1]}, record {r + 1})", unit, value, size, low, high))
-    guess, scale, low_z, high_z = np.array([r[2:] for r in rows], dtype=float).reshape(-1, 4).T
-    unknowns = RunUnknowns(
-        tuple(groups),
-        tuple(free_delays),
-        tuple(gained),
-        tuple(shifted),
-        tuple(common),
-        tuple(pulls),
-        (*own, *guesses),
-        tuple(guesses),
-        records,
-        tuple(r[0] for r in rows),
-        tuple(r[1] for r in rows),
-        guess,
-        scale,
-        low_z,
-        high_z,
-    )
+            row = Unknown.of_start(plant, place, "own_starts")
+            guess = float(guesses[place][r]) / row.scale if place in guesses else row.guess
+            rows.append(replace(row, name=f"{row.name[:-1]}, record {r + 1})", guess=guess))
+    unknowns = RunUnknowns(tuple(rows), records, tuple(guesses)).with_more(*pulls)
     rig = Rig(
         {n: d for n, d in known.items() if d},
-        corrections={
-            (order[s], measured[y]): v[2] * v[3] for (s, y), v in zip(pulls, values, strict=True)
-        },
+        corrections={(order[p.key[0]], measured[p.key[1]]): p.guess * p.scale for p in pulls},
     )
     return unknowns, rig
 
@@ -402,26 +403,14 @@ def _starts(
     return common, own
 
 
-def _start_row(plant: Plant, place: int) -> tuple[str, str, float, float, float, float]:
-    v = plant.states[place]
-    return (
-        f"{v.name}(0)",
-        v.unit,
-        float(v.start or 0.0) / v.nominal,
-        v.nominal,
-        v.min / v.nominal,
-        v.max / v.nominal,
-    )
-
-
 def _corrections(
     plant: Plant,
     given: Mapping[str, Sequence[str]] | bool,
     measured: Sequence[str],
     sampling: float,
     pushed: Mapping[str, tuple[str, int]],
-) -> tuple[list[tuple[int, int]], list[tuple[str, str, float, float, float, float]]]:
-    """Positions (state, measured name) of gains that are sought, and their rows.
+) -> list[Unknown]:
+    """Gains that are sought.
 
     A measured state takes up a part of its own error (from none to all), its velocity what of it
     lies within one sampling interval; others begin at zero.
@@ -439,19 +428,20 @@ def _corrections(
     elif not given:
         own = {}
     own |= {state: [name] for state, (name, _) in pushed.items()}
-    places, rows = [], []
+    rows = []
     for state, seen in own.items():
         for name in seen:
-            places.append((order.index(state), list(measured).index(name)))
-            label = f"correction of {state} by {name}"
             x, y = plant.variable(state), plant.variable(name)
             unit = "1" if x.unit == y.unit else f"({x.unit})/({y.unit})"
             if state == name:
-                rows.append((label, unit, 0.9, 1.0, 0.0, 1.0))
+                ends = (0.9, 1.0, 0.0, 1.0)
             elif velocities.get(state) == name:
-                rows.append((label, unit, 0.4, 1 / sampling, 0.0, 1.0))
+                ends = (0.4, 1 / sampling, 0.0, 1.0)
             elif state in pushed:
-                rows.append((label, unit, GAIN, sampling ** -pushed[state][1], 0.0, 1.0))
+                ends = (GAIN, sampling ** -pushed[state][1], 0.0, 1.0)
             else:
-                rows.append((label, unit, 0.0, x.nominal / y.nominal, -np.inf, np.inf))
-    return places, rows
+                ends = (0.0, x.nominal / y.nominal, -np.inf, np.inf)
+            key = (order.index(state), list(measured).index(name))
+            label = f"correction of {state} by {name}"
+            rows.append(Unknown("corrections", key, label, unit, *ends))
+    return rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -17,7 +17,7 @@ from ...numerics.rosenbrock import ros2_with_slopes
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup
-from .rig import Rig, RunUnknowns
+from .rig import Rig, RunUnknowns, Unknown
 from .runs import Runs, RunSteps
 
 __all__ = ["Rollout", "require_followed", "spreads"]
@@ -63,9 +63,7 @@ class Rollout:
         static: bool = False,
     ) -> None:
         if not isinstance(unknowns, RunUnknowns):
-            unknowns = RunUnknowns(
-                groups=tuple(unknowns), names=tuple(g.name for g in unknowns), records=0
-            )
+            unknowns = RunUnknowns(tuple(map(Unknown.of_group, unknowns)), 0)
         self._plant, self.runs, self._unknowns, self._rig = plant, runs, unknowns, rig or Rig()
         self.spread = spreads(plant, runs.names, runs.measured)
         every = np.ones(len(runs.names)) if weigh is None else weigh
@@ -80,6 +78,11 @@ class Rollout:
             plant, runs, unknowns, self._rig, self._count, static
         )
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
+
+    def finer(self) -> Rollout:
+        """With steps of half the length."""
+        halved = replace(self.runs, steps=2 * self.runs.steps)
+        return Rollout(self._plant, halved, self._unknowns, self._rig)
 
     # ---- what is asked for --------------------------------------------------------------------
     def predicted(self, z: Array) -> Array:
@@ -110,11 +113,15 @@ class Rollout:
                 found[r, : len(block)] = block
         return np.asarray(found.reshape(n * k * ny, -1))
 
-    def normal(self, z: Array) -> tuple[float, Array, Array, int]:
-        """(cost, J^T r, J^T J, number of runs with damped rows); nothing larger is ever held."""
+    def normal(self, z: Array, other: Array | None = None) -> tuple[float, Array, Array, int]:
+        """(cost, J^T r, J^T J, number of runs with damped rows); nothing larger is ever held.
+
+        other : residuals (n, K, ny) in place of those at z.
+        """
         cost, gradient, square, damped = 0.0, np.zeros(len(z)), np.zeros((len(z), len(z))), 0
-        for _, errors, slopes, wild in self.blocks(z):
-            flat, e = slopes.reshape(-1, len(z)), errors.ravel()
+        for rows, errors, slopes, wild in self.blocks(z):
+            own = errors if other is None else other[rows, : slopes.shape[1] // other.shape[2]]
+            flat, e = slopes.reshape(-1, len(z)), own.ravel()
             cost += float(e @ e)
             gradient += flat.T @ e
             square += flat.T @ flat
@@ -163,7 +170,7 @@ class Rollout:
                 continue
             part = min(1.0, float(spread) / self._plant.variable(name).nominal)
             own = {order.index(n) for n in (name, velocity.get(name, name))}
-            places = [j for j, i in zip(u.places("starts"), u.starts, strict=True) if i in own]
+            places = [j for j, i in u.of("starts") if i in own]
             places += [u.shared + k for k, i in enumerate(u.own_starts) if i in own]
             found[places] = part
         return found
@@ -244,11 +251,11 @@ class Rollout:
         u = self._unknowns
         inputs = [v.name for v in self._plant.inputs]
         delays = np.array([self._rig.delays.get(n, 0.0) for n in inputs])
-        for place, members in zip(u.places("delays"), u.delays, strict=True):
+        for place, members in u.of("delays"):
             delays[list(members)] = z[place] * u.scale[place]
         if self._steps[0] != delays.tobytes() or not self._steps[1]:
             found = [e.steps(delays, self._late, self._count) for e in self.runs.inputs]
-            self._steps = delays.tobytes(), [_numbers(f, bool(u.delays)) for f in found]
+            self._steps = delays.tobytes(), [_numbers(f, bool(u.of("delays"))) for f in found]
         return self._steps[1], delays
 
     def _begun(self, z: Array) -> tuple[Array, Array]:
@@ -268,11 +275,11 @@ class Rollout:
             rate = velocity.get(name)
             late = [order.index(rate)] if rate is not None and rate not in runs.names else []
             x0[:, late] /= gain[i]
-            for j in u.places("offsets")[[k == i for k in u.offsets]] if u.offsets else ():
+            for j in (j for j, k in u.of("offsets") if k == i):
                 slopes[:, place, j] = -u.scale[j] / gain[i]
-            for j in u.places("gains")[[k == i for k in u.gains]] if u.gains else ():
+            for j in (j for j, k in u.of("gains") if k == i):
                 slopes[:, [place, *late], j] = -x0[:, [place, *late]] * u.scale[j] / gain[i]
-        for j, place in zip(u.places("starts"), u.starts, strict=True):
+        for j, place in u.of("starts"):
             x0[:, place] = z[j] * u.scale[j]
             slopes[:, place, j] = u.scale[j]
         own = len(u.own_starts)
@@ -336,13 +343,14 @@ def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tu
     samplings = np.array([np.ptp(e.t) / (len(e.t) - 1) for e in runs.inputs if e.held])
     if not samplings.size:
         return ()
-    free = {i for members in unknowns.delays for i in members}
+    sought = [members for _, members in unknowns.of("delays")]
+    free = {i for members in sought for i in members}
     known: dict[float, list[int]] = {}
     for i, v in enumerate(plant.inputs):
         part = (rig.delays.get(v.name, 0.0) / samplings) % 1.0
         if i not in free and np.any((part > 1e-9) & (part < 1 - 1e-9)):
             known.setdefault(rig.delays[v.name], []).append(i)
-    return (*unknowns.delays, *(tuple(members) for members in known.values()))
+    return (*sought, *(tuple(members) for members in known.values()))
 
 
 def _numbers(steps: RunSteps, free: bool) -> Array:
@@ -382,7 +390,7 @@ def _functions(
     nx, nu, ny = len(plant.states), len(plant.inputs), len(runs.names)
     nz = unknowns.shared
     local = nz + len(unknowns.own_starts)
-    per_step = nu * (5 if unknowns.delays else 2) + 1
+    per_step = nu * (5 if unknowns.of("delays") else 2) + 1
     z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, local)
     at = ca.SX.sym("at", nu)
     u = ca.SX.sym("u", per_step)
@@ -441,12 +449,12 @@ def _driving(unknowns: RunUnknowns, z: ca.SX, at: ca.SX, u: ca.SX) -> tuple[ca.S
     """
     nu = at.numel()
     early, late, h = u[:nu], u[nu : 2 * nu], u[2 * nu]
-    if not unknowns.delays:
+    if not unknowns.of("delays"):
         return early, late, h
     shift = ca.SX.zeros(nu)
-    for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
+    for place, members in unknowns.of("delays"):
         for i in members:
-            shift[i] = z[int(place)] * unknowns.scale[place] - at[i]
+            shift[i] = z[place] * unknowns.scale[place] - at[i]
     gained = ca.reshape(u[2 * nu + 1 :], nu, 3)
     moved = early + gained[:, 0] * shift, late + gained[:, 1] * shift
     return *moved, h + ca.dot(gained[:, 2], shift)
@@ -471,6 +479,6 @@ def _gains(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) 
     found = ca.SX(len(order), len(runs.names))
     for (state, name), value in rig.corrections.items():
         found[order.index(state), runs.names.index(name)] = value
-    for place, (i, k) in zip(unknowns.places("corrections"), unknowns.corrections, strict=True):
-        found[i, k] = z[int(place)] * unknowns.scale[place]
+    for place, (i, k) in unknowns.of("corrections"):
+        found[i, k] = z[place] * unknowns.scale[place]
     return found

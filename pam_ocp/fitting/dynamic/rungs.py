@@ -23,11 +23,11 @@ from ...plants.dead_time import DelayLine
 from ...plants.plant import Plant
 from ...plants.undelayed import without_dead_times
 from ..statistics import Array, Coefficient
-from .descent import Descent, descend
 from .experiment import ParameterGroup, groups, measured_names, with_inputs
-from .rig import Rig, RunUnknowns, unknowns_of
+from .free_run_result import fineness, spread_of
+from .gauss_newton import Descent, descend
+from .rig import Rig, RunUnknowns, Unknown, unknowns_of
 from .rollout import Rollout, require_followed
-from .run_statistics import fineness, spread_of
 from .runs import Runs, runs_of, settled_starts
 
 __all__ = [
@@ -265,9 +265,9 @@ def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
     unknowns, _ = unknowns_of(bare, kept, task.outputs, len(records), sampling, hidden=hidden)
     inputs = [v.name for v in bare.inputs]
     for g in late or ():
-        members = [inputs.index(n.outlet) for n in lines if names[n.time] in g.members]
-        ends = (g.value, g.low, g.high)
-        unknowns = unknowns.with_delay(tuple(members), g.name, sampling, *ends)
+        members = tuple(inputs.index(n.outlet) for n in lines if names[n.time] in g.members)
+        ends = (g.value, sampling, g.low, g.high)
+        unknowns = unknowns.with_more(Unknown.sized("delays", members, g.name, "s", *ends))
     times = {line.outlet: float(plant.variable(line.time).start or 0.0) for line in lines}
     rig = Rig({n: d for n, d in times.items() if d})
     start, static = unknowns.guess, rung.static
@@ -412,7 +412,7 @@ def _accurate(model: RungModel) -> tuple[RungModel, dict[str, Coefficient]]:
         finer = replace(model, steps=2 * model.steps)
         if model.static or finer.steps > MOST_STEPS:
             return model, found
-        if fineness(rollout, z, finer.rollout().predicted(z), ~edge, stderr).fine:
+        if fineness(rollout, z, ~edge, stderr).fine:
             return model, found
         model = finer
 

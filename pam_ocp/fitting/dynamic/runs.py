@@ -25,7 +25,17 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import measured_names, recorded
 
-__all__ = ["FreeRun", "RunInputs", "RunSteps", "Runs", "hidden_states", "runs_of", "settled_starts"]
+__all__ = [
+    "LEAST_STEPS",
+    "MOST_STEPS",
+    "FreeRun",
+    "RunInputs",
+    "RunSteps",
+    "Runs",
+    "hidden_states",
+    "runs_of",
+    "settled_starts",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +134,8 @@ def _shared(spans: Array, count: int) -> NDArray[np.intp]:
     return found
 
 
+LEAST_STEPS, MOST_STEPS = 4, 64
+"""In a sampling interval: where the search for enough of them begins and ends."""
 FAR = 100.0
 """Ranges of a measured variable by which a run must be off to count as diverged."""
 

@@ -13,7 +13,7 @@ is, and where a step of a parameter moves it, the residuals follow.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
@@ -65,10 +65,8 @@ class FitProblem:
     def delay(self, head: Array) -> float:
         """At these values of the unknowns [s]."""
         u = self.unknowns
-        if not u.delays:
-            return self.known_delay
-        (place,) = u.places("delays")
-        return float(head[place] * u.scale[place])
+        late = [float(head[j] * u.scale[j]) for j, _ in u.of("delays")]
+        return late[0] if late else self.known_delay
 
     @property
     def nominal(self) -> Array:
@@ -142,7 +140,7 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
 
     rows = mesh.interval.tolist()
     late: Any = problem.known_delay
-    for place in u.places("delays").tolist():
+    for place, _ in u.of("delays"):
         late = head[place] * u.scale[place]
     modelled = way.read.map(len(rows))(
         way.begins[:, rows],
@@ -300,7 +298,7 @@ def unknowns_with_starts(
         **sensed,
     )
     names = u.names if len(experiments) > 1 else [n.replace(", record 1)", ")") for n in u.names]
-    return replace(u, names=tuple(names), guess=np.clip(u.guess, u.low, u.high))
+    return u.changed(name=names, guess=np.clip(u.guess, u.low, u.high))
 
 
 def usual(experiments: Sequence[Experiment]) -> float:

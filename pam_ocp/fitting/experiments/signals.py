@@ -35,10 +35,18 @@ from ..dynamic.plant_fit import PlantFit
 from ..static.force_fit import ForceFit
 from ..statistics import Array, student_t
 from .cells import CellDesign, design_cells
-from .excitation import RANDOM, Excitation, Family, criterion_of, random_signals, span
+from .excitation import (
+    RANDOM,
+    Excitation,
+    Family,
+    GapSignal,
+    close_gap,
+    criterion_of,
+    random_signals,
+    span,
+)
 from .excitation import excitation as excitation_of
 from .optimal import chosen
-from .visits import GapSignal, close_gap
 
 __all__ = ["CellDesign", "SignalDesign", "design_cells", "design_experiment", "design_signal"]
 

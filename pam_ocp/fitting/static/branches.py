@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...core.arguments import with_kinds
 from ...core.errors import InputError, require_instance
 from ...core.shown import shown
-from ..statistics import Array
+from ..statistics import Array, f_test
 from ..tables.force_table import ForceTable, require_table
 from .optimum import Optimum
 
@@ -88,8 +88,6 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
     >>> found.probability < 0.01  # what is left over is no noise
     True
     """
-    from scipy.special import fdtrc
-
     require_instance("fit", fit, Optimum, "give what fit_force() returned")
     if fit.terms.loss != "squares" or fit.terms.priors:
         raise InputError("lack_of_fit needs loss='squares' without priors")
@@ -109,14 +107,14 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
     means = np.bincount(group, w * fit.cells.force) / np.bincount(group, w)
     pure = float(np.sum(w * (fit.cells.force - means[group]) ** 2))
     misfit = max(fit.squares - pure, 0.0)
-    f = (misfit / misfit_dof) / (pure / pure_dof) if pure else float("inf")
+    f, probability = f_test(misfit, misfit_dof, pure, pure_dof)
     return LackOfFit(
         float(np.sqrt(pure / pure_dof)),
         pure_dof,
         float(np.sqrt(misfit / misfit_dof)),
         misfit_dof,
-        float(f),
-        float(fdtrc(misfit_dof, pure_dof, f)) if np.isfinite(f) else 0.0,
+        f,
+        probability,
     )
 
 

@@ -22,7 +22,7 @@ from ...core.executors import placed
 from ...core.plausible import outside
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
-from ..statistics import Array
+from ..statistics import Array, f_test
 from ..tables.force_table import ForceTable
 from .branches import hysteresis, lack_of_fit, repeats
 from .campaign_files import collected, joined
@@ -372,8 +372,6 @@ def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
     """Probability that sharing costs as much by noise alone (F-test of nested fits, independent
     errors).
     """
-    from scipy.special import fdtrc
-
     if any(f.terms.loss != "squares" for f in alone):
         return float("nan")
     free = sum(f.squares for f in alone)
@@ -381,4 +379,4 @@ def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
     more = joint.dof - dof
     if more < 1 or dof < 1 or free <= 0:
         return float("nan")
-    return float(fdtrc(more, dof, max(joint.cost - free, 0.0) / more / (free / dof)))
+    return f_test(joint.cost - free, more, free, dof)[1]

@@ -11,8 +11,8 @@ from typing import Any
 from ...core.errors import InputError, PamError, kind_of, require_positive
 from ...core.files import require_local
 from ...core.units import unit
+from ..tables.cells import branch_of, is_unit, parse_header
 from ..tables.force_table import ForceTable, joined_tables, read_table
-from ..tables.headers import branch_of, is_unit, parse_header
 from ..tables.sources import ENDINGS, is_readable, load
 
 __all__ = ["Measured", "collected", "joined"]

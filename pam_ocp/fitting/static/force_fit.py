@@ -176,7 +176,7 @@ class ForceFit(Optimum):
             low, high = self._swept_band(pressure, contraction, level, low, high)
         new = t * self._new_error if self.dof else np.inf
         wide = (force - np.hypot(force - low, new), force + np.hypot(high - force, new))
-        return _pulling(force, error, (low, high), wide, level, away)
+        return Prediction.of_law(force, error, (low, high), wide, level, away)
 
     @cached_property
     def _bends(self) -> bool:
@@ -467,21 +467,3 @@ def _hull(points: Array) -> Array:
         low, high = points.min(axis=0), points.max(axis=0)
         sides = [[-1, 0, low[0]], [1, 0, -high[0]], [0, -1, low[1]], [0, 1, -high[1]]]
         return np.array(sides, dtype=float)
-
-
-def _pulling(
-    force: Array,
-    stderr: Array,
-    confidence: tuple[Array, Array],
-    prediction: tuple[Array, Array],
-    level: float,
-    away: NDArray[np.bool_],
-) -> Prediction:
-    """What a law and its bands say of a muscle, which is slack where they are below zero."""
-
-    def up(pair: tuple[Array, Array]) -> tuple[Array, Array]:
-        return np.asarray(np.maximum(pair[0], 0.0)), np.asarray(np.maximum(pair[1], 0.0))
-
-    slack = np.asarray(force <= 0)
-    pull = np.asarray(np.maximum(force, 0.0))
-    return Prediction(pull, stderr, up(confidence), up(prediction), level, slack, away)

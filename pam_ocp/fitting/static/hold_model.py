@@ -34,6 +34,8 @@ far below all damping, so that friction is what it is on the way.
 STEPS, HALVINGS = 40, 8
 SETTLED = 1e-11
 """Step, in nominal sizes, at which an equilibrium counts as found."""
+BLOCK = 4096
+"""Holds that are computed at a time; the results of all operations take memory for so many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +117,15 @@ class HoldModel:
 
     def at(self, z: Array, estimates: Array) -> list[Array]:
         """Residuals, their derivatives in z and estimates; the same of what is measured."""
+        blocks = [
+            self._at(slice(low, low + BLOCK), z[low : low + BLOCK], estimates)
+            for low in range(0, max(len(z), 1), BLOCK)
+        ]
+        return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
+
+    def _at(self, part: slice, z: Array, estimates: Array) -> list[Array]:
         n, m, k, y = len(z), len(self.sought), len(estimates), len(self.measured)
-        flat = self.function(*z.T, *estimates, *self.constants)
+        flat = self.function(*z.T, *estimates, *(c[part] for c in self.constants))
         sizes = [(m,), (m, m), (m, k), (y,), (y, m), (y, k)]
         found, first = [], 0
         for size in sizes:

@@ -25,7 +25,7 @@ from ...plants.plant import Plant, require_plant
 from ...plants.plant_data import carried
 from ..estimates import Estimates, at_edge, correlation_lines
 from ..statistics import Array, Coefficient, Linearisation
-from ..tables.headers import named_branch
+from ..tables.cells import named_branch
 from ..tables.records import read_record
 from ..tables.sources import load
 from .correlation import Order, serial_errors

@@ -131,14 +131,14 @@ class JointForceFit(Estimates):
     solver: SolverStatistics
     problem: JointProblem = field(repr=False)
 
+    @property
+    def _called(self) -> str:
+        return "unknown of the joint fit"
+
     def __getitem__(self, name: str) -> MemberFit:
         if name not in self.fits:
             raise UnknownNameError("muscle of the joint fit", name, self.fits)
         return self.fits[name]
-
-    @property
-    def _called(self) -> str:
-        return "unknown of the joint fit"
 
     @property
     def cost(self) -> float:

@@ -300,7 +300,7 @@ def fit_branches(
     ...     np.tile(table.force, 2),
     ...     branch=("inflation",) * 126 + ("deflation",) * 126,
     ... )
-    >>> sorted(pam.fit_branches(both))
+    >>> sorted(pam.fitting.fit_branches(both))
     ['deflation', 'inflation']
     """
     if not require_table(table).branches:

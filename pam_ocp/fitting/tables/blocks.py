@@ -16,10 +16,19 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from ...core.units import unit
-from .cells import is_empty, is_number, number
+from .cells import (
+    COMMANDS,
+    NAMES,
+    TIME_NAMES,
+    branch_of,
+    is_empty,
+    is_number,
+    is_unit,
+    number,
+    parse_header,
+)
 from .clock import GAP, find_clock, read_clock, usual_step
 from .dialect import Grid, Unsaid
-from .headers import COMMANDS, NAMES, TIME_NAMES, branch_of, is_unit, parse_header
 from .raw import Doubt, RawTable
 
 __all__ = [

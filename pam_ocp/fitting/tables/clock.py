@@ -22,8 +22,7 @@ from ...core.calibration import scale_of
 from ...core.errors import InputError, UnknownNameError, require_positive
 from ...core.plausible import MEASURED, inside_by
 from ...core.units import unit
-from .cells import is_empty, is_stamp
-from .headers import TIME_NAMES, is_unit, parse_header
+from .cells import TIME_NAMES, is_empty, is_stamp, is_unit, parse_header
 from .raw import Doubt, RawTable
 
 __all__ = [

@@ -17,20 +17,22 @@ from ...core.errors import InputError, UnknownNameError
 from ...core.plausible import MEASURED, inside_by, units_of
 from ...core.units import Unit, unit
 from ...core.variables import Variable
-from .cells import is_empty, is_number, is_stamp
-from .doubts import Column
-from .headers import (
+from .cells import (
     COMMANDS,
     LABELS,
     NAMES,
     PLACES,
     QUANTITIES,
+    is_empty,
+    is_number,
+    is_stamp,
     is_unit,
     named_branch,
     parse_header,
     words_of,
 )
-from .headers import MEASURED as SAID_MEASURED
+from .cells import MEASURED as SAID_MEASURED
+from .doubts import Column
 from .raw import RawTable
 
 if TYPE_CHECKING:

@@ -18,9 +18,8 @@ from ...core.calibration import Scale
 from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, inside_by
 from ...core.units import unit
 from ...core.variables import Variable
-from .cells import is_empty, is_number, numbers_of
-from .headers import MEASURED as SAID_MEASURED
-from .headers import NAMES, PLACES
+from .cells import MEASURED as SAID_MEASURED
+from .cells import NAMES, PLACES, is_empty, is_number, numbers_of
 from .raw import Doubt, RawTable
 
 __all__ = [

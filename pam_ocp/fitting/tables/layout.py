@@ -14,9 +14,8 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
 from .blocks import looks_pivoted, periods, pivoted, side_by_side, stacked
-from .cells import is_empty, is_number, is_stamp, parted, without_units
+from .cells import is_empty, is_number, is_stamp, is_unit, parted, without_units
 from .dialect import Grid, Unsaid, nothing_in
-from .headers import is_unit
 from .raw import RawTable
 
 __all__ = ["given_names", "has_table", "require_distinct", "tabulated"]

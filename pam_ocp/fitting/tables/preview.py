@@ -13,12 +13,11 @@ import numpy as np
 
 from ...core.calibration import Scale
 from ...core.errors import InputError
-from .cells import is_empty, is_stamp
+from .cells import LABELS, QUANTITIES, is_empty, is_stamp
 from .clock import find_clock
 from .dialect import Unsaid
 from .doubts import Understood
 from .force_table import ForceTable, TableArguments, table_of
-from .headers import LABELS, QUANTITIES
 from .raw import Doubt, RawTable, ReadingArguments
 from .records import RecordArguments, loaded, record_parts
 from .sources import is_source, naming, sources_of

@@ -24,8 +24,16 @@ from ...core.errors import InputError, UnknownNameError, require_count, require_
 from ...core.files import MOST_NAME
 from ...core.plausible import UnitWarning, doubt, outside
 from ...core.quantities import quantity
-from .cells import decimal_of, numbers_of
-from .headers import LABELS, NAMES, QUANTITIES, is_unit, matching, parse_header
+from .cells import (
+    LABELS,
+    NAMES,
+    QUANTITIES,
+    decimal_of,
+    is_unit,
+    matching,
+    numbers_of,
+    parse_header,
+)
 
 __all__ = [
     "Doubt",

@@ -17,6 +17,7 @@ from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
+from .cells import parse_header
 from .clock import (
     Clock,
     doubts_of_clock,
@@ -35,7 +36,6 @@ from .doubts import (
     doubts_of,
     kind_of,
 )
-from .headers import parse_header
 from .raw import Doubt, RawTable, Reading, ReadingArguments, complete, say
 from .sources import is_source, load, naming, sources_of
 

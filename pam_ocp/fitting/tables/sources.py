@@ -37,7 +37,16 @@ from ...core.foreign import (
     read_sheets,
 )
 from ...core.recorders import is_bag, read_bag, read_calamine, read_mcap, read_tdms
-from .cells import decimal_of, is_empty, parted, without_units
+from .cells import (
+    NAMES,
+    TIME_NAMES,
+    decimal_of,
+    is_empty,
+    is_unit,
+    parse_header,
+    parted,
+    without_units,
+)
 from .dialect import (
     Grid,
     Unsaid,
@@ -48,7 +57,6 @@ from .dialect import (
     segments_of,
     tables_of,
 )
-from .headers import NAMES, TIME_NAMES, is_unit, parse_header
 from .layout import given_names, has_table, require_distinct, tabulated
 from .raw import RawTable, Reading, labels_of, with_constants
 from .trees import chosen_table, flat, left_out

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from ...core.errors import InputError, UnknownNameError
 from ...core.files import MOST_CELLS, require_size
 from .blocks import clocked, merged
-from .cells import decimal_of, is_number
+from .cells import TIME_NAMES, decimal_of, is_number, is_unit, plain
 from .dialect import Grid, Unsaid
-from .headers import TIME_NAMES, is_unit, plain
 from .raw import RawTable
 
 __all__ = ["Found", "chosen_table", "flat", "left_out", "rewritten"]

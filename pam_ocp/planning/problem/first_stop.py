@@ -15,6 +15,7 @@ from ...core.plausible import outside
 from ...judge.costs import COSTS
 from ...judge.statement import Statement, Stop, subject
 from ...operating.held import at_rest, driven_names, held, held_names, surroundings
+from ...operating.resting_point import EquilibriumError, equilibrium
 from ...plants.plant import Plant
 from ...plants.stillness import Position, settled_names, store_names, totals
 from ..transcription.guess import Point, rest_point
@@ -28,6 +29,8 @@ ROUNDS, SAME = 10, 1e-6
 """From a pressure to memories at their envelopes to the pressure there, at most, and until these
 change by less [nominal].
 """
+NEAR = 0.01
+"""To either side of where a position is expected, in nominals: the slope of a memory there."""
 KEEPS = 1e-7
 """Rate below which a tank without a source keeps its air before a motion [nominal/s]."""
 DRAWN = 1e-5
@@ -96,31 +99,53 @@ def _slid(plant: Plant, statement: Statement, first: Stop) -> dict[str, ca.SX]:
     memory = there(z)
     found = {n: ca.SX(value) for n, value in memory.items()}
     places = {n for q in plant.resting() for n in (q.name, *q.velocities)}
-    passive = {*places, *held_names(plant), *first.values}
+    unsaid = _unsaid_places(plant, first)
+    passive = {*places, *held_names(plant), *first.values} - unsaid
     rates = ca.vertcat(*(plant.expression(f"der({n})") for n in memory))
     widens = ca.which_depends(rates, symbols, 1, False)
     for i, v in enumerate(variables):
-        if not widens[i] or v.name in passive or not np.isfinite(v.max - v.min):
+        if not widens[i] or v.name in passive:
             continue
-        quarters = [float(v.min + part * (v.max - v.min)) for part in (0.25, 0.75)]
-        low, high = (there(np.where(np.arange(len(z)) == i, level, z)) for level in quarters)
+        if v.name in unsaid:  # a tendon stretches by little
+            levels = [float(z[i] + part * v.nominal) for part in (-NEAR, NEAR)]
+        elif np.isfinite(v.max - v.min):
+            levels = [float(v.min + part * (v.max - v.min)) for part in (0.25, 0.75)]
+        else:
+            continue
+        low, high = (there(np.where(np.arange(len(z)) == i, level, z)) for level in levels)
         for n in (n for n in memory if n not in store_names(plant)):  # which open valves drain
-            slope = float(high[n] - low[n]) / (quarters[1] - quarters[0])
+            slope = float(high[n] - low[n]) / (levels[1] - levels[0])
             if slope:  # at z, start values, nothing may lie beyond its envelope
-                found[n] += low[n] - memory[n] + slope * (symbols[i] - quarters[0])
+                found[n] += low[n] - memory[n] + slope * (symbols[i] - levels[0])
     ends = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
     return {n: ca.fmin(ca.fmax(line, ends[n][0]), ends[n][1]) for n, line in found.items()}
 
 
 def _named_states(plant: Plant, stop: Stop) -> NDArray[np.float64]:
-    """The states' start values, with those that a stop names."""
+    """The states' start values, with those that a stop names; positions that it does not say are
+    those of an equilibrium there, where there is one.
+    """
     ends = {n: range_of(n, v, plant.variable(n)) for n, v in stop.values.items() if "(" not in n}
     known = {n: sum(pair) / 2 for n, pair in ends.items()}
     start = plant.vector("state")
     for i, variable in enumerate(plant.states):
         if np.isfinite(known.get(variable.name, np.nan)):
             start[i] = known[variable.name]
+    unsaid = _unsaid_places(plant, stop)
+    if unsaid:
+        try:
+            point = equilibrium(plant, {n: v for n, v in known.items() if np.isfinite(v)})
+        except (EquilibriumError, InputError):
+            return start
+        for i, variable in enumerate(plant.states):
+            if variable.name in unsaid:
+                start[i] = point[variable.name]
     return start
+
+
+def _unsaid_places(plant: Plant, stop: Stop) -> set[str]:
+    """Positions of which a stop says nothing: the muscle's end, where there is a tendon."""
+    return {q.name for q in plant.resting()} - {*stop.values}
 
 
 def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -> list[Condition]:

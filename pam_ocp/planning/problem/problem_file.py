@@ -51,7 +51,7 @@ def load_problem(path: str | Path, *, allow_code: bool = False) -> tuple[Plant, 
     ... plant = { arrangement = "AntagonisticSlide", muscle = "DMSP-20-300" }
     ... '''
     >>> _ = Path("problem.toml").write_text(text)
-    >>> found, arguments = pam.load_problem("problem.toml")
+    >>> found, arguments = pam.planning.load_problem("problem.toml")
     >>> pam.plan(found, **arguments).verified
     True
     """

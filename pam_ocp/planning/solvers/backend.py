@@ -87,7 +87,7 @@ class Backend:
 def fatrop_first(
     program: Program, options: Mapping[str, Any] | None = None, progress: Progress = False
 ) -> Solver:
-    """fatrop, which works stage by stage, in a process of its own; IPOPT where it gives no
+    """fatrop, a stage-wise interior-point solver, in a separate process; IPOPT where it gives no
     solution."""
     from .fatrop import Fatrop  # with the order of stages, which nobody else needs
 

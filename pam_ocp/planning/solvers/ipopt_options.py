@@ -146,6 +146,15 @@ FEASIBLE: dict[str, Any] = {
 costs: beside the constraints it costs next to nothing.
 """
 
+NEAREST: dict[str, Any] = {
+    **FEASIBLE,
+    "mu_init": 1e-6,
+    "mu_strategy": "adaptive",
+    **dict.fromkeys(_PUSHES, 1e-6),
+    "max_iter": 60,
+}
+"""The same where limits that are active have to be left: a barrier that is lower holds them."""
+
 Start: TypeAlias = Literal[
     "cold",
     "adaptive",
@@ -157,6 +166,7 @@ Start: TypeAlias = Literal[
     "finer",
     "damped",
     "feasible",
+    "nearest",
 ]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": WANDERING,
@@ -169,4 +179,5 @@ STARTS: dict[Start, dict[str, Any]] = {
     "finer": FINER,
     "damped": CONVERGED,
     "feasible": FEASIBLE,
+    "nearest": NEAREST,
 }

@@ -85,7 +85,9 @@ LEAST_COST = 1e-5
 """Residual of stationarity up to which costs count as the least."""
 SLOWLY = "the search ended where costs fell slowly and may not be at their least (slope {:.0e})"
 STUCK = "the solver stopped beside the constraints ({}); costs may not be at their least"
-SETTLING = ("damped", "feasible")
+PROJECTIONS: tuple[Start, ...] = ("feasible", "nearest")
+"""Starts that look for a motion next to the guess, whatever it costs."""
+SETTLING: tuple[Start, ...] = ("damped", *PROJECTIONS)
 """Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
 """Residual of the constraints from which on what has settled is not led on for more."""
@@ -266,7 +268,7 @@ class Ipopt:
             if name in DAMPED and "hess_lag" in options:
                 options["hess_lag"] = _damped(options["hess_lag"], DAMPED[name])
             nlp, problem = self.program.nlp, self._library or self.program.nlp
-            if name == "feasible":  # the length of a step in place of costs
+            if name in PROJECTIONS:  # the length of a step in place of costs
                 problem = {**nlp, "f": ca.MX(0)}
                 options.pop("grad_f", None)
                 options["jac_g"] = self._derivatives["jac_g"]
@@ -321,13 +323,13 @@ class Ipopt:
                 written(program, start, found, time.process_time() - processor)
                 return found
         solver = self._solver(start)
-        if warm is not None and start != "feasible":
+        if warm is not None and start not in PROJECTIONS:
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
         result = solver(**given)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
-        if start == "feasible":
+        if start in PROJECTIONS:
             outcome = self._beside(outcome, given["p"], warm)
         written(program, start, outcome, time.process_time() - processor)
         return outcome if start in SETTLING else self.settled(program, outcome, start)

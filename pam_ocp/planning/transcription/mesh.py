@@ -266,7 +266,7 @@ class Shooting:
 
     Examples
     --------
-    >>> method = pam.Shooting(intervals=20)
+    >>> method = pam.planning.Shooting(intervals=20)
     >>> pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=method).verified
     True
     """

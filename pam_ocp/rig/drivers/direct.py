@@ -12,7 +12,7 @@ __all__ = ["TwinDriver"]
 
 @DRIVERS.register("twin")
 class TwinDriver:
-    """A twin in this process, without a transport; on a simulated clock it runs as quick as it can.
+    """A twin in this process, without a transport; on a simulated clock it runs at full speed.
 
     Examples
     --------

@@ -51,12 +51,17 @@ def unframed(line: bytes) -> str | None:
 
 
 class LineDriver(Clocked):
-    """Asks by lines and takes whole, fitting answers alone. A subclass sends and receives bytes."""
+    """Asks by lines and takes whole, fitting answers alone. A subclass sends and receives bytes.
+
+    sequence : of the last line. datagrams : lines come one by one, or in a stream of bytes.
+    """
+
+    datagrams = False
 
     def __init__(self, timeout: float, tries: int) -> None:
         super().__init__()
         self.timeout, self.tries = timeout, tries
-        self._sequence = int(time.time() * 1e3) % MOD  # newer than that of a run before
+        self.sequence = int(time.time() * 1e3) % MOD  # newer than that of a run before
         self._readings: list[str] = []
         self._commands: list[str] = []
 
@@ -73,14 +78,18 @@ class LineDriver(Clocked):
         """The next line, or b"" when ``until`` (``time.monotonic()``) is over. Raises OSError."""
         raise NotImplementedError
 
+    def fileno(self) -> int:
+        """What the loop in C writes to and reads from, as it is for a system call."""
+        raise NotImplementedError
+
     def exchange(self, code: str, numbers: Sequence[float] = ()) -> dict[str, float]:
         """The readings of an answer. Raises DriverError when none came in time."""
         text = " ".join([code, *(repr(float(n)) for n in numbers)])
         cause: object = "no answer"
         for _ in range(self.tries):
-            self._sequence = (self._sequence + 1) % MOD
+            self.sequence = (self.sequence + 1) % MOD
             try:
-                self.send(framed(f">{self._sequence} {text}"))
+                self.send(framed(f">{self.sequence} {text}"))
                 until = time.monotonic() + self.timeout
                 while line := self.receive(until):
                     if (found := self._taken(line)) is not None:
@@ -105,7 +114,7 @@ class LineDriver(Clocked):
         if not fields[0].startswith("<") or len(values) != len(self._readings):
             self.counts["damaged"] += 1
             return None
-        if sequence != self._sequence:
+        if sequence != self.sequence:
             self.counts["late"] += 1
             return None
         self.counts["answers"] += 1

@@ -59,6 +59,10 @@ class SerialLine(LineDriver):
             self._lines += self._cut(self._line.read(max(1, self._line.in_waiting)))
         return self._lines.pop(0)
 
+    def fileno(self) -> int:
+        """See :class:`LineDriver`."""
+        return int(self._line.fileno())
+
     def close(self) -> None:
         """See :class:`Driver`."""
         self._line.close()

@@ -26,6 +26,8 @@ class Udp(LineDriver):
     >>> driver.close()
     """
 
+    datagrams = True
+
     def __init__(self, host: str, port: int, timeout: float = 0.008, tries: int = 2) -> None:
         super().__init__(require_positive("timeout", timeout, "s"), require_count("tries", tries))
         self.host, self.port = host, require_count("port", port, 1, 65535)
@@ -47,6 +49,10 @@ class Udp(LineDriver):
         if left > 0 and select.select([self._socket], [], [], left)[0]:
             return self._socket.recv(LONGEST) or b"\n"
         return b""
+
+    def fileno(self) -> int:
+        """See :class:`LineDriver`."""
+        return self._socket.fileno()
 
     def close(self) -> None:
         """See :class:`Driver`."""

@@ -60,7 +60,7 @@ class LinearizeStep(Step):
 
 @STEPS.register("loads")
 class LoadsStep(Step):
-    """How a muscle rests, swings and settles against load and pressure."""
+    """Equilibrium, vibration and settling of a muscle over load and pressure."""
 
     parts: ClassVar[Mapping[str, str]] = {"muscle": "muscle"}
     loose = ("muscle",)

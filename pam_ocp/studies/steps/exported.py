@@ -48,7 +48,7 @@ def _kilobytes(path: Path) -> str:
 
 @STEPS.register("export")
 class ExportStep(Step):
-    """A plant as an FMU for Model Exchange and Co-Simulation, or a controller as one that ticks."""
+    """A plant as an FMU for Model Exchange and Co-Simulation, or a controller as a sampled FMU."""
 
     parts: ClassVar[Mapping[str, str]] = {"plant": "plant", "controller": "controller"}
     keys = ("fmi", "step_size", *_CHOSEN)

@@ -141,7 +141,7 @@ class SimulateStep(Moves):
 
 @STEPS.register("compare")
 class CompareStep(Step):
-    """How far one motion is from another, variable by variable."""
+    """Deviation of one motion from another, variable by variable."""
 
     stage = "verified"
     parts: ClassVar[Mapping[str, str]] = {"reference": "motion", "other": "motion"}

@@ -79,7 +79,7 @@ def plant_in(job: Job) -> Plant:
 
 @STEPS.register("fit-plant")
 class FitPlantStep(Step):
-    """Parameters of a plant fitted to measured records, and checked against others."""
+    """Parameters of a plant fitted to measured records, and validated on others."""
 
     stage = "fitted"
     parts: ClassVar[Mapping[str, str]] = {"plant": "plant"}

@@ -32,7 +32,7 @@ def cases_of(where: str, vary: Any) -> list[dict[str, Any]]:
 
 @STEPS.register("sweep")
 class SweepStep(Step):
-    """A step again and again, with other values in it or in what it stands on."""
+    """A step repeated with other values in it or in the steps that it uses."""
 
     needs = ("of", "vary")
     keys = ("numbers",)

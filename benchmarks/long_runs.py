@@ -1,0 +1,249 @@
+"""Long runs: whether memory and open files stay as they are, and answers too.
+
+    python benchmarks/long_runs.py [--share 1.0] [loop|mpc|plans|exports|stream ...]
+
+loop    : an Mpc and its plant as FMUs, a million steps at 1 kHz. A day has 86 million: what grows
+          by the step shows in a million as well.
+mpc     : 1e5 steps of an Mpc in Python.
+plans   : 1e4 times a plan is solved again.
+exports : 1e3 times a plant is exported, loaded and stepped (compiled once).
+stream  : 1e5 cases whose numbers go to a folder.
+
+Each runs in a process of its own; ``--share`` takes that part of it. Memory and files at the end
+are compared with those after a fifth. Answers are compared where the same is asked again. Exit code
+1 where something grew or differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+import pam_ocp as pam
+
+STEP = 1e-3
+PERIOD = 500
+"""Steps of the wanted square wave."""
+TRACKED = {"x": 1.0, "muscle1.pressure": 0.1}
+"""The pressure, too: else nothing holds both muscles' tension at a level."""
+GROWTH = 2.0
+"""Memory that may come [MB] between a fifth of the way and its end, for all that is cached late."""
+SAME = 1e-6
+"""Difference of answers, relative to the largest, that is allowed where a loop settles to them."""
+
+
+@dataclass
+class Meter:
+    """Resident memory [MB] and open files along the way."""
+
+    count: int
+    notes: list[tuple[float, int]] = field(default_factory=list)
+
+    def note(self, done: int) -> None:
+        """At each hundredth of the way."""
+        if done * 100 // self.count > len(self.notes):
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            memory = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+            self.notes.append((memory, len(os.listdir("/proc/self/fd"))))
+
+    def told(self, differ: float, allowed: float) -> bool:
+        """Print it; whether nothing grew, and answers differ by no more."""
+        (before, files), (after, more) = self.notes[len(self.notes) // 5], self.notes[-1]
+        good = after - before < GROWTH and more <= files and differ <= allowed
+        print(
+            f"{self.count} times, {process_time():.0f} s of processor; memory {before:.1f} -> "
+            f"{after:.1f} MB, files {files} -> {more}; answers differ by {differ:.1e}"
+            f"{'' if good else '  NOT FLAT OR NOT EQUAL'}",
+            flush=True,
+        )
+        return good
+
+
+def controller(sample_time: float) -> tuple[pam.Plant, Any, Any]:
+    """A slide, its Mpc, and where both begin."""
+    plant = pam.AntagonisticSlide("DMSP-20-400N", mass=2.0)
+    rate = dict.fromkeys((v.name for v in plant.inputs), 0.1)
+    ask: dict[str, Any] = {"track": TRACKED, "rate": rate, "iterations": 1}
+    horizon = round(0.05 / sample_time)
+    mpc = pam.control.Mpc(plant, horizon=horizon, sample_time=sample_time, **ask)
+    return plant, mpc, plant.equilibrium(x=0.0, stiffness=1.5e4)
+
+
+def wanted(k: int) -> dict[str, float]:
+    """The square wave [m] at a step, and the pressure [Pa]."""
+    return {"x": 0.002 if k % PERIOD < PERIOD // 2 else -0.002, "muscle1.pressure": 2.5e5}
+
+
+class Unit:
+    """An FMU in co-simulation, loaded into this process."""
+
+    def __init__(self, path: Path, start: dict[str, float]) -> None:
+        from fmpy import extract, read_model_description
+        from fmpy.fmi2 import FMU2Slave
+
+        described = read_model_description(str(path))
+        self._where = {v.name: v.valueReference for v in described.modelVariables}
+        about = {"unzipDirectory": extract(str(path)), "guid": described.guid}
+        name = described.coSimulation.modelIdentifier
+        self._fmu = FMU2Slave(modelIdentifier=name, instanceName=path.stem, **about)
+        self._fmu.instantiate()
+        self._fmu.setupExperiment(startTime=0.0)
+        self.set(start)
+        self._fmu.enterInitializationMode()
+        self._fmu.exitInitializationMode()
+        self._folder = about["unzipDirectory"]
+
+    def set(self, values: dict[str, float]) -> None:
+        """Inputs or start values by name."""
+        self._fmu.setReal([self._where[n] for n in values], list(values.values()))
+
+    def get(self, names: list[str]) -> list[float]:
+        """Values by name."""
+        found: list[float] = self._fmu.getReal([self._where[n] for n in names])
+        return found
+
+    def step(self, time: float) -> None:
+        """From a time [s] on."""
+        self._fmu.doStep(currentCommunicationPoint=time, communicationStepSize=STEP)
+
+    def close(self) -> None:
+        """Free it, unload it, delete what was unpacked."""
+        import shutil
+
+        self._fmu.terminate()
+        self._fmu.freeInstance()  # which unloads the library, too
+        shutil.rmtree(self._folder)
+
+
+def settled(count: int, step: Callable[[int], float]) -> bool:
+    """So many steps of a loop in whole periods; whether the last period is as the fourth."""
+    count = max(5, count // PERIOD) * PERIOD
+    meter, fourth, last = Meter(count), np.zeros(PERIOD), np.zeros(PERIOD)
+    for k in range(count):
+        last[k % PERIOD] = step(k)
+        if k == 4 * PERIOD - 1:
+            fourth[:] = last
+        meter.note(k + 1)
+    return meter.told(float(np.abs(last - fourth).max() / np.abs(fourth).max()), SAME)
+
+
+def loop(count: int) -> bool:
+    plant, mpc, rest = controller(STEP)
+    commands = [v.name for v in plant.inputs]
+    states = [v.name for v in plant.states]
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder, n) for n in ("mpc.fmu", "slide.fmu")]
+        for path, what in zip(paths, (pam.control.block(mpc), plant), strict=True):
+            pam.export_fmu(what, path, platforms="native", fmi="2.0")
+        begin = {n: rest[n] for n in states}
+        control = Unit(paths[0], begin)
+        slide = Unit(paths[1], {**begin, **{n: rest[n] for n in commands}})
+
+        def step(k: int) -> float:
+            seen = dict(zip(states, slide.get(states), strict=True))
+            control.set({**seen, **{f"wanted.{n}": v for n, v in wanted(k).items()}})
+            control.step(k * STEP)
+            slide.set(dict(zip(commands, control.get(commands), strict=True)))
+            slide.step(k * STEP)
+            return seen["x"]
+
+        good = settled(count, step)
+        control.close()
+        slide.close()
+    return good
+
+
+def mpc(count: int) -> bool:
+    plant, regulator, rest = controller(0.005)
+    names = [v.name for v in plant.states]
+    low, high = (plant.vector("state", attribute=a) for a in ("min", "max"))
+    regulator.reset({v.name: rest[v.name] for v in plant.inputs})
+    state = np.array(rest.x)
+
+    def step(k: int) -> float:
+        nonlocal state
+        regulator.control(state, wanted(k))
+        state = np.clip(regulator.prediction().array(names)[1], low, high)
+        return float(state[0])
+
+    return settled(count, step)
+
+
+def plans(count: int) -> bool:
+    plant = pam.AntagonisticSlide("DMSP-20-400N", mass=2.0)
+    stops = [{"x": -0.01}, {"x": 0.01}]
+    planner = pam.Planner(plant, stops, method=pam.Collocation(20, 3))
+    first, meter = planner(), Meter(count)
+    durations = np.zeros((2, 5))  # of the first five masses' turn, and of the latest
+    for k in range(count):
+        durations[1, k % 5] = planner({"mass": 1.5 + 0.25 * (k % 5)}, guess=first).duration
+        if k == 4:
+            durations[0] = durations[1]
+        meter.note(k + 1)
+    return meter.told(float(np.abs(durations[1] / durations[0] - 1).max()), 0.0)
+
+
+def exports(count: int) -> bool:
+    plant = pam.HangingLoad("DMSP-20-300", mass=10.0)
+    meter, found = Meter(count), []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "load.fmu")
+        for k in range(count):
+            pam.export_fmu(plant, path, platforms="native", fmi="2.0")
+            unit = Unit(path, {"muscle.command": 3e5})
+            unit.step(0.0)
+            found = [*found[:1], unit.get(["x"])[0]]
+            unit.close()
+            meter.note(k + 1)
+    return meter.told(abs(found[-1] - found[0]), 0.0)
+
+
+def stream(count: int) -> bool:
+    plant, meter = pam.HangingLoad("DMSP-20-300"), Meter(count)
+
+    def cases() -> Iterator[dict[str, Any]]:
+        for k in range(count):
+            yield {"parameters": {"mass": 5.0 + 0.01 * (k % 1000)}}
+
+    ask: dict[str, Any] = {"keep": {"x_end": "x.final"}, "inputs": {"muscle.command": 3e5}}
+    with tempfile.TemporaryDirectory() as folder:
+        places: dict[str, Any] = {"into": folder, "chunk": max(1000, count // 20), "executor": 0}
+        told = lambda done, _: meter.note(done)  # noqa: E731
+        kept = pam.simulate_many(plant, cases(), duration=0.1, progress=told, **ask, **places)
+        numbers = kept["x_end"]
+    return meter.told(float(np.abs(numbers[-1000:] - numbers[:1000][: len(numbers)]).max()), 1e-9)
+
+
+RUNS = {"loop": 10**6, "mpc": 10**5, "plans": 10**4, "exports": 10**3, "stream": 10**5}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("runs", nargs="*", metavar="RUN", help=", ".join(RUNS))
+    parser.add_argument("--share", type=float, default=1.0)
+    parser.add_argument("--here", action="store_true", help="in this process")
+    options = parser.parse_args()
+    failed = 0
+    for name in options.runs or RUNS:
+        if options.here:
+            print(f"{name:<8}", end="", flush=True)
+            count = max(100, round(RUNS[name] * options.share))
+            failed += not globals()[name](count)
+        else:
+            command = [sys.executable, __file__, name, "--here", "--share", str(options.share)]
+            failed += subprocess.run(command).returncode != 0
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,424 @@
+"""Random plants in every world, against pam.simulate.
+
+    python benchmarks/worlds_study.py [--plants 40] [--seed N] [--minutes M] [--worlds jax onnx ...]
+
+Each plant is drawn from everything that there is (``random_tasks.py``) and moves for 1 s, its
+inputs held for 0.2 s each. JAX integrates by itself (``simulate``); the slopes of ONNX, PyTorch and
+the Modelica source, which a reader of this file's own takes in, are integrated by SciPy's LSODA.
+MuJoCo has masses of its own: there a muscle with a feed and losses, drawn alike, lifts a weight.
+Errors are the largest over states and times, scaled by nominal values; slopes backwards (JAX,
+PyTorch) stand against central differences of CasADi's function, away from kinks. The seed is drawn
+from the clock. What a world refuses is counted by its sentence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import signal
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import random_tasks
+from scipy.integrate import solve_ivp
+
+import pam_ocp as pam
+from pam_ocp.export.worlds.formulas import identifiers
+from pam_ocp.export.worlds.modelica import RESERVED
+
+TIMES = np.linspace(0.0, 1.0, 6)
+LIMITS = {"jax": 1e-6, "torch": 1e-6, "onnx": 1e-6, "onnx single": 1e-4, "modelica": 1e-6}
+LIMITS |= {"mujoco": 1e-3, "gradients of jax": 1e-5, "gradients of torch": 1e-5}
+NEEDS = {"jax": "jax", "torch": "torch", "onnx": "onnxruntime", "mujoco": "mujoco"}
+MUJOCO_STEP = 1e-4
+SLACK_STEP = 1e-2
+"""How far from a point of the motion slopes are compared, scaled by nominal values."""
+LONGEST = 90
+"""For a plant in one world [s]; what takes longer is counted apart."""
+NOT_SIMULATED: Counter[str] = Counter()
+"""Draws that have no start or that ``pam.simulate`` refuses, by kind of error."""
+Slope = Callable[[Any, Any], Any]
+
+
+@dataclass
+class Row:
+    """What came of one world."""
+
+    errors: dict[int, float] = field(default_factory=dict)
+    refused: Counter[str] = field(default_factory=Counter)
+    failed: list[str] = field(default_factory=list)
+    late: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A plant, its inputs (6, nu), and how ``pam.simulate`` says that it moves (6, nx)."""
+
+    words: str
+    plant: pam.Plant
+    inputs: np.ndarray
+    truth: np.ndarray
+
+    @property
+    def nominal(self) -> np.ndarray:
+        return self.plant.vector("state", attribute="nominal")
+
+
+def simulated(words: str, plant: pam.Plant, inputs: np.ndarray) -> Drawn:
+    moves = {v.name: inputs[:, i] for i, v in enumerate(plant.inputs)}
+    run = pam.simulate(plant, moves, t=TIMES)
+    return Drawn(words, plant, inputs, np.column_stack([run[v.name] for v in plant.states]))
+
+
+def ranges(plant: pam.Plant) -> tuple[np.ndarray, np.ndarray]:
+    low, high = (plant.vector("input", attribute=a) for a in ("min", "max"))
+    return np.where(np.isfinite(low), low, -1), np.where(np.isfinite(high), high, 1)
+
+
+def any_plant(rng: np.random.Generator) -> Drawn:
+    """Of any maker, from its start values, inputs in the middle of their ranges."""
+    while True:
+        try:
+            made = random_tasks.chosen(rng, random_tasks.MAKERS)(rng)
+            low, high = ranges(made.plant)
+            u = low + (high - low) * rng.uniform(0.3, 0.7, (len(TIMES), len(low)))
+            return simulated(made.words, made.plant, u)
+        except (random_tasks.Infeasible, pam.PamError) as refusal:
+            NOT_SIMULATED[type(refusal).__name__] += 1
+
+
+# ---- worlds --------------------------------------------------------------------------------------
+def integrated(slope: Slope, made: Drawn, tolerance: float = 1e-10) -> np.ndarray:
+    """States at the times, by LSODA."""
+    z, rows, nominal = made.truth[0] / made.nominal, [made.truth[0]], made.nominal
+    for k, end in enumerate(TIMES[1:]):
+        run = solve_ivp(
+            lambda _, z, k=k: np.asarray(slope(z * nominal, made.inputs[k]), float) / nominal,
+            (TIMES[k], end),
+            z,
+            method="LSODA",
+            rtol=tolerance,
+            atol=tolerance,
+        )
+        if not run.success:
+            raise RuntimeError(run.message)
+        z = run.y[:, -1]
+        rows.append(z * nominal)
+    return np.array(rows)
+
+
+def in_jax(made: Drawn, folder: Path) -> np.ndarray:
+    import jax
+
+    with jax.enable_x64(True):
+        return np.array(pam.export.to_jax(made.plant).simulate(TIMES, made.inputs))
+
+
+def in_torch(made: Drawn, folder: Path) -> np.ndarray:
+    import torch
+
+    module = pam.export.to_torch(made.plant)
+    return integrated(
+        lambda x, u: module.f(0.0, torch.tensor(x), torch.tensor(u)).detach().numpy(), made
+    )
+
+
+def in_onnx(made: Drawn, folder: Path, precision: str = "double") -> np.ndarray:
+    import onnxruntime
+
+    path = pam.export.to_onnx(made.plant, folder / "plant.onnx", precision=precision)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(path, options)
+    kind = np.float64 if precision == "double" else np.float32
+    known = {i.name for i in session.get_inputs()}
+    p = made.plant.vector("parameter")[None].astype(kind)
+
+    def slope(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        given = {"x": x[None].astype(kind), "u": u[None].astype(kind), "p": p}
+        return session.run(["xdot"], {n: given[n] for n in known})[0][0]
+
+    return integrated(slope, made, 1e-10 if precision == "double" else 1e-6)
+
+
+def in_single(made: Drawn, folder: Path) -> np.ndarray:
+    return in_onnx(made, folder, "single")
+
+
+def in_modelica(made: Drawn, folder: Path) -> np.ndarray:
+    return integrated(modelica_slope(made.plant, folder), made)
+
+
+def modelica_slope(plant: pam.Plant, folder: Path) -> Slope:
+    """The equations of the source as a Python function of (x, u)."""
+    text = pam.export.export_modelica(plant, folder / "plant.mo").read_text("utf-8")
+    equations = text.split("\nequation\n")[1].rsplit("\nend ", 1)[0]
+    for modelica, python in (
+        ("noEvent(if ", "where("),
+        (" then ", ", "),
+        (" else ", ", "),
+        ("^", "**"),
+    ):
+        equations = equations.replace(modelica, python)
+    equations = re.sub(r"der\((\w+)\) =", r"der_\1 =", equations)
+    names = identifiers([v.name for v in plant.variables], RESERVED)
+    lines = [re.sub(r";$", "", line.strip()) for line in equations.splitlines()]
+    slopes = [f"der_{names[v.name]}" for v in plant.states]
+    known = {n: getattr(math, n) for n in ("exp", "log", "sqrt", "sin", "cos", "tan", "asin")}
+    known |= {n: getattr(math, n) for n in ("acos", "atan", "atan2", "sinh", "cosh", "tanh")}
+    known |= {"abs": abs, "min": min, "max": max, "floor": math.floor, "ceil": math.ceil}
+    known |= {"sign": lambda a: (a > 0) - (a < 0)}
+    values = re.findall(r"^\s*parameter Real (\w+)\(.*?\) = ([^\s;]+)", text, re.M)
+    known |= {name: float(value) for name, value in values}
+    x, u = ([names[v.name] for v in group] for group in (plant.states, plant.inputs))
+    # both branches of a condition are computed only where they are asked for, as in Modelica
+    body = "\n".join(f"    {lazy(line)}" for line in lines)
+    taken = "".join(f"    {', '.join(g)}, = {n}\n" for n, g in (("x_", x), ("u_", u)) if g)
+    exec(f"def slope_(x_, u_):\n{taken}{body}\n    return [{', '.join(slopes)}]\n", known)
+    return lambda x_, u_: known["slope_"](x_.tolist(), u_.tolist())
+
+
+def lazy(line: str) -> str:
+    """``where(a, b, c)`` as Python's ``((b) if (a) else (c))``."""
+    while (at := line.find("where(")) >= 0:
+        parts, depth, begin = [], 0, at + len("where(")
+        for end in range(begin, len(line)):
+            depth += (line[end] == "(") - (line[end] == ")")
+            if depth < 0 or (depth == 0 and line[end] == "," and len(parts) < 2):
+                parts.append(line[begin:end].strip())
+                begin = end + 1
+            if depth < 0:
+                break
+        condition, then, other = parts
+        line = f"{line[:at]}(({then}) if ({condition}) else ({other})){line[end + 1 :]}"
+    return line
+
+
+# ---- MuJoCo --------------------------------------------------------------------------------------
+WORLD = """<mujoco><option timestep="{step}" integrator="RK4" gravity="0 0 -{gravity}"/><worldbody>
+<body><joint name="x" type="slide" axis="0 0 1" damping="20"/>
+<geom type="sphere" size=".05" mass="{mass}"/></body></worldbody>{muscles}</mujoco>"""
+
+
+def lifted(rng: np.random.Generator) -> tuple[Drawn, Any, float]:
+    """A weight on any muscle with any feed and losses, its MuJoCo muscle, and its mass."""
+    while True:
+        muscle = random_tasks.any_muscle(rng)
+        top = random_tasks.top_of(rng, muscle)
+        size, length = random_tasks.sized(muscle, top), float(muscle.rest_length)
+        feed, feed_words = random_tasks.feed(rng, muscle, top)
+        losses, _, loss_words = random_tasks.losses(rng, top, size)
+        mass = size / random_tasks.GRAVITY * rng.uniform(0.08, 0.5)
+        start = 0.4 * float(muscle.contraction_range[1]) * length
+        try:
+            plant = pam.HangingLoad(muscle, mass, feed=feed, losses=losses, damping=20.0)
+            plant = plant.with_values(plant.equilibrium({"x": start}))
+            low, high = ranges(plant)
+            u = plant.vector("input") + 0.1 * (high - low) * rng.uniform(-1, 1, len(low))
+            u = np.tile(np.clip(u, low, high), (len(TIMES), 1))
+            words = random_tasks.told(muscle.name, f"{mass:.1f} kg", feed_words, loss_words)
+            made = simulated(words, plant, u)
+        except pam.PamError:
+            continue
+        one = pam.export.MujocoMuscle("muscle", muscle, {"x": -1.0}, feed, losses, offset=length)
+        return made, one, mass
+
+
+def in_mujoco(made: Drawn, one: Any, mass: float) -> np.ndarray:
+    """Rows of x and v."""
+    import mujoco
+
+    muscles = pam.export.to_mujoco([one])
+    scene = {"step": MUJOCO_STEP, "gravity": random_tasks.GRAVITY, "mass": mass}
+    model = mujoco.MjModel.from_xml_string(WORLD.format(muscles=muscles.mjcf(), **scene))
+    data = mujoco.MjData(model)
+    given = (made.truth[0], made.inputs[0])
+    groups = zip((made.plant.states, made.plant.inputs), given, strict=True)
+    values = {v.name: x for group, row in groups for v, x in zip(group, row, strict=True)}
+    known = {v.name for v in (*one.plant.states, *one.plant.inputs)}
+    muscles.reset(model, data, {n: x for n, x in values.items() if n in known})
+    data.qpos[0], data.qvel[0] = values["x"], values["v"]
+    rows = [[data.qpos[0], data.qvel[0]]]
+    with muscles.installed(model):
+        for _ in TIMES[1:]:
+            mujoco.mj_step(model, data, round((TIMES[1] - TIMES[0]) / MUJOCO_STEP))
+            rows.append([data.qpos[0], data.qvel[0]])
+    return np.array(rows)
+
+
+# ---- gradients -----------------------------------------------------------------------------------
+def gradient_error(made: Drawn, world: str, rng: np.random.Generator) -> float:
+    """The largest error of the gradient of a weighted sum of slopes, scaled by its largest entry.
+
+    NaN where differences of two widths say that every point drawn lies at a kink.
+    """
+    plant = made.plant
+    groups = [plant.states, plant.inputs, plant.parameters]
+    p = plant.vector("parameter")
+    scale = np.concatenate([[v.nominal for v in g] for g in groups[:2]] + [np.abs(p)])
+    ends = np.cumsum([len(g) for g in groups])[:-1]
+    worst = math.nan
+    for k in range(1, len(TIMES)):
+        off = SLACK_STEP * made.nominal * rng.uniform(-1, 1, len(made.nominal))
+        at = np.concatenate([made.truth[k] + off, made.inputs[k], p])
+        weights = rng.uniform(0.5, 1.0, len(off)) / made.nominal
+        wide, narrow = (
+            differences(plant, at, ends, weights, h * scale) * scale for h in (2e-4, 1e-4)
+        )
+        size = np.max(np.abs(narrow))
+        if not np.max(np.abs(wide - narrow)) < 1e-6 * size:
+            continue
+        found = backwards(plant, world, at, ends, weights) * scale
+        worst = np.fmax(worst, np.max(np.abs(found - narrow)) / size)
+    return float(worst)
+
+
+def differences(
+    plant: pam.Plant, at: np.ndarray, ends: np.ndarray, weights: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Central, of order 4."""
+    columns = np.tile(at[:, None], (1, 4 * len(at)))
+    factors = np.array([-2, -1, 1, 2])
+    for j, h in enumerate(step):
+        columns[j, 4 * j : 4 * j + 4] += factors * h
+    slopes = np.array(plant.function(*np.split(columns, ends))[0])
+    values = (weights @ slopes).reshape(-1, 4)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = values @ np.array([1, -8, 8, -1]) / (12 * step)
+    return np.where(step > 0, found, 0.0)
+
+
+def backwards(
+    plant: pam.Plant, world: str, at: np.ndarray, ends: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """The gradient by the world's own derivatives."""
+    if world == "torch":
+        import torch
+
+        module = pam.export.to_torch(plant)
+        parts = [torch.tensor(a, requires_grad=True) for a in np.split(at, ends)]
+        torch.sum(torch.tensor(weights) * module.f(0.0, *parts)).backward()
+        return np.concatenate([a.grad.numpy() for a in parts])
+    import jax
+
+    with jax.enable_x64(True):
+        made = pam.export.to_jax(plant)
+        parts = [jax.numpy.asarray(a) for a in np.split(at, ends)]
+        slope = jax.grad(lambda q: jax.numpy.dot(weights, made.f(0.0, *q)))
+        return np.concatenate([np.asarray(g) for g in slope(parts)])
+
+
+# ---- the study -----------------------------------------------------------------------------------
+WORLDS = {"jax": in_jax, "torch": in_torch, "onnx": in_onnx, "onnx single": in_single}
+WORLDS |= {"modelica": in_modelica}
+
+
+def entered(row: Row, number: int, words: str, computed: Callable[[], float], limit: float) -> None:
+    """The error of a plant, or why there is none."""
+    signal.alarm(LONGEST)
+    try:
+        error = computed()
+    except TimeoutError:
+        row.late.append(f"{number}: {words}")
+        return
+    except pam.PamError as refusal:
+        row.refused[re.sub(r"'[^']*'|\d[\d.e+-]*", "_", str(refusal))] += 1
+        return
+    except Exception as failure:
+        row.failed.append(f"{number}: {words}: {traceback.format_exception_only(failure)[-1]}")
+        return
+    finally:
+        signal.alarm(0)
+    row.errors[number] = error
+    if not error <= limit:
+        row.failed.append(f"{number}: {words}: {error:.1e}")
+
+
+def studied(number: int, seed: int, rows: dict[str, Row]) -> None:
+    """One plant through all worlds that are asked for."""
+    rng = np.random.default_rng([seed, number])
+    made = any_plant(rng)
+    with tempfile.TemporaryDirectory() as folder:
+        for world in set(WORLDS) & set(rows):
+
+            def far(world: str = world) -> float:
+                found = WORLDS[world](made, Path(folder))
+                return float(np.max(np.abs(found - made.truth) / made.nominal))
+
+            entered(rows[world], number, made.words, far, LIMITS[world])
+    for world in ("jax", "torch"):
+        name = f"gradients of {world}"
+        if name in rows:
+            entered(
+                rows[name],
+                number,
+                made.words,
+                lambda world=world: gradient_error(made, world, rng),
+                LIMITS[name],
+            )
+    if "mujoco" in rows:
+        weight, one, mass = lifted(rng)
+        first = [[v.name for v in weight.plant.states].index(n) for n in ("x", "v")]
+
+        def off() -> float:
+            wrong = np.abs(in_mujoco(weight, one, mass) - weight.truth[:, first])
+            return float(np.max(wrong / weight.nominal[first]))
+
+        entered(rows["mujoco"], number, weight.words, off, LIMITS["mujoco"])
+
+
+def _over(signum: int, frame: Any) -> None:
+    raise TimeoutError
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--plants", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=None)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="no plant is begun later")
+    parser.add_argument("--worlds", nargs="*", default=list(LIMITS), choices=list(LIMITS))
+    given = parser.parse_args()
+    seed = time.time_ns() % 2**32 if given.seed is None else given.seed
+    print(f"seed {seed}", flush=True)
+    warnings.simplefilter("ignore")
+    signal.signal(signal.SIGALRM, _over)
+    absent = {w for w in given.worlds for n, m in NEEDS.items() if n in w and not find_spec(m)}
+    rows = {w: Row() for w in given.worlds if w not in absent}
+    begin, count = time.monotonic(), 0
+    for number in range(given.plants):
+        if time.monotonic() - begin > 60 * given.minutes:
+            break
+        studied(number, seed, rows)
+        count += 1
+        told = {w: f"{r.errors.get(number, math.nan):.1e}" for w, r in rows.items()}
+        print(number, told, flush=True)
+    print(f"\nseed {seed}, {count} plants; not installed: {', '.join(sorted(absent)) or 'none'}\n")
+    print(f"drawn again: {dict(NOT_SIMULATED)}\n")
+    print("| world | compared | worst error | limit | above it or failed | refused | too slow |")
+    print("|---|---|---|---|---|---|---|")
+    for world, row in rows.items():
+        errors = [e for e in row.errors.values() if not math.isnan(e)]
+        worst = f"{max(errors):.1e}" if errors else ""
+        told = f"{LIMITS[world]:.0e} | {len(row.failed)} | {row.refused.total()} | {len(row.late)}"
+        print(f"| {world} | {len(errors)} | {worst} | {told} |")
+    for world, row in rows.items():
+        for sentence, times in row.refused.items():
+            print(f"refused by {world}, {times} times: {sentence}")
+        for words in row.late:
+            print(f"{world}, over {LONGEST} s: {words}")
+        for failure in row.failed:
+            print(f"{world}: {failure.strip()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,318 @@
+"""A loop in Python and the same loop as a system (SSP) exchange alike: delay, first command, order.
+
+The master here is written by hand with FMPy's instances, as the SSP's exchange is described.
+"""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Slave
+from fmpy.ssp.ssd import get_connections, read_ssd
+
+import pam_ocp as pam
+from pam_ocp import InputError
+from pam_ocp.control import BlockController, KalmanFilter, WithEstimate, block, chain, kalman
+from pam_ocp.export import export_ssp
+
+COMMANDS = ("muscle1.command", "muscle2.command")
+H, SAMPLES = 2e-3, 100
+
+
+def run_system(path: Path, folder: Path, steps: int, size: float) -> dict[str, Any]:
+    """Hand over; then, again and again, all step and all hand over. Values at k size from 0 on."""
+    ssd = read_ssd(str(path))
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder)
+    units, names = {}, {}
+    for part in ssd.system.elements:
+        file = folder / part.source
+        description = fmpy.read_model_description(str(file))
+        units[part.name] = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=fmpy.extract(str(file), str(folder / part.name)),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName=part.name,
+        )
+        names[part.name] = {v.name: v.valueReference for v in description.modelVariables}
+    wires = [(a.parent.name, a.name, b.parent.name, b.name) for a, b in get_connections(ssd.system)]
+
+    def hand_over() -> None:
+        given = [
+            (to, names[to][sink], units[of].getReal([names[of][start]])[0])
+            for of, start, to, sink in wires
+        ]
+        for to, reference, value in given:
+            units[to].setReal([reference], [value])
+
+    for unit in units.values():
+        unit.instantiate()
+        unit.setupExperiment(startTime=0.0)
+        unit.enterInitializationMode()
+    for _ in units:  # a chain of outputs through inputs is as long as there are parts, at most
+        hand_over()
+    for unit in units.values():
+        unit.exitInitializationMode()
+    hand_over()
+    rows: list[dict[str, float]] = []
+    for k in range(steps + 1):
+        rows.append(
+            {f"{n}.{v}": units[n].getReal([r])[0] for n in units for v, r in names[n].items()}
+        )
+        if k < steps:
+            for unit in units.values():
+                unit.doStep(currentCommunicationPoint=k * size, communicationStepSize=size)
+            hand_over()
+    for unit in units.values():
+        unit.terminate()
+        unit.freeInstance()
+    return {n: np.array([row[n] for row in rows]) for n in rows[0]}
+
+
+def slide() -> tuple[pam.Plant, Any]:
+    plant = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
+    point = plant.equilibrium(x=0.0, stiffness=2e4)
+    return plant.with_values(point), point
+
+
+def pid_law(delay: int) -> tuple[Any, Any]:
+    plant, point = slide()
+    pid = pam.control.PointPid(plant, point, 1e6, 2e7, 1e4, sample_time=H)
+    return plant, block(pid, plant=plant, delay=delay)
+
+
+def lqi(plant: pam.Plant, point: Any) -> Any:
+    return pam.lqr(plant, point, integral={"x": 20.0}, sample_time=H)
+
+
+def lqi_law(delay: int) -> tuple[Any, Any]:
+    plant, point = slide()
+    return plant, block(lqi(plant, point), plant=plant, delay=delay)
+
+
+def lqg_law(delay: int) -> tuple[Any, Any]:
+    plant, point = slide()
+    filter = kalman(plant, point, measured={"x": 1e-5}, sample_time=H)
+    return plant, block(WithEstimate(lqi(plant, point), filter, delay=delay), plant=plant)
+
+
+def mpc_law(delay: int) -> tuple[Any, Any]:
+    plant, _ = slide()
+    rate = dict.fromkeys(COMMANDS, 0.1)
+    mpc = pam.Mpc(
+        plant, horizon=10, sample_time=H, track={"x": 1.0}, rate=rate, iterations=1, delay=delay
+    )
+    return plant, block(mpc, plant=plant)
+
+
+LAWS = {"pid": pid_law, "lqi": lqi_law, "lqg": lqg_law, "mpc": mpc_law}
+
+
+def wanted(t: float) -> float:
+    return min(t / 0.08, 1.0) * 3e-3
+
+
+def system(plant: pam.Plant, law: Any, path: Path, **options: Any) -> Path:
+    t = np.array([0.0, 0.08, 1.0])
+    columns = {"x": [wanted(s) for s in t], "one": np.ones(3)}
+    variables = [plant.variable("x"), pam.Variable("one", "output")]
+    goal = pam.Trajectory(t, columns, variables, "linear")
+    wires = {f"plant.{c}": f"law.{c}" for c in COMMANDS}
+    for v in law.inputs:
+        of = "goal.x" if v.name == "wanted.x" else f"plant.{v.name}"
+        wires[f"law.{v.name}"] = "goal.one" if v.name == "enable" else of
+    parts = {"goal": goal, "law": law, "plant": plant}
+    return export_ssp(parts, wires, path, platforms="native", tolerance=1e-11, **options)
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_a_loop_here_and_its_system_agree_to_1e_9(kind: str, tmp_path: Path) -> None:
+    plant, law = LAWS[kind](1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        path = system(plant, law, tmp_path / "loop.ssp")
+    there = run_system(path, tmp_path / "run", SAMPLES, H)
+    controller = BlockController(law, lambda t: {"wanted.x": wanted(t)})
+    here = pam.closed_loop(controller, plant, duration=SAMPLES * H, rtol=1e-12)
+    assert here.delay == here.designed_delay == 1
+    assert np.ptp(here["x"]) > 4e-4
+    for name in [v.name for v in plant.states]:
+        error = np.abs(there[f"plant.{name}"] - here[name]) / plant.variable(name).nominal
+        assert error.max() < 1e-9, name
+    for name in COMMANDS:  # as they act on the plant, from the first one on
+        error = np.abs(there[f"plant.{name}"] - here[name])[:-1] / plant.variable(name).nominal
+        assert error.max() < 1e-9, name
+        assert there[f"plant.{name}"][0] == plant.variable(name).start
+
+
+def test_the_first_command_can_be_set_and_outputs_are_the_laws_from_the_first_sample_on(
+    tmp_path: Path,
+) -> None:
+    plant, law = lqi_law(1)
+    path = system(plant, law, tmp_path / "loop.ssp")
+    with zipfile.ZipFile(path) as archive:
+        (tmp_path / "law.fmu").write_bytes(archive.read("resources/law.fmu"))
+    assert pam.check_fmu(tmp_path / "law.fmu").ok
+    description = fmpy.read_model_description(str(tmp_path / "law.fmu"))
+    first = {v.name: v for v in description.modelVariables}[COMMANDS[0]]
+    assert (first.initial, float(first.start)) == ("exact", plant.variable(COMMANDS[0]).start)
+    unit = FMU2Slave(
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(str(tmp_path / "law.fmu"), str(tmp_path / "unit")),
+        modelIdentifier=description.coSimulation.modelIdentifier,
+        instanceName="law",
+    )
+    unit.instantiate()
+    unit.setupExperiment(startTime=0.0)
+    reference = [first.valueReference]
+    unit.setReal(reference, [1.5e5])
+    unit.enterInitializationMode()
+    unit.exitInitializationMode()
+    assert unit.getReal(reference) == [1.5e5]
+    unit.doStep(0.0, H)
+    assert unit.getReal(reference)[0] == pytest.approx(first_lqi_command(), rel=1e-9)
+    with pytest.raises(Exception, match="rror"):
+        unit.setReal(reference, [1.5e5])
+    unit.freeInstance()
+
+
+def first_lqi_command() -> float:
+    """At the point itself, before anything is wanted: the point's own command."""
+    return float(slide()[1][COMMANDS[0]])
+
+
+# ---- the cost of a delay is said ----------------------------------------------------------------
+
+
+def test_a_system_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Path) -> None:
+    for kind, options in (("mpc", {}), ("lqi", {}), ("pid", {"step_size": H / 2})):
+        plant, law = LAWS[kind](0)
+        with pytest.warns(
+            UserWarning, match=r"commands of law act one step .* is designed for no del"
+        ):
+            system(plant, law, tmp_path / "late.ssp", **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        system(*lqi_law(0), tmp_path / "small.ssp", step_size=H / 20)
+    plant, law = mpc_law(1)
+    with pytest.warns(UserWarning, match=r"\(1 ms\) .* is designed for 2 ms"):
+        system(plant, law, tmp_path / "early.ssp", step_size=H / 2)
+
+
+def test_a_system_warns_of_blocks_in_a_row(tmp_path: Path) -> None:
+    plant, point = slide()
+    filter = block(kalman(plant, point, measured={"x": 1e-5}, sample_time=H), delay=1)
+    law = block(lqi(plant, point), plant=plant, delay=1)
+    wires = {f"plant.{c}": f"law.{c}" for c in COMMANDS} | {"filter.x": "plant.x"}
+    wires |= {f"filter.sent.{c}": f"law.{c}" for c in COMMANDS}
+    wires |= {f"law.{v.name}": f"filter.estimate.{v.name}" for v in plant.states}
+    wires |= {
+        "law.wanted.x": "plant.x",
+        "law.enable": "law.status",
+        "filter.enable": "filter.status",
+    }
+    for v in filter.inputs:
+        wires.setdefault(f"filter.{v.name}", f"plant.{v.name}")
+    parts = {"filter": filter, "law": law, "plant": plant}
+    with pytest.warns(
+        UserWarning, match=r"law gets what filter gives one step \(2 ms\) later"
+    ) as w:
+        export_ssp(parts, wires, tmp_path / "two.ssp", platforms="native")
+    assert len(w) == 1  # what the filter is told was sent is of the sample before anyway
+
+
+def test_a_loop_here_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Path) -> None:
+    plant, law = mpc_law(0)
+    with pytest.warns(UserWarning, match=r"act 1 sample \(2 ms\) after the meas.*, not 0 as the"):
+        late = pam.closed_loop(BlockController(law), plant, {"x": 0.0}, duration=0.02, delay=1)
+    assert "not 0 as the controller is designed for" in str(late)
+    late.save(tmp_path / "late.npz")
+    assert str(type(late).load(tmp_path / "late.npz")) == str(late)
+    plant, law = mpc_law(1)
+    with pytest.warns(UserWarning, match="act at once, but the controller is designed for a delay"):
+        pam.closed_loop(BlockController(law), plant, {"x": 0.0}, duration=0.02, delay=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        loop = pam.closed_loop(BlockController(law), plant, {"x": 0.0}, duration=0.02)
+    assert loop.delay == 1  # the block tells it, as its Mpc would
+    assert loop[COMMANDS[0]][0] == plant.variable(COMMANDS[0]).start
+
+
+def test_estimators_take_the_commands_that_acted() -> None:
+    """Under a delay, against the filter in the loop, which is told what acts by the loop itself."""
+    plant, point = slide()
+    law = pam.lqr(plant, point, sample_time=H)
+    begin = plant.with_values({"x": 2e-3})
+    for filter in (
+        kalman(plant, point, measured={"x": 1e-5}, sample_time=H),
+        KalmanFilter(plant, sample_time=H, measured={"x": 1e-5}),
+    ):
+        whole = block(chain([filter, law], delay=1), plant=plant)
+        quiet = {"duration": 0.1, "delay": 1, "noise": {}}
+        there = pam.closed_loop(law, begin, estimator=filter, **quiet)
+        here = pam.closed_loop(BlockController(whole), begin, **quiet)
+        deviation = np.abs(there["x"] - here["x"]).max()
+        unaware = block(chain([filter, law]), plant=plant)
+        with pytest.warns(UserWarning, match="not 0 as the controller"):
+            wrong = pam.closed_loop(BlockController(unaware), begin, **quiet)
+        assert deviation < 1e-9 < 1e-7 < np.abs(there["x"] - wrong["x"]).max()
+
+
+def test_a_filter_with_its_law_is_the_same_here_and_as_a_block() -> None:
+    plant, point = slide()
+    filter = kalman(plant, point, measured={"x": 1e-5}, sample_time=H)
+    both = WithEstimate(pam.lqr(plant, point, sample_time=H), filter, delay=1)
+    begin = plant.with_values({"x": 2e-3})
+    here = pam.closed_loop(both, begin, duration=0.1, sample_time=H)
+    there = pam.closed_loop(BlockController(block(both, plant=plant)), begin, duration=0.1)
+    assert here.delay == there.delay == 1
+    assert here["x"] == pytest.approx(there["x"], abs=1e-12)
+
+
+# ---- names and units ----------------------------------------------------------------------------
+
+
+def test_a_component_named_like_its_parameters_is_refused(tmp_path: Path) -> None:
+    plant, point = slide()
+    filter = kalman(plant, point, measured={"x": 1e-5}, sample_time=H)
+    law = block(chain([filter, lqi(plant, point)], delay=1), plant=plant)
+    first = law.parameters[0].name.partition(".")[0]
+    with pytest.raises(InputError, match=f"component '{first}' is named like the beginning of its"):
+        export_ssp({first: law, "plant": plant}, {}, tmp_path / "a.ssp")
+    with pytest.raises(InputError, match=r"component 'muscle1' .* such as 'the_muscle1'"):
+        export_ssp({"muscle1": plant}, {}, tmp_path / "a.ssp")
+    assert not (tmp_path / "a.ssp").exists()
+
+
+def test_a_pid_takes_units_from_its_plant() -> None:
+    plant, _ = slide()
+    made = block(
+        pam.control.PID(1e6), plant=plant, measured="x", command=COMMANDS[0], sample_time=H
+    )
+    assert {v.name: v.unit for v in (*made.inputs, *made.outputs)} == {
+        "wanted.x": "m",
+        "x": "m",
+        "enable": "1",
+        COMMANDS[0]: "Pa",
+        "status": "1",
+    }
+    with pytest.raises(InputError, match="no variable"):
+        block(lqi(*slide()), plant=pam.HangingLoad("DMSP-20-300", mass=2.0))
+
+
+def test_delays_that_contradict_each_other_are_refused() -> None:
+    plant, point = slide()
+    rate = dict.fromkeys(COMMANDS, 0.1)
+    mpc = pam.Mpc(plant, horizon=5, sample_time=H, track={"x": 1.0}, rate=rate, delay=1)
+    with pytest.raises(InputError, match="mpc is designed for delay = 1; give that"):
+        block(mpc, delay=2)
+    with pytest.raises(InputError, match="is a block already; leave out delay"):
+        block(block(mpc, guard=False), delay=1)
+    with pytest.raises(InputError, match="delay"):
+        block(lqi(plant, point), delay=-1)
