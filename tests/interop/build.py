@@ -153,7 +153,7 @@ def predictive_parts(model: pam.Plant) -> dict[str, Any]:
     columns = {place.name: np.full(2, GOALS[place.name]), "on": np.ones(2)}
     return {
         "goal": pam.Trajectory(t, columns, [place, on]),
-        "mpc": block(law, plant=model),
+        "predictive": block(law, plant=model),
         "plant": model,
     }
 
@@ -162,10 +162,10 @@ def predictive_wires(model: pam.Plant) -> dict[str, str]:
     place = model.states[0].name
     seen = (place, "muscle1.pressure", "muscle2.pressure")
     return {
-        **{f"plant.{v.name}": f"mpc.{v.name}" for v in model.inputs},
-        **{f"mpc.{n}": f"plant.{n}" for n in seen},
-        f"mpc.wanted.{place}": f"goal.{place}",
-        "mpc.enable": "goal.on",
+        **{f"plant.{v.name}": f"predictive.{v.name}" for v in model.inputs},
+        **{f"predictive.{n}": f"plant.{n}" for n in seen},
+        f"predictive.wanted.{place}": f"goal.{place}",
+        "predictive.enable": "goal.on",
     }
 
 
