@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import resources
@@ -101,7 +101,7 @@ _Command = _structure("_Command", **_all(_REAL, "gain zero low high rate begin s
 _Input = _structure("_Input", **_all(_INT, "source index"))
 Shared = _structure(
     "Shared",
-    **_all(_INT, "fd datagrams dog parent priority cpu"),
+    **_all(_INT, "fd datagrams dog parent priority cpu standby"),
     **_all(_INT, "readings commands columns rows capacity steps bumpless"),
     **_all(_REAL, "period max_age late tolerated fade beat"),
     reading=_Reading * MOST,
@@ -170,10 +170,11 @@ class RealTimeRun:
 
     trajectory : readings and commands. lateness : of each sample against its deadline; busy : from
     there to the commands sent and written down. missed : samples later than the guard's
-    ``tolerated``. silent : samples to which no new answer had come; unfit : lines that were
-    damaged or too old. lost : rows that nobody took out of the ring in time. surrounding : kernel,
-    scheduler and memory, in words. reason : why it was vented, "" for a run that went to its end.
-    reaction : from the sample that found this reason to the vent line sent.
+    ``tolerated``, or whose commands left after the next deadline. silent : samples to which no new
+    answer had come; unfit : lines that were damaged or too old. lost : rows that nobody took out of
+    the ring in time. surrounding : kernel, scheduler, processors and memory, in words. reason : why
+    it was vented, "" for a run that went to its end. reaction : from the sample that found this
+    reason to the vent line sent.
 
     Examples
     --------
@@ -438,7 +439,7 @@ def run_in_c(
     wanted: Mapping[str, Any] | None = None,
     start: Given | None = None,
     priority: int = 80,
-    cpu: int | None = None,
+    cpu: int | Sequence[int] | None = None,
     bumpless: bool = True,
     seen: Callable[[Array], Any] | None = None,
 ) -> RealTimeRun:
@@ -450,8 +451,10 @@ def run_in_c(
         measures the rig reads; for more, chain an estimator before it.
     duration : [s]. wanted : {input of the block, "x" for "wanted.x": value, text with a unit, or
         function of time}; start : see :meth:`Rig.side`.
-    priority : of SCHED_FIFO, 0 for none; cpu : the one to run on. What is not allowed the result's
-        ``surrounding`` says.
+    priority : of SCHED_FIFO, 0 for none. cpu : the processor to run on, or two: a thread waits on
+        each, and whichever wakes first takes the sample, which bridges the pauses of one processor.
+        By default the last two that are allowed. What was granted the result's ``surrounding``
+        says.
     bumpless : the step fades that the controller makes as it takes over. seen : is called with new
         rows (deadline, woken, stamp, sent [s], readings, commands) some hundred times a second.
 
@@ -483,13 +486,33 @@ def run_in_c(
 
 
 def _tell(
-    shared: Any, rig: Rig, driver: LineDriver, count: int, priority: int, cpu: int | None
+    shared: Any,
+    rig: Rig,
+    driver: LineDriver,
+    count: int,
+    priority: int,
+    cpu: int | Sequence[int] | None,
 ) -> None:
     dog = rig._watchdog
     shared.fd, shared.datagrams = driver.fileno(), driver.datagrams
     shared.dog = -1 if dog is None else dog.told
     shared.steps, shared.priority = count, priority
-    shared.cpu = -1 if cpu is None else require_count("cpu", cpu, 0, 1023)
+    shared.cpu, shared.standby = _processors(cpu)
+
+
+def _processors(cpu: int | Sequence[int] | None) -> tuple[int, int]:
+    """The processor of the loop and that of the thread that stands by; -1 for none."""
+    allowed = sorted(os.sched_getaffinity(0))
+    if cpu is None:
+        return (allowed[-1], allowed[-2]) if len(allowed) > 1 else (-1, -1)
+    given = list(cpu) if isinstance(cpu, Sequence) else [cpu]
+    for one in given:
+        if require_count("cpu", one, 0, 1023) not in allowed:
+            told = ", ".join(map(str, allowed))
+            raise InputError(f"cpu = {cpu!r}: this process may run on {told}")
+    if not 1 <= len(set(given)) == len(given) <= 2:
+        raise InputError(f"cpu = {cpu!r}: give one processor, or two that differ")
+    return given[0], given[1] if len(given) > 1 else -1
 
 
 def _run(
@@ -597,7 +620,10 @@ def _allowed(shared: Any, kernel: str) -> str:
     memory = "memory locked"
     if shared.locked:
         memory = f"memory could not be locked ({os.strerror(shared.locked)})"
-    return f"{platform.system()} {platform.release()}, {kernel}; {scheduler}; {memory}"
+    places = [f"processor {n}" for n in (shared.cpu, shared.standby) if n >= 0]
+    places = [", standing by on ".join(places)] if places else []
+    system = f"{platform.system()} {platform.release()}, {kernel}"
+    return "; ".join([system, scheduler, *places, memory])
 
 
 def _reason(rig: Rig, shared: Any) -> str:

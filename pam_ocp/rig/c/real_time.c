@@ -4,11 +4,16 @@
    All that it is told and all that it tells stands in memory that it shares with Python
    (real_time.py, class Shared, has the same fields); rows go through a ring. At each deadline the
    newest answer is looked at, the controller's step is taken, and commands are sent; their answer is
-   that of the next deadline. */
+   that of the next deadline.
+
+   Where two processors are given, a thread waits on each, and whichever wakes first takes the sample:
+   a processor that is taken away for some milliseconds (by a hypervisor, an interrupt, the kernel)
+   costs a deadline only where it happens in the midst of a sample, or to both at once. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <math.h>
 #include <poll.h>
+#include <pthread.h>
 #include <sched.h>
 #include <stdatomic.h>
 #include <stdint.h>
@@ -49,7 +54,7 @@ typedef struct {
 } input;
 
 typedef struct {
-    int64_t fd, datagrams, dog, parent, priority, cpu;
+    int64_t fd, datagrams, dog, parent, priority, cpu, standby;
     int64_t readings, commands, columns, rows, capacity, steps, bumpless;
     double period, max_age, late, tolerated, fade, beat;
     reading reading[MOST];
@@ -76,6 +81,9 @@ typedef struct {
     char rest[LONGEST];
     size_t held;
     double beaten;
+    _Atomic int64_t next; /* the sample that is due */
+    _Atomic int over;
+    atomic_flag taken; /* whoever has set it may touch all but these three */
 } loop;
 
 static law_state state;
@@ -302,7 +310,8 @@ static int sample(loop *l, int64_t k, double deadline) {
     const double woken = now(), before = s->stamp;
     count(s->lateness, fmax(woken - deadline, 0));
     ++s->samples;
-    if (woken - deadline > s->tolerated * s->period) ++s->missed;
+    const int late = woken - deadline > s->tolerated * s->period;
+    s->missed += late;
     if (!hear(l)) ++s->silent;
     s->oldest = fmax(s->oldest, woken - s->stamp);
     s->latest = fmax(s->latest, woken - deadline);
@@ -315,6 +324,7 @@ static int sample(loop *l, int64_t k, double deadline) {
     if (!beat(l, woken, 'H')) return fault(s, NO_DOG, -1, 0);
     tell(l, deadline, woken);
     const double busy = now() - woken;
+    if (!late && woken + busy - deadline > s->period) ++s->missed; /* begun in time, ended too late */
     s->longest = fmax(s->longest, busy);
     count(s->busy, busy);
     return 0;
@@ -341,24 +351,58 @@ static void vent(loop *l, double noticed) {
     else beat(l, noticed, 'V');
 }
 
+static void stay_on(int64_t cpu) {
+    cpu_set_t set;
+    if (cpu < 0) return;
+    CPU_ZERO(&set);
+    CPU_SET((size_t)cpu, &set);
+    sched_setaffinity(0, sizeof set, &set);
+}
+
 static void prepare(shared *s) {
     struct sched_param own = {.sched_priority = (int)s->priority};
     prctl(PR_SET_TIMERSLACK, 1UL);
     s->locked = mlockall(MCL_CURRENT | MCL_FUTURE) ? errno : 0;
     s->scheduler = s->priority && sched_setscheduler(0, SCHED_FIFO, &own) ? errno : 0;
-    if (s->cpu >= 0) {
-        cpu_set_t set;
-        CPU_ZERO(&set);
-        CPU_SET((size_t)s->cpu, &set);
-        sched_setaffinity(0, sizeof set, &set);
-    }
+    stay_on(s->cpu);
     law_init(&state, &parameters, &inputs);
+}
+
+/* Sample after sample, unless the other thread is at it. */
+static void turns(loop *l) {
+    shared *s = l->s;
+    while (!atomic_load(&l->over)) {
+        const int64_t k = atomic_load(&l->next);
+        wait_until(s->zero + (double)k * s->period);
+        if (atomic_flag_test_and_set_explicit(&l->taken, memory_order_acquire)) {
+            wait_until(fmax(s->zero + (double)(k + 1) * s->period, now() + s->period / 4));
+            continue;
+        }
+        if (!atomic_load(&l->over) && atomic_load(&l->next) == k) {
+            const double noticed = now();
+            if (k == s->steps || sample(l, k, s->zero + (double)k * s->period)) {
+                vent(l, noticed);
+                atomic_store(&l->over, 1);
+            } else {
+                atomic_store(&l->next, k + 1);
+            }
+        }
+        atomic_flag_clear_explicit(&l->taken, memory_order_release);
+    }
+}
+
+static void *stand_by(void *given) {
+    loop *l = given;
+    prctl(PR_SET_TIMERSLACK, 1UL);
+    stay_on(l->s->standby);
+    turns(l);
+    return NULL;
 }
 
 /* Behind the header stand the table (rows x columns) and the ring (capacity rows). */
 SHOWN int pam_real_time(shared *s) {
     static loop l;
-    int64_t k = 0;
+    pthread_t other;
     memset(&l, 0, sizeof l);
     l.s = s;
     double *table = (double *)(void *)(s + 1);
@@ -372,16 +416,12 @@ SHOWN int pam_real_time(shared *s) {
     }
     for (int i = 0; i < s->readings; ++i)
         if (s->reading[i].slope_of >= 0) s->reading[i].slope = s->values[s->reading[i].slope_of];
-    double deadline = s->zero = now(), noticed = deadline;
+    s->zero = now();
     hear(&l); /* nothing of before counts */
-    while (k < s->steps || s->steps < 0) {
-        noticed = now();
-        if (sample(&l, k++, deadline)) break;
-        deadline += s->period;
-        wait_until(deadline);
-        noticed = now();
-    }
-    vent(&l, noticed);
+    const int two = s->standby >= 0 && !pthread_create(&other, NULL, stand_by, &l);
+    if (!two) s->standby = -1;
+    turns(&l);
+    if (two) pthread_join(other, NULL);
     atomic_store(&s->over, 1);
     return (int)s->cause;
 }
