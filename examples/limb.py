@@ -78,7 +78,7 @@ def main(folder: Path) -> None:
         stops=[HANG, REACH],
         duration=0.6,
         minimise="effort",
-        method=pam.Collocation(intervals=16, degree=7),
+        method=pam.Collocation(intervals=16, degree=6),
     )
     print(plan)
     arm.animate(plan.trajectory, folder / "arm.gif", colour="pressure")

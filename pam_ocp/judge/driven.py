@@ -51,7 +51,7 @@ RESOLVED = 3e-4
 """What slopes of the polynomial through a cell's states may miss their rates by, times the length
 of the cell, in nominals: beyond, the cell is split, or what swings inside would be overlooked.
 """
-SPLITS = 7
+SPLITS = 4
 """Times that cells are split, at most: what is quicker is over before it counts."""
 
 
@@ -101,17 +101,16 @@ class Driven:
             if splits == SPLITS or np.all(rough.sum(axis=1) <= EXACT * size):
                 break
             beyond = np.any(rough > EXACT * size[:, None] / len(h), axis=0)
-            finer = run._halved(np.flatnonzero(beyond))
+            finer = run._run(_points(_quartered(run.ends, beyond)))
             if finer is None:
                 break
             run = finer
         return found
 
-    def _halved(self, cells: NDArray[np.intp]) -> Driven | None:
-        """The same with these cells in two; None where the integrator gives up."""
-        ends = np.append(self.t[:, 0], self.t[-1, -1])
-        edges = np.sort(np.append(ends, self.t[cells].mean(axis=1)))
-        return self._run(edges[:-1, None] + np.diff(edges)[:, None] * _TAUS)
+    @property
+    def ends(self) -> Array:
+        """(cells + 1,) where cells begin and end [s]."""
+        return np.append(self.t[:, 0], self.t[-1, -1])
 
     def _run(self, t: Array) -> Driven | None:
         """The motion once more, in cells with points at these times (cells, points)."""
@@ -164,23 +163,20 @@ def driven(
     begin, end = times[0], times[-1]
     inside = inputs.breaks[(inputs.breaks > begin) & (inputs.breaks < end)]
     near = 1e-9 * (end - begin)
-    ends = _apart(np.sort(np.concatenate([times, inside])), near)
-    cells = []
-    for left, right in pairwise(ends):
+    ends = np.array([begin])
+    for left, right in pairwise(_apart(np.sort(np.concatenate([times, inside])), near)):
         count = max(LEAST, int(np.ceil(PARTS * (right - left) / (end - begin))))
-        cells += list(pairwise(np.linspace(left, right, count + 1)))
-    edges = np.array(cells)
+        ends = np.append(ends, np.linspace(left, right, count + 1)[1:])
     asked = np.zeros(0) if further is None else np.clip(further, begin, end)
     for splits in range(SPLITS + 1):
-        t = edges[:, :1] + (edges[:, 1:] - edges[:, :1]) * _TAUS
+        t = _points(ends)
         every, states, beside = _integrated(plant, start, inputs, t, asked)
         x = _by_cells(states, len(t))
         u, slope = _inputs(inputs, t)
         rough = _unresolved(plant, t, x, u)
         if splits == SPLITS or not rough.any():
             break
-        middles = edges[rough].mean(axis=1)
-        edges = np.array(list(pairwise(np.sort(np.append(edges[:, 0], [*middles, end])))))
+        ends = _quartered(ends, rough)
     trajectory = evaluated(plant, every, states, inputs)
     return Driven(plant, trajectory, t, x, u, slope, inputs), beside
 
@@ -219,6 +215,17 @@ def _unresolved(plant: Plant, t: Array, x: Array, u: Array) -> NDArray[np.bool_]
     nominal = plant.vector("state", attribute="nominal")[:, None, None]
     missed = np.abs(x @ _SLOPES.T - h * known) / nominal
     return np.asarray(missed.max(axis=(0, 2)) > RESOLVED)
+
+
+def _points(ends: Array) -> Array:
+    """(cells, 5) times of the points of cells."""
+    return np.asarray(ends[:-1, None] + np.diff(ends)[:, None] * _TAUS)
+
+
+def _quartered(ends: Array, rough: NDArray[np.bool_]) -> Array:
+    """The ends, with rough cells in four: points cost less than to integrate again."""
+    quarters = np.linspace(ends[:-1][rough], ends[1:][rough], 5)[1:4]
+    return np.sort(np.append(ends, quarters))
 
 
 def _by_cells(states: Array, cells: int) -> Array:
