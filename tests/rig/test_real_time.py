@@ -4,6 +4,7 @@ import ctypes
 import math
 import os
 import signal
+import subprocess
 import sys
 import zlib
 
@@ -198,6 +199,43 @@ def test_what_was_sent_is_what_the_block_says(bench, plant, law):
     assert max(wrong) < 1e-3  # Pa
 
 
+HOG = """
+import os, sys, time
+os.sched_setaffinity(0, {int(sys.argv[1])})
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(95))
+print("on", flush=True)
+while True:
+    until = time.monotonic() + 0.06
+    while time.monotonic() < until:
+        pass
+    time.sleep(0.1)
+"""
+
+
+def test_a_second_processor_bridges_the_pauses_of_the_first(bench, law):
+    """A process of higher priority takes the first one for 60 ms of each 160."""
+    allowed = sorted(os.sched_getaffinity(0))
+    if len(allowed) < 2 or os.geteuid() != 0:
+        pytest.skip("needs two processors, and root for the priority")
+    missed = {}
+    with subprocess.Popen(
+        [sys.executable, "-c", HOG, str(allowed[0])], stdout=subprocess.PIPE
+    ) as hog:
+        try:
+            if not hog.stdout.readline():
+                pytest.skip("SCHED_FIFO is not allowed here")
+            for cpu in (allowed[0], allowed[:2]):
+                rig, _ = bench()
+                run = rig.run_in_c(law, 2.0, wanted={"x": 0.04}, cpu=cpu)
+                assert run.samples == 400 == int(run.lateness.counts.sum())
+                missed[np.size(cpu)] = run.missed
+        finally:
+            hog.kill()
+    assert missed[1] > 80  # of 400, some 150 fall into its turns
+    assert missed[2] < missed[1] / 2
+    assert "standing by" in run.report()
+
+
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
@@ -251,6 +289,9 @@ def test_what_the_loop_in_c_cannot_do_is_said(bench, plant, law):
         (state, {}, "measures v, which rig does not read"),
         (law, {"wanted": {"y": 1.0}}, "y"),
         (law, {"priority": 100}, "priority"),
+        (law, {"cpu": 1023}, "this process may run on"),
+        (law, {"cpu": []}, "one processor, or two that differ"),
+        (law, {"cpu": [min(os.sched_getaffinity(0))] * 2}, "one processor, or two that differ"),
     ):
         with pytest.raises(pam.InputError, match=words):
             rig.run_in_c(controller, 1.0, **options)
