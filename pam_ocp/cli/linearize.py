@@ -89,7 +89,7 @@ def _linearize(options: argparse.Namespace) -> int:
 def _text(point: Any, said: dict[str, Any]) -> str:
     from ..operating.operating_point import pole_texts
 
-    lines = [f"point of rest, {said['stability']}:", str(point), "poles [1/s]:"]
+    lines = [f"equilibrium, {said['stability']}:", str(point), "poles [1/s]:"]
     lines += [f"    {text}" for text in pole_texts(point.poles)]
     lines += [
         f"natural frequency {m['hertz']:.4g} Hz, damping ratio {m['damping_ratio']:.3g}"

@@ -247,7 +247,7 @@ def at_edge(names: Iterable[str], values: Mapping[str, float]) -> list[str]:
 
 
 def following(linear: Linearisation) -> list[str]:
-    """That errors follow each other, and what that does to intervals."""
+    """That errors are serially correlated, and what that does to intervals."""
     serial = linear.serial
     if serial is None or serial.probability < DOUBTFUL:
         return []
@@ -256,8 +256,8 @@ def following(linear: Linearisation) -> list[str]:
     reach = linear.reach(0.95) / linear.independent.reach(0.95)
     factor = reach * float(np.median(wide[seen] / plain[seen])) if seen.any() else reach
     return [
-        f"errors {'' if serial.probability > LIKELY else 'may '}follow each other {serial.order} "
-        f"(probability {100 * serial.probability:.3g} %, correlation of neighbours about "
-        f"{serial.correlation:.2g}): intervals and bands are widened for it, by a factor of about "
-        f"{factor:.2g}"
+        f"errors {'are' if serial.probability > LIKELY else 'may be'} serially correlated "
+        f"{serial.order} (probability {100 * serial.probability:.3g} %, correlation of neighbours "
+        f"about {serial.correlation:.2g}): intervals and bands are widened for it, by a factor of "
+        f"about {factor:.2g}"
     ]

@@ -235,9 +235,9 @@ class SolverStatistics:
 
 @dataclass(frozen=True, eq=False)
 class SerialErrors:
-    """Errors that follow each other.
+    """Serially correlated errors.
 
-    order : along what, in words. probability : that errors follow each other at all.
+    order : along what, in words. probability : that errors are serially correlated at all.
     correlation : of neighbouring errors, the mean over all that the data leave possible.
     meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones
     would
@@ -280,7 +280,7 @@ class Linearisation:
     names, values, units : of the k fitted parameters. jacobian : weighted derivatives (n, k).
     scale : standard deviation of a residual. dof : degrees of freedom.
     active : gradients (m, k) of constraints that hold as equalities at the optimum.
-    serial : errors that follow each other, which widen the covariance; None for independent ones.
+    serial : serially correlated errors, which widen the covariance; None for independent ones.
     """
 
     names: Sequence[str]

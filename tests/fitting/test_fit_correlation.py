@@ -1,4 +1,4 @@
-"""Errors that follow each other: covariance by hand, coverage, open ends, odd tables."""
+"""Serially correlated errors: covariance by hand, coverage, open ends, odd tables."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_all_orders_of_a_table_sorted_by_pressure_are_tried() -> None:
 def test_a_joint_fit_widens_as_each_table_does_and_its_muscles_agree() -> None:
     joint = fit_forces([ramps(0.8, 1), ramps(0.8, 2)], polynomial_law(1, 1))
     assert joint.linearisation.serial is not None
-    assert any("follow each other" in w for w in joint.warnings)
+    assert any("serially correlated" in w for w in joint.warnings)
     one = joint["1"]
     for n in ("g0", "g1", "h0", "h1"):
         assert one.coefficients[n].stderr == pytest.approx(joint.coefficients[n].stderr, rel=1e-6)

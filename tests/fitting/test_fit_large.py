@@ -1,4 +1,4 @@
-"""Large tables and errors that follow each other: the same answers in little memory."""
+"""Large tables and serially correlated errors: the same answers in little memory."""
 
 import tracemalloc
 

@@ -261,7 +261,7 @@ def test_ends_of_a_censored_profile_are_those_of_whole_fits(name: str) -> None:
 
 
 def test_finite_ends_cost_the_limit_where_other_coefficients_have_none() -> None:
-    """Swept over a3, whose range is open below; errors that follow each other widen the limit."""
+    """Swept over a3, whose range is open below; serially correlated errors widen the limit."""
     found = fit_force(table_20())
     plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
     ends = found.intervals()
@@ -296,7 +296,7 @@ def test_a_prior_is_one_more_measurement() -> None:
     expected = np.linalg.solve(precision / np.outer(size, size), target / size) / size
     assert linear(found) == pytest.approx(expected, rel=1e-7)
     assert found.dof == 60 + 1 - 5
-    # those of the bundled table follow each other; here the errors count as independent
+    # those of the bundled table are serially correlated; here the errors count as independent
     plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
     ratio = plain["a6"] / found.sigma * 6.0
     inverse = np.linalg.inv(precision / np.outer(size, size)) / np.outer(size, size)

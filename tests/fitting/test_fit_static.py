@@ -57,7 +57,7 @@ def synthetic(levels: int = 6, noise: float = 0.0, seed: int = 0) -> ForceTable:
 
 @pytest.fixture(scope="module")
 def alone() -> ForceFit:
-    """A fit to cells whose errors are known not to follow each other."""
+    """A fit to cells whose errors are known to be serially independent."""
     found = fit_force(synthetic(noise=5.0, seed=5), errors="independent")
     assert found.serial is None
     return found

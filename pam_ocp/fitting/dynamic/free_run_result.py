@@ -1,10 +1,10 @@
 """What a fit of free runs tells: values with intervals, its runs, its doubts.
 
-Errors follow each other along a run, and runs overlap, so a sample tells less than an independent
-one. Blocks of the records (at least BLOCKS, each in one record) count as independent of each other;
-the covariance is H^-1 (sum of the blocks' squared gradients) H^-1 with H the normal matrix (K.-Y.
-Liang, S. Zeger, Biometrika 73 (1986) 13-22). With few blocks to an unknown only the mean widening
-over all directions is taken from them, on top of the usual covariance.
+Errors along a run are serially correlated, and runs overlap, so a sample tells less than an
+independent one. Blocks of the records (at least BLOCKS, each in one record) count as independent
+of each other; the covariance is H^-1 (sum of the blocks' squared gradients) H^-1 with H the normal
+matrix (K.-Y. Liang, S. Zeger, Biometrika 73 (1986) 13-22). With few blocks to an unknown
+only the mean widening over all directions is taken from them, on top of the usual covariance.
 
 Whether their steps are short enough for what is said of them: halving the steps changes the runs
 by a gap. What values it would move is told by the normal equations: least squares shift by
@@ -126,7 +126,7 @@ def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def widened(inverse: Array, scores: Array, noise: float) -> tuple[Array, float]:
-    """(covariance (k, k) of least squares whose errors follow each other, its mean widening, a
+    """(covariance (k, k) of least squares with serially correlated errors, its mean widening, a
     variance ratio).
 
     inverse : of the normal matrix J^T J. scores : J^T r of each block (blocks, k). noise : mean

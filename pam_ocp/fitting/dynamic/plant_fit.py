@@ -287,7 +287,7 @@ class PlantFit(FittedPlant):
         coloured = {n: r for n, r in self.autocorrelation.items() if r > COLOURED and not tested}
         for name, r in coloured.items():
             found.append(
-                f"residuals of {name} follow each other (correlation {r:.2f}): the model leaves "
+                f"residuals of {name} are serially correlated ({r:.2f}): the model leaves "
                 "something out, and intervals are too narrow by a factor of about "
                 f"{widening(r):.1f}"
             )

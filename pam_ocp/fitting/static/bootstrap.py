@@ -112,7 +112,7 @@ def _refitted(start: Array | None, problem: LeastSquares) -> Array:
 def _resampled(
     fit: Optimum, problem: LeastSquares, random: np.random.Generator, method: Resampling
 ) -> LeastSquares:
-    """Errors that follow each other, as the fit found, do so in what is drawn."""
+    """Serially correlated errors, as the fit found, do so in what is drawn."""
     cells, serial = problem.cells, fit.serial
     order = next((o for o in sequences(cells) if serial and o.words == serial.order), None)
     if serial is not None and order is not None:

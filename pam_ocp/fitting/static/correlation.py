@@ -1,10 +1,10 @@
-"""Errors that follow each other: found in residuals, and counted in a covariance.
+"""Serially correlated errors: found in residuals, and counted in a covariance.
 
 A regulator that settles, friction and creep make neighbouring measurements err alike, so n of them
 tell less than n. The errors along a sequence are taken as e_i = rho e_(i-1) + new (an AR(1)
 process, stationary). rho has a restricted likelihood, that of the part of the data which no
 coefficient can take up (H. Patterson, R. Thompson, Biometrika 58 (1971) 545-554): residuals
-themselves follow each other less than errors do, for the fit has taken up what lasts long.
+themselves are less correlated than errors do, for the fit has taken up what lasts long.
 Coefficients stay those of least squares; their covariance is (J^T J)^-1 J^T R J (J^T J)^-1,
 averaged over rho with that likelihood (all values from 0 to 1 equally likely before), so that not
 knowing rho counts, too.
@@ -74,7 +74,7 @@ class Order:
 
 
 def sequences(*tables: ForceTable) -> list[Order]:
-    """Orders in which errors of the cells of tables (one behind the other) may follow each other.
+    """Orders in which errors of the cells of tables (one behind the other) may be correlated.
 
     Row after row; row after row within a ramp (contraction level, branch and run); along pressure
     in each of these. Nothing follows from table to table.
@@ -124,7 +124,7 @@ def _joined(orders: Sequence[Order]) -> Order:
 def serial_errors(
     jacobian: Array, residuals: Array, orders: Sequence[Order]
 ) -> SerialErrors | None:
-    """Whether residuals follow each other in one of ``orders``; None when not.
+    """Whether residuals are serially correlated in one of ``orders``; None when not.
 
     jacobian, residuals : weighted, (n, k) and (n,), of the measurements alone; rows of other kinds
     (priors) may stand behind them in the Jacobian, whose errors follow nothing.
@@ -183,7 +183,7 @@ def surprise(residuals: Array, orders: Sequence[Order], price: float) -> float:
 def drawn_errors(
     serial: SerialErrors, order: Order, residuals: Array, sigma: float, random: np.random.Generator
 ) -> Array:
-    """New errors (n,) that follow each other as those of a fit do; their correlation is drawn, too.
+    """New errors (n,), correlated as those of a fit are; their correlation is drawn, too.
 
     What is new in each residual is drawn with replacement (a sieve bootstrap: P. Buehlmann,
     Bernoulli 3 (1997) 123-148). sigma : standard deviation of independent errors.

@@ -130,8 +130,8 @@ class ForceFit(Optimum):
 
         All other coefficients are fitted anew at each value, so the interval may be lopsided; an
         end that the data leave open is infinite. (Bates, Watts, Nonlinear Regression, 1988, 6.1.)
-        Where errors follow each other, the excess is larger in the ratio of the variances with and
-        without that (R. Chandler, S. Bate, Biometrika 94 (2007) 167-183).
+        Where errors are serially correlated, the excess is larger in the ratio of the variances
+        with and without that (R. Chandler, S. Bate, Biometrika 94 (2007) 167-183).
 
         executor : where the two ends are sought, as for :meth:`intervals`.
         """
@@ -226,7 +226,7 @@ class ForceFit(Optimum):
 
         method : "residuals" puts residuals, drawn with replacement, on the fitted law; "cases"
         draws the cells themselves, also right where the scatter is not the same everywhere. Where
-        errors follow each other (``serial``), what is drawn does so, too; with "cases" it is
+        errors are serially correlated (``serial``), what is drawn does so, too; with "cases" it is
         as large from place to place as the residuals there.
         executor : where, as for :func:`pam_ocp.each`; the samples are the same everywhere.
         time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.

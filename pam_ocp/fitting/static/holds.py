@@ -267,7 +267,7 @@ def fit_holds(
     bounds : {estimate: (low, high)} [SI], within those of the plant's variables.
     noise : {measured: standard deviation}, to weigh several measured variables; by default found.
     loss : "squares"; "huber" or "bisquare" where some holds are wrong, as in :func:`fit_force`.
-    errors : "as found": errors that follow each other from hold to hold widen the intervals.
+    errors : "as found": serially correlated errors from hold to hold widen the intervals.
     columns, units : as for :func:`read_record`.
     time_limit : [s]; OutOfTime when it is over.
 

@@ -96,7 +96,7 @@ class Terms:
     censored : whether the law must be slack where the muscle was.
     bounds, priors : (name, low, high) and (name, mean, standard deviation) of coefficients [SI].
     noise : standard deviation of a measurement of weight 1 [N], against which priors weigh.
-    independent : whether errors are known not to follow each other; else residuals tell.
+    independent : whether errors are known to be serially independent; else residuals tell.
     """
 
     loss: Loss = "squares"

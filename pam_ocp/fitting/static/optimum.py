@@ -151,7 +151,7 @@ class Optimum(Estimates):
         """Weighted residuals as they count: cells far off do not after a robust fit."""
         residuals = self.root_weights * self.residuals
         if np.linalg.norm(residuals) <= 1e-9 * np.linalg.norm(self.root_weights * self.cells.force):
-            return np.zeros(self.n)  # rounding errors follow each other, too
+            return np.zeros(self.n)  # rounding errors are serially correlated, too
         if self.terms.loss == "squares":
             return residuals
         if self.terms.loss == "l1":
@@ -161,8 +161,8 @@ class Optimum(Estimates):
 
     @property
     def serial(self) -> SerialErrors | None:
-        """How errors follow each other along a ramp, which widens all intervals; None where they do
-        not.
+        """The serial correlation of errors along a ramp, which widens all intervals; None where
+        there is none.
         """
         return self.linearisation.serial
 

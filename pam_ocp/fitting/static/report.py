@@ -42,7 +42,7 @@ def force_report(fit: Optimum, level: float, opened: Mapping[str, str]) -> str:
         *_weight_lines(fit),
         "    errors taken as independent"
         if fit.serial is None
-        else f"    errors follow each other {fit.serial.order} with probability "
+        else f"    errors are serially correlated {fit.serial.order} with probability "
         f"{100 * fit.serial.probability:.3g} %, which intervals and bands count",
         f"    {solver.status}, {solver.iterations} iterations after a scan of "
         f"{solver.scanned} points, {1e3 * solver.seconds:.0f} ms",
@@ -89,7 +89,7 @@ def force_warnings(fit: Optimum) -> tuple[str, ...]:
     found += [*floor_doubts(fit), *unseen(fit), *_saturated(fit), *following(fit.linearisation)]
     if 0 < fit.dof < FEWEST and not fit.terms.independent:
         found.append(
-            f"with {fit.dof} degrees of freedom nothing tells whether errors follow each other: "
+            f"with {fit.dof} degrees of freedom nothing tells whether errors are correlated: "
             "intervals hold for independent ones only"
         )
     if fit.dof == 0:

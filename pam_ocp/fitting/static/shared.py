@@ -408,7 +408,7 @@ def _member(
 def _marginal_serial(
     linear: Linearisation, root: Array, place: Any, factor: float
 ) -> SerialErrors | None:
-    """The errors that follow each other, such that the covariance is that of the joint fit."""
+    """The serially correlated errors, such that the covariance is that of the joint fit."""
     if linear.serial is None or not linear.scale > 0:
         return None
     normal = root.T @ root

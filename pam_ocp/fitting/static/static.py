@@ -76,10 +76,10 @@ def fit_force(
     priors : {coefficient: (mean, standard deviation)} [SI], known from elsewhere: normal.
     noise : standard deviation of a measurement of weight 1 [N], against which priors weigh; by
         default estimated from a fit without them.
-    errors : "as found": where residuals say that errors follow each other (from row to row, along a
-        ramp, along pressure), intervals and bands are widened for it (see
-        :mod:`pam_ocp.fitting.static.correlation`). "independent": they are known not to, as after
-        measuring in random order.
+    errors : "as found": where residuals say that errors are serially correlated (from row to row,
+        along a ramp, along pressure), intervals and bands are widened for it (see
+        :mod:`pam_ocp.fitting.static.correlation`). "independent": they are known not to be, as
+        after measuring in random order.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
