@@ -4,6 +4,11 @@ from .allocation import AllocationError as AllocationError
 from .allocation import common_and_difference as common_and_difference
 from .allocation import pressures_of as pressures_of
 from .branch import equilibrium_branch as equilibrium_branch
+from .fatigue import FatigueDamage as FatigueDamage
+from .fatigue import SNCurve as SNCurve
+from .fatigue import cycles as cycles
+from .fatigue import damage as damage
+from .fatigue import with_damage as with_damage
 from .linear import linearize as linearize
 from .linear import linearize_along as linearize_along
 from .linear import linearize_grid as linearize_grid
