@@ -61,10 +61,16 @@ def test_a_flat_optimum_ends_at_a_place_and_is_an_optimum():
     guess = by_stops(program.problem, program.mesh, balanced=True)
     found = solver(program, guess)
     assert found.success
-    assert found.status == "Settled"  # IPOPT alone wanders along it
-    violation, slope = kkt(program, found)
-    assert violation <= 1e-7  # multipliers and unknowns count in nominals
-    assert slope <= 2e-6
+    # whether IPOPT alone wanders along it hangs on rounding: here it is told so
+    log = ({"inf_pr": 1e-4, "inf_du": 1e-7},)
+    late = replace(found, status="Maximum_Iterations_Exceeded", success=False, log=log)
+    settled = solver.settled(program, late)
+    assert settled.status == "Settled"
+    for outcome in (found, settled):
+        violation, slope = kkt(program, outcome)
+        assert violation <= 1e-7  # multipliers and unknowns count in nominals
+        assert slope <= 2e-6
+    assert settled.objective == pytest.approx(found.objective, rel=1e-5)
     # a second way to it: along the flat there are many optima, all of one value
     other = solver(program, guess, "adaptive")
     assert other.success
