@@ -404,6 +404,7 @@ SHOWN int pam_real_time(shared *s) {
     static loop l;
     pthread_t other;
     memset(&l, 0, sizeof l);
+    atomic_flag_clear(&l.taken);
     l.s = s;
     double *table = (double *)(void *)(s + 1);
     l.table = table;
