@@ -5,8 +5,7 @@ Two references, both of plain CasADi and IPOPT, started cold: ``Opti`` as its us
 (unscaled; case (a) alone, see plan.py), and the usual careful way: the scaled program with mapped
 stage functions, CasADi's own derivatives and IPOPT's defaults. Each figure is the best of
 ``REPEATS`` in this one process; ratios are those of the solver's time to the careful way's, and to
-Opti's in brackets. "call" is the whole call of the planner, with its independent replay. fatrop
-starts from the neighbour's primal values alone, so its "warm" is not IPOPT's.
+Opti's in brackets. "call" is the whole call of the planner, with its independent replay.
 
 Run:  python benchmarks/resolve.py
 """
@@ -51,8 +50,6 @@ METHODS = {
     },
     "shooting 50 x 2": {"method": pam.planning.Shooting(N, 2)},
     "shooting 50 x 2, compiled": {"method": pam.planning.Shooting(N, 2), "compiled": True},
-    "Radau 50 x 3, fatrop": {"method": pam.Collocation(N, 3), "solver": "fatrop"},
-    "shooting 50 x 2, fatrop": {"method": pam.planning.Shooting(N, 2), "solver": "fatrop"},
 }
 
 

@@ -171,10 +171,7 @@ def plan(
         everywhere. None: here, and by processes of our own where that pays, on any system. The
         first start is tried here, and so are all where another solver than IPOPT is named.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
-    solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on
-        many intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
-        process of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it
-        leaves unsolved IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
+    solver : "ipopt", or one that a component adds to the library (docs/architecture.md).
     compiled : IPOPT's functions compiled (cc or zig) and kept for the next time; pays for
         :class:`Shooting` solved many times (a third of the time), little for collocation.
     options : of the solver, over its defaults here.

@@ -129,7 +129,7 @@ def test_names_are_known_whatever_was_imported_first():
         ("muscles.law", "LAWS", "thick-wall"),
         ("plants.kinds", "FEEDS", "SpoolValve"),
         ("judge.costs", "COSTS", "exergy"),
-        ("planning.solvers.solver", "SOLVERS", "fatrop"),
+        ("planning.solvers.solver", "SOLVERS", "ipopt"),
     ):
         text = textwrap.dedent(code.format(module=module, name=name))
         done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)

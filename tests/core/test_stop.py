@@ -359,10 +359,9 @@ def test_sigterm_ends_the_command_with_143(tmp_path):
 
 @posix
 @pytest.mark.slow
-@pytest.mark.parametrize("server", ["solver_server.py", "fatrop_server.py"])
-def test_no_helper_outlives_its_parent(server):
+def test_no_helper_outlives_its_parent():
     """The parent dies by SIGKILL while the helper waits, and keeps the helper's input open."""
-    path = ROOT / "pam_ocp" / "planning" / "solvers" / server
+    path = ROOT / "pam_ocp" / "planning" / "solvers" / "solver_server.py"
     parent = f"""
         import os, subprocess, sys, time
         read, write = os.pipe()
@@ -472,7 +471,6 @@ def test_a_verb_in_another_thread_keeps_to_its_time_limit():
 def test_no_solver_or_integrator_is_made_but_by_the_wrappers():
     """Servers are processes of their own, which their parents end."""
     own = {"numerics/solvers.py", "planning/solvers/solver_server.py"}
-    own.add("planning/solvers/fatrop_server.py")
     made = re.compile(r"\bca\.(?:nlpsol|integrator|rootfinder|conic|qpsol)\(")
     package = ROOT / "pam_ocp"
     found = {

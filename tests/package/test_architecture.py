@@ -212,7 +212,7 @@ def test_an_import_loads_names_only_when_they_are_used(name):
 
 
 def test_a_first_plan_loads_nothing_that_it_does_not_use():
-    """Files, other laws, fatrop's order of stages and NumPy's random numbers are for others."""
+    """Files, other laws, re-solves and NumPy's random numbers are for others."""
     code = (
         "import sys, pam_ocp as pam; muscle = pam.muscle('DMSP-20-200N'); "
         "slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.1); "
@@ -221,7 +221,7 @@ def test_a_first_plan_loads_nothing_that_it_does_not_use():
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    unused = ("planning.problem.problem_file", "planning.solvers.fatrop", "plants.plant_file")
+    unused = ("planning.problem.problem_file", "planning.solvers.newton", "plants.plant_file")
     loaded = set(done.stdout.split())
     assert "pam_ocp.planning.planner" in loaded
     assert not loaded & {"numpy.random", "secrets", *(f"pam_ocp.{name}" for name in unused)}

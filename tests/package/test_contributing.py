@@ -479,7 +479,7 @@ def test_a_solver_is_one_class(tmp_path):
         assert theirs.objective == pytest.approx(ours.objective, rel=1e-5)
         with pytest.raises(pam.InputError, match="compiled = True goes with solver = 'ipopt'"):
             pam.plan(plant, tolerance=None, compiled=True, **arguments)
-    with pytest.raises(pam.InputError, match="solver = 'slsqp': choose one of fatrop, ipopt"):
+    with pytest.raises(pam.InputError, match="solver = 'slsqp': choose one of ipopt"):
         pam.plan(plant, **arguments)
 
 

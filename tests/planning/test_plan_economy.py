@@ -351,16 +351,6 @@ def test_a_saved_plan_of_least_work_is_loaded_with_its_objective(tmp_path):
         assert again.verified
 
 
-def test_fatrop_finds_the_same_least_work():
-    if not ca.has_nlpsol("fatrop"):
-        pytest.skip("this CasADi has no fatrop")
-    plant, stops = pam.HangingLoad(MUSCLE, 10.0), [{"x": 0.01}, {"x": 0.03}]
-    wanted = {"duration": 0.5, "minimise": "work", "tolerance": None}
-    wanted["method"] = pam.Collocation(15, 3)
-    found = [pam.plan(plant, stops, solver=s, **wanted) for s in ("ipopt", "fatrop")]
-    assert found[0].objective == pytest.approx(found[1].objective, rel=1e-6)
-
-
 def test_the_least_air_is_what_the_supply_gives_along_the_motion():
     plant = pam.HangingLoad(MUSCLE, 10.0, feed=pam.feeds.SpoolValve())
     plan = pam.plan(

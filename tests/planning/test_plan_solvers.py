@@ -1,4 +1,4 @@
-"""Solvers of a plan: derivatives by stages, the stage-ordered form, fatrop, compiled functions."""
+"""Solvers of a plan: derivatives by stages, the choice by name, compiled functions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from pam_ocp.planning import Shooting
 from pam_ocp.planning.solvers.solver import Ipopt, Outcome
 from pam_ocp.planning.transcription.derivatives import derivatives
 from pam_ocp.planning.transcription.guess import by_stops
-from pam_ocp.planning.transcription.stage_order import stage_ordered
 
 STOPS = [{"x": -0.015}, {"x": 0.015}]
 
@@ -128,140 +127,19 @@ def test_derivatives_by_stages_are_casadis(program):
         assert flat(a) == pytest.approx(flat(b), rel=1e-10, abs=1e-10)
 
 
-def test_the_stage_ordered_form_says_the_same(program):
-    """At any unknowns: the same objective, the same constraints,
-    and what is carried has no gaps.
-    """
-    stages = stage_ordered(program)
-    rng = np.random.default_rng(2)
-    w, p = rng.uniform(0.5, 1.5, program.nlp["x"].numel()), program.parameters()
-    z = stages.lifted(w, p)
-    assert stages.lowered(z) == pytest.approx(w)
-    whole, ordered = (
-        ca.Function("f", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
-        for nlp in (program.nlp, stages.nlp)
-    )
-    (f, g), (f_ordered, g_ordered) = whole(w, p), ordered(z, p)
-    assert float(f_ordered) == pytest.approx(float(f), rel=1e-12)
-    expected = np.where(stages.row < 0, 0.0, stages.sign * flat(g)[stages.row])
-    assert flat(g_ordered) == pytest.approx(expected, abs=1e-10)
-    # each constraint and unknown of the program stands there once
-    assert sorted(stages.row[stages.row >= 0]) == list(range(g.numel()))
-    assert set(stages.unknown[stages.unknown >= 0]) == set(range(len(w)))
-
-
-def test_each_stage_depends_on_itself_and_the_next_state_alone(program):
-    """The structure that CasADi's interface to fatrop asks for; gaps are x_next - F."""
-    stages = stage_ordered(program)
-    nx, nu, ng = (stages.sizes[k] for k in ("nx", "nu", "ng"))
-    jacobian = ca.jacobian_sparsity(stages.nlp["g"], stages.nlp["x"])
-    rows, columns = map(np.array, jacobian.get_triplet())
-    row = 0
-    begins = np.concatenate([[0], np.cumsum(np.add(nx, nu))])
-    for k in range(stages.sizes["N"] + 1):
-        gaps = nx[k + 1] if k < stages.sizes["N"] else 0
-        for i in range(gaps + ng[k]):
-            found = columns[rows == row + i]
-            assert found.min(initial=begins[k]) >= begins[k]
-            beyond = found[found >= begins[k + 1]]
-            assert list(beyond) == ([begins[k + 1] + i] if i < gaps else [])
-        row += gaps + ng[k]
-
-
-# ---- fatrop -------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "name", ["radau", "shooting", "design", "three legs", "budget", "rate", "profiles"]
-)
-def test_fatrop_finds_what_ipopt_finds(name):
-    expected = planner(name)(tolerance=None)
-    found = planner(name, solver="fatrop")(tolerance=None)
-    assert found.statistics["solver"] == "fatrop"
-    assert "warning" not in found.statistics
-    assert found.objective == pytest.approx(expected.objective, rel=1e-7)
-    assert found.replay_error == pytest.approx(expected.replay_error, rel=1e-2, abs=1e-7)
-    for parameter, value in expected.sensitivities.items():
-        assert found.sensitivities[parameter] == pytest.approx(value, rel=1e-4, abs=1e-6)
-    costates, same = expected.costates, found.costates
-    assert same["x"] == pytest.approx(costates["x"], rel=1e-4, abs=1e-4)
-
-
-def test_the_double_integrator_by_fatrop():
-    """Bang-bang over one metre with one newton and one kilogram: 2 s (Bryson-Ho 1975)."""
-    plant = cart(limit=1.0).with_values(mass=1.0, stiffness=0.0)
-    plan = pam.plan(plant, MOVE, rest=False, solver="fatrop")
-    assert plan.statistics["solver"] == "fatrop"
-    assert plan.duration == pytest.approx(2.0, rel=1e-6)
-
-
-@pytest.mark.parametrize("cyclic", ["mirrored", True])
-def test_the_benchmark_by_fatrop(slide, cyclic):
-    expected = pam.plan(slide, STOPS, cyclic=cyclic)
-    found = pam.plan(slide, STOPS, cyclic=cyclic, solver="fatrop")
-    assert found.statistics["solver"] == "fatrop"
-    assert found.objective == pytest.approx(expected.objective, rel=1e-7)
-    assert found.replay_error < 1e-6
-    # a longer way takes longer; nothing depends on the mass (pressure rates are the limit)
-    for label, value in expected.stop_sensitivities.items():
-        assert found.stop_sensitivities[label] == pytest.approx(value, rel=1e-4, abs=1e-6)
-    assert abs(expected.stop_sensitivities["stop 1: x"]) > 0.1
-
-
-def test_fatrop_again_for_other_numbers():
-    """The process stays; a plan of another load is that of IPOPT."""
-    ours, theirs = planner("radau", solver="fatrop"), planner("radau")
-    first = ours()
-    process = ours._solver._fatrop._process
-    heavier = ours(values={"mass": 1.6}, guess=first)
-    assert ours._solver._fatrop._process is process
-    assert heavier.statistics["solver"] == "fatrop"
-    assert heavier.objective == pytest.approx(theirs(values={"mass": 1.6}).objective, rel=1e-7)
-
-
-def test_a_process_that_takes_too_long_is_ended_and_ipopt_solves():
-    ours = planner("radau", solver="fatrop", options={"time_limit": 1e-3})
-    plan = ours()
-    assert plan.success
-    assert plan.statistics["solver"] == "IPOPT"
-    assert "no result within 0.001 s" in plan.statistics["warning"]
-    assert plan.objective == pytest.approx(planner("radau")().objective, rel=1e-9)
-    assert ours._solver._fatrop._process is None
-
-
-def test_an_interrupted_solve_leaves_no_answer_behind(monkeypatch):
-    """Else the next solve would take the answer to this one for its own."""
-    import pickle
-
-    ours = planner("radau", solver="fatrop")
-    first = ours()
-
-    def interrupted(stream):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(pickle, "load", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            ours(values={"mass": 1.6})
-    again = ours()
-    assert again.statistics["solver"] == "fatrop"
-    assert again.objective == pytest.approx(first.objective, rel=1e-9)
-
-
-def test_a_process_that_dies_is_started_again():
-    ours = planner("radau", solver="fatrop")
-    ours()
-    ours._solver._fatrop._process.kill()
-    ours._solver._fatrop._process.wait()
-    assert "died" in ours().statistics["warning"]
-    assert ours().statistics["solver"] == "fatrop"
+# ---- the choice of a solver ---------------------------------------------------------------------
+def test_fatrop_is_ipopt_and_says_so():
+    with pytest.warns(DeprecationWarning, match="'fatrop' is solver = 'ipopt'"):
+        ours = planner("radau", solver="fatrop", options={"time_limit": 20.0})
+    found = ours()
+    assert found.statistics["solver"] == "IPOPT"
+    assert found.objective == pytest.approx(planner("radau")().objective, rel=1e-9)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"solver": "snopt"}, "choose one of fatrop, ipopt"),
-        ({"solver": "fatrop", "options": {"time_limit": 0}}, "give seconds > 0"),
-        ({"solver": "fatrop", "compiled": True}, "compiled = True goes with solver = 'ipopt'"),
-        ({"solver": "fatrop", "options": {"no_such_option": 1}}, "no_such_option"),
+        ({"solver": "snopt"}, "choose one of ipopt"),
     ],
 )
 def test_a_choice_that_cannot_be_meant_is_refused(arguments, message):

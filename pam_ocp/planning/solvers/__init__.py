@@ -1,1 +1,1 @@
-"""IPOPT, fatrop, compiled functions; diagnosis and multipliers."""
+"""IPOPT, Newton's method, compiled functions; diagnosis and multipliers."""

@@ -128,9 +128,8 @@ CONVERGED: dict[str, Any] = {
     "acceptable_constr_viol_tol": 1e-4,
     "acceptable_compl_inf_tol": DEFAULTS["compl_inf_tol"],
 }
-"""After a solve that went to and fro: costs at their least to the residual that is asked of
-fatrop's solutions. Where they are flat this goes on for ever in small steps, each of which leaves
-the constraints again.
+"""After a solve that went to and fro: costs at their least to a residual of 1e-6. Where they
+are flat this goes on for ever in small steps, each of which leaves the constraints again.
 """
 
 FEASIBLE: dict[str, Any] = {
