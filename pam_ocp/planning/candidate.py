@@ -168,8 +168,8 @@ class Engine:
 
     @property
     def work(self) -> float:
-        """Iterations times unknowns so far."""
-        return float(sum(s.iterations * s.unknowns for s in self.stages))
+        """Of all solves so far."""
+        return sum(s.work for s in self.stages)
 
     def of(self, problem: Problem, mesh: Mesh | None = None) -> Engine:
         """For another problem."""

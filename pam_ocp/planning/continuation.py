@@ -62,7 +62,7 @@ class Continuation:
         first, missed, costs = c.place, np.inf, True
         self.spent = False
         while True:
-            spent = self.engine.work - since > self._allowed(c) or self.is_enough()
+            spent = self._is_spent(since) or self.is_enough()
             if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)
                 c = c if self.is_enough() else self._corrected(c, spent)
@@ -106,9 +106,10 @@ class Continuation:
                 continue
             step *= s.shrink
 
-    def _allowed(self, c: Candidate) -> float:
-        """Work of a part of the way, at most."""
-        return max(self.settings.work, self.settings.iterations * len(c.solved.outcome.w))
+    def _is_spent(self, since: float) -> bool:
+        """Whether a part of the way, or the search, has taken its work."""
+        work = self.engine.work
+        return work - since > self.settings.work or work > self.settings.all_work
 
     def _finer(self, c: Candidate, meshes: list[tuple[Mesh, str]]) -> Candidate | None:
         """On the first of some meshes that leads to a solution. Along the path costs need not be at
@@ -117,6 +118,8 @@ class Continuation:
         """
         on_path = c.place < 1.0 and not self.meshes.is_coarse(c.mesh)
         starts: tuple[Start, ...] = ("restored", "near") if on_path else ("near",)
+        if c.place == 1.0 and not (self.meshes.economical or self.meshes.is_coarse(c.mesh)):
+            starts = ("finer", "near")  # what is missed is the tolerance: costs may all but stay
         failed = []
         for mesh, why in meshes:
             for start in starts:
@@ -146,7 +149,7 @@ class Continuation:
             if c.check.dynamic <= aim or sum(c.errors) > s.resolved:
                 return c
             now = self.engine.corrected(c, start)
-            if now is None and start == "feasible":
+            if start == "feasible" and (now is None or self._is_elsewhere(now, c)):
                 start = "last"
                 now = self.engine.corrected(c, start)
             if now is None:

@@ -39,9 +39,9 @@ __all__ = ["MeshSequence", "scale"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-RATIO = 0.5, 0.8
-"""What a mesh leaves of the gain of the one before: at least (small first steps seem to gain
-quickly) and at most (a geometric row then sums to four times its last change).
+RATIO = 0.8
+"""Of errors of the objective from mesh to mesh, at most: where few intervals were split, theirs
+count.
 """
 UNSEEN = 2.0
 """Times as much may be gained as first-order gradients show."""
@@ -144,16 +144,12 @@ class MeshSequence:
         return [(mesh, f"objective may fall by {100 * self.gap(c):.2g} %")]
 
     def gap(self, c: Candidate) -> float:
-        """What finer meshes may gain, as a part of the objective: by the gradients, or by a
-        geometric row of the changes so far (Richardson), whichever is less.
+        """What finer meshes may gain, as a part of the objective: by the gradients, or by the
+        changes so far (Richardson), whichever is less.
         """
         if c.gap is not None:
             return c.gap
-        left, pace = self._left(c), self._pace(c)
-        before = float("nan") if c.coarser is None else self._left(c.coarser)
-        ratio = self._ratio(left, before)
-        row = pace * ratio / (1 - ratio)
-        known = [v for v in (UNSEEN * left, row) if np.isfinite(v)]
+        known = [v for v in (UNSEEN * self._left(c), self._extrapolated(c)) if np.isfinite(v)]
         if self._bounded:  # no more can be gained than there is
             known.append(c.objective / scale(c))
         return min(known) if known else float("inf")
@@ -169,20 +165,18 @@ class MeshSequence:
             return float("nan")
         return abs(c.objective - c.coarser.objective) / scale(c)
 
-    def _pace(self, c: Candidate) -> float:
-        """The last change of the objective, or what those before it let expect where that is more:
-        a change that is less is luck.
+    def _extrapolated(self, c: Candidate) -> float:
+        """The error of the objective by its last change, which is e (1 - r) / r where r = e / e of
+        the mesh before. With held inputs r is the ratio of the intervals (first order, as at
+        switches), or its square (second, along smooth arcs): a change that is less than that lets
+        expect is luck.
         """
         change = self.change(c)
         if c.coarser is None or np.isnan(change):
-            return change
-        ratio = self._ratio(self._left(c), self._left(c.coarser))
-        return float(np.fmax(change, ratio * self._pace(c.coarser)))
-
-    @staticmethod
-    def _ratio(left: float, before: float) -> float:
-        ratio = left / before if before > 0 else float("nan")
-        return float(np.clip(ratio, *RATIO)) if np.isfinite(ratio) else RATIO[0]
+            return float("nan")
+        ratio = min(len(c.coarser.mesh.intervals) / len(c.mesh.intervals), RATIO)
+        row = change * ratio / (1 - ratio)
+        return float(np.fmax(row, ratio**2 * self._extrapolated(c.coarser)))
 
     @staticmethod
     def split(mesh: Mesh, gained: Array | None, settings: Settings) -> Mesh:

@@ -9,6 +9,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
@@ -38,12 +39,12 @@ from .problem.objective import follows_inputs
 from .result import Plan, Solved
 from .reuse import renewed
 from .search import Found, Search
-from .settings import SETTINGS
+from .settings import SETTINGS, UNBOUNDED, Settings
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import advice, explanation
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
-from .stages import Stage, as_data, recorded
+from .stages import Stage, WorkIsSpent, as_data, recorded
 from .starts import MOST
 from .transcription.mesh import Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
@@ -89,6 +90,7 @@ STRICTER, NEARLY, LEAST = 2, 30.0, 1e-6
 """Times that a plan is refined beyond its tolerance where the judge misses that, by so many
 tolerances at most; and to which at least.
 """
+SPENT = "the work that a search may take, about a minute, was spent; time_limit= allows more"
 GRACE = 10.0
 """Seconds, at most, for the verdict on a plan that was found when the time was up."""
 
@@ -328,8 +330,10 @@ class Planner:
         changed: Mapping[str, Any],
         time_limit: float | None,
     ) -> Plan:
-        with recorded() as stages:
-            return self._found(values, guess, tolerance, starts, changed, time_limit, stages)
+        settings = SETTINGS if time_limit is None else UNBOUNDED
+        with recorded(settings.most_work) as stages:
+            found = values, guess, tolerance, starts, changed, time_limit
+            return self._found(*found, stages, settings)
 
     def _found(
         self,
@@ -340,6 +344,7 @@ class Planner:
         changed: Mapping[str, Any],
         time_limit: float | None,
         stages: list[Stage],
+        settings: Settings,
     ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
@@ -349,11 +354,14 @@ class Planner:
             require_count("starts", starts, 1, MOST)
         program = self._with(values, changed)
         statement = replace(self._statement, **changed)
-        engine = Engine(program, self._solver, self._backend, stages, SETTINGS)
+        engine = Engine(program, self._solver, self._backend, stages, settings)
         search = Search(engine, statement, starts, tolerance)
         near, last = (guess._near(program), guess._solved) if guess is not None else (None, None)
         try:
             found = search.best(near, last, self._finer)
+        except WorkIsSpent:
+            name = program.problem.plant.name
+            raise PlanError(f"no plan was found for {name}: {SPENT}. {advice(program)}") from None
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
@@ -402,8 +410,10 @@ class Planner:
         """Of a search, for a plan's statistics."""
         stages = search.engine.stages
         figures = {**search.found.figures, "stages": as_data(stages)}
-        if search.found.cut or deadline().over:
+        if isfinite(deadline().seconds) and (search.found.cut or deadline().over):
             figures["ended"] = f"{deadline()} was over"
+        elif search.found.cut and not search.met:
+            figures["ended"] = SPENT
         figures["iterations"] = sum(s.iterations for s in stages)
         seconds = {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
         return figures | seconds

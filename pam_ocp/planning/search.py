@@ -30,7 +30,7 @@ from .solvers.diagnosis import Conflict, elastic, resolving
 from .solvers.ipopt_options import Start
 from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome
-from .stages import stage
+from .stages import WorkIsSpent, stage, unlimited
 from .starts import Ends, Task, number_of_starts, tasks
 from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
 from .transcription.leading import by_leading
@@ -121,10 +121,12 @@ class Search:
         """
         try:
             self._searched(near, last, finer)
-        except TimeIsUp:
+        except TimeIsUp as why:
             self.found.cut = True
             if self.found.best is None:
-                raise
+                if not isinstance(why, WorkIsSpent) or self.found.failure is None:
+                    raise
+                self._diagnosed()
         return self.found
 
     def closer(self, tolerance: float) -> bool:
@@ -311,7 +313,8 @@ class Search:
         program, solver = engine.smoothed(own, self.place), engine.solver_of(own)
         with stage("starts", f"{len(starts)} more" if number else "the usual guess"):
             if isinstance(solver, Ipopt) and len(starts) > 1:
-                outcomes = solved_side_by_side(solver, program, starts, self._first_seconds)
+                with unlimited():
+                    outcomes = solved_side_by_side(solver, program, starts, self._first_seconds)
             else:
                 outcomes = [solver(program, task.guess, task.start) for task in starts]
         self._first_seconds = outcomes[0].seconds

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 
-__all__ = ["SETTINGS", "Settings"]
+__all__ = ["SETTINGS", "UNBOUNDED", "Settings"]
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,15 @@ class Settings:
     """Of different starts that are led to the end, at most, until one is verified."""
     tie: float = 1e-4
     """Relative difference of two objectives up to which they count as one optimum."""
-    work: float = 4e6
-    """Iterations times unknowns for one candidate before, on and behind its path each, and of a
-    search that has found a plan: half a minute or so (measured: 5e-6 to 2e-5 s each)."""
-    iterations: int = 600
-    """That ``work`` allows at least, of problems with many unknowns (measured: a path takes 8 to 16
-    steps of some 30 iterations)."""
+    work: float = 24.0
+    """Processor seconds of a common machine (``iteration_cost``) for one candidate before, on and
+    behind its path each, and of a search that has found a plan."""
+    all_work: float = 20.0
+    """The same of a whole search: then costs are left as they are, and what is missed of the
+    tolerance is all that goes on to fall. A ``time_limit`` takes its place, and that of the next.
+    """
+    most_work: float = 30.0
+    """At which a search ends in any case: with building, replays and verdict a minute."""
     regularisation: float = 1e-3
     """Cost of the squared inputs, in nominals and times the weight of the time, that leads to the
     quickest motion of an over-actuated plant (measured: an arm with four muscles takes 130
@@ -78,3 +82,5 @@ class Settings:
 
 
 SETTINGS = Settings()
+UNBOUNDED = replace(SETTINGS, all_work=inf, most_work=inf)
+"""Of a search that a time limit ends."""

@@ -1,4 +1,9 @@
-"""What a search does, stage by stage: each solve with its reason, and what it took."""
+"""What a search does, stage by stage: each solve with its reason, and what it took; the work that
+it may take in all.
+
+Work is iterations times the cost of one, counted from the program (``iteration_cost``): processor
+seconds of a common machine, the same on all.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,32 @@ from collections.abc import Iterator, Sequence, Sized
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any, Protocol
+
+from ..core.stop import TimeIsUp
 
 if TYPE_CHECKING:
     from .solvers.ipopt_options import Start
     from .transcription.transcription import Program
 
-__all__ = ["Stage", "as_data", "recorded", "stage", "table", "written"]
+__all__ = [
+    "Stage",
+    "WorkIsSpent",
+    "as_data",
+    "recorded",
+    "require_work",
+    "stage",
+    "table",
+    "unlimited",
+    "written",
+]
 
 LOG = logging.getLogger(__name__)
+
+
+class WorkIsSpent(TimeIsUp):
+    """A search has taken the work that it may take: it ends with what it has."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +58,8 @@ class Stage:
     intervals: int
     unknowns: int
     objective: float
+    work: float = 0.0
+    """Iterations times the cost of one."""
 
 
 class _Outcome(Protocol):
@@ -58,6 +82,8 @@ class _Record:
     """The solves of one search; names and reasons of the stages that it is in."""
 
     found: list[Stage]
+    limit: float = inf
+    """Of the work of all."""
     names: tuple[str, ...] = ()
     reason: str = ""
 
@@ -66,10 +92,12 @@ RECORD: ContextVar[_Record | None] = ContextVar("stages of the search", default=
 
 
 @contextmanager
-def recorded() -> Iterator[list[Stage]]:
-    """In the ``with`` solves are entered in the list; a search within another has its own."""
+def recorded(limit: float = inf) -> Iterator[list[Stage]]:
+    """In the ``with`` solves are entered in the list; a search within another has its own. limit :
+    of their work.
+    """
     found: list[Stage] = []
-    before = RECORD.set(_Record(found))
+    before = RECORD.set(_Record(found, limit))
     try:
         yield found
     finally:
@@ -84,15 +112,33 @@ def stage(name: str, reason: str) -> Iterator[None]:
         yield
         return
     names = record.names if name in record.names else (*record.names, name)
-    before = RECORD.set(_Record(record.found, names, reason))
+    before = RECORD.set(_Record(record.found, record.limit, names, reason))
     try:
         yield
     finally:
         RECORD.reset(before)
 
 
-def written(program: Program, start: Start, outcome: _Outcome, seconds: float) -> None:
-    """Enter a solve."""
+@contextmanager
+def unlimited() -> Iterator[None]:
+    """For solves side by side, of which none may end for what another takes."""
+    record = RECORD.get() or _Record([])
+    before = RECORD.set(_Record(record.found, inf, record.names, record.reason))
+    try:
+        yield
+    finally:
+        RECORD.reset(before)
+
+
+def require_work(more: float) -> None:
+    """Raise WorkIsSpent where the solves so far and ``more`` take what is allowed."""
+    record = RECORD.get()
+    if record is not None and sum(s.work for s in record.found) + more > record.limit:
+        raise WorkIsSpent
+
+
+def written(program: Program, start: Start, outcome: _Outcome, seconds: float, cost: float) -> None:
+    """Enter a solve; cost : of an iteration."""
     record = RECORD.get() or _Record([])
     entry = Stage(
         " / ".join(record.names) or "solve",
@@ -105,6 +151,7 @@ def written(program: Program, start: Start, outcome: _Outcome, seconds: float) -
         len(program.mesh.intervals),
         len(outcome.w),
         outcome.objective,
+        outcome.iterations * cost,
     )
     record.found.append(entry)
     LOG.info("%s (%s): %s", entry.name, entry.reason, _told(entry))

@@ -108,7 +108,7 @@ def _settled(
     ended, late = [], len(found) < len(tasks)
     for i in sorted(found):
         if i in elsewhere:
-            written(program, tasks[i].start, found[i], found[i].seconds)
+            written(program, tasks[i].start, found[i], found[i].seconds, ipopt.cost)
         try:
             ended.append(ipopt.settled(program, found[i]))
         except TimeIsUp:

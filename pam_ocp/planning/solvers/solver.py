@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ...core.registry import Registry
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
-from ..stages import written
-from ..transcription.derivatives import derivatives
+from ..stages import require_work, written
+from ..transcription.derivatives import derivatives, iteration_cost
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
 from .ipopt_options import (
@@ -42,9 +42,9 @@ LOG = logging.getLogger(__name__)
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
 
-FAR, NEAR_BY = (3e6, 250, 800), (1e6, 30)
-"""Iterations times unknowns of one solve, iterations at least and at most: from far away (hundreds
-are worth it there), and where a motion is there already whose costs are all that is left to gain.
+FAR, NEAR_BY = (24.0, 250, 800), (8.0, 30)
+"""Work of one solve, iterations at least and at most: from far away (hundreds are worth it there),
+and where a motion is there already whose costs are all that is left to gain.
 """
 LIMIT = 60.0, 2e-2
 """Processor seconds of one solve, at least and for each unknown, which none needs: where the linear
@@ -53,11 +53,11 @@ iterations.
 """
 
 
-def most_iterations(program: Program, start: Start) -> int:
+def most_iterations(cost: float, start: Start) -> int:
     """Of one solve: hundreds are worth it where they cost little."""
-    own, n = STARTS[start].get("max_iter"), program.nlp["x"].numel()
+    own = STARTS[start].get("max_iter")
     work, least, most = FAR if own is None else (NEAR_BY[0], min(NEAR_BY[1], own), own)
-    return int(np.clip(work / n, least, most))
+    return int(np.clip(work / cost, least, most))
 
 
 def limit(program: Program) -> float:
@@ -232,6 +232,7 @@ class Ipopt:
         self._iteration, self._limits = 0, program.limits()
         self._given = dict(options or {})
         self._derivatives = derivatives(program)
+        self.cost = iteration_cost(program)
         self._library: str | None = None
         self._solvers: dict[str, Nlp] = {}
         self._newton: Newton | Literal["unknown"] | None = "unknown"
@@ -249,7 +250,7 @@ class Ipopt:
         """Of the solver of this name, but for its functions."""
         time, own = limit(self.program), dict(STARTS[name])
         if name in DAMPED or "max_iter" not in own:
-            own["max_iter"] = most_iterations(self.program, name)
+            own["max_iter"] = most_iterations(self.cost, name)
         if self._acceptance_given:
             own = {n: v for n, v in own.items() if not n.startswith("acceptable")}
         chosen = {**DEFAULTS, **own, "max_cpu_time": time}
@@ -274,9 +275,8 @@ class Ipopt:
                 options["jac_g"] = self._derivatives["jac_g"]
                 options["hess_lag"] = _unity(self._derivatives["hess_lag"])
             sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
-            report = self._progress if self._report else None
             try:
-                solver = nlpsol(name, "ipopt", problem, options, sizes=sizes, report=report)
+                solver = nlpsol(name, "ipopt", problem, options, sizes=sizes, report=self._progress)
             except RuntimeError as error:
                 said = re.sub(r"^\S+\.[ch]pp:\d+: ", "", str(error).splitlines()[-1])
                 raise InputError(
@@ -289,11 +289,12 @@ class Ipopt:
         return self._solvers[name]
 
     def _progress(self, x: ca.DM, f: ca.DM, g: ca.DM) -> None:
-        """Report an iteration: its number, objective and largest violation."""
-        assert self._report is not None
-        values, (low, high) = np.asarray(g, float).ravel(), self._limits
-        worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
-        self._report(self._iteration, float(f), float(worst))
+        """Count an iteration; report its number, objective and largest violation."""
+        require_work(self._iteration * self.cost)
+        if self._report is not None:
+            values, (low, high) = np.asarray(g, float).ravel(), self._limits
+            worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
+            self._report(self._iteration, float(f), float(worst))
         self._iteration += 1
 
     def residual(self, program: Program, outcome: Outcome) -> float:
@@ -320,7 +321,7 @@ class Ipopt:
         if start == "warm" and warm is not None:
             found = self._by_newton(given, warm, begin)
             if found is not None:
-                written(program, start, found, time.process_time() - processor)
+                written(program, start, found, time.process_time() - processor, self.cost)
                 return found
         solver = self._solver(start)
         if warm is not None and start not in PROJECTIONS:
@@ -331,7 +332,7 @@ class Ipopt:
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
         if start in PROJECTIONS:
             outcome = self._beside(outcome, given["p"], warm)
-        written(program, start, outcome, time.process_time() - processor)
+        written(program, start, outcome, time.process_time() - processor, self.cost)
         return outcome if start in SETTLING else self.settled(program, outcome, start)
 
     def _beside(self, found: Outcome, p: Array, warm: Outcome | None) -> Outcome:

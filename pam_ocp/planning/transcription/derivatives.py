@@ -7,7 +7,7 @@ its own unknowns, evaluated over the intervals, and its entries are added where 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import TypeAlias
 
@@ -19,10 +19,19 @@ from ..problem.problem import Problem
 from .stage import Stage
 from .transcription import Program, with_design
 
-__all__ = ["Block", "derivatives", "stage_blocks"]
+__all__ = ["Block", "derivatives", "iteration_cost", "stage_blocks"]
 
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
+
+
+PER_UNKNOWN, UNCOUNTED = 4e-6, 1.2e-5
+"""Processor seconds of an iteration for each unknown: of the linear algebra, and of all where the
+derivatives' operations are not counted.
+"""
+PER_OPERATION = {"rows": 1.7e-8, "curvature": 7.7e-9}
+"""The same for each operation. Measured on 46 solves of 14 random tasks (2 to 8 states, 100 to
+40 000 unknowns): right to a factor of 1.4 in nine of ten."""
 
 
 def derivatives(program: Program) -> dict[str, ca.Function]:
@@ -58,6 +67,8 @@ class _Local:
     given: list[ca.SX]
     rows: ca.SX
     cost: ca.SX
+    operations: dict[str, int] = field(default_factory=dict)
+    """Of the functions that were made."""
 
     @cached_property
     def slopes(self) -> ca.SX:
@@ -120,6 +131,7 @@ class Block:
     def over(self, name: str, value: ca.SX, more: list[ca.SX], given: list[ca.MX]) -> ca.MX:
         """The stored entries of ``value`` of all intervals, as one column."""
         function = ca.Function(name, [*self.local.given, *more], [_stored(value)])
+        self.local.operations[name] = function.n_instructions()
         return ca.vec(function.map(self.unknowns.shape[1])(*given))
 
     def given(self, problem: Problem, w: ca.MX, p: ca.MX) -> list[ca.MX]:
@@ -168,6 +180,20 @@ def stage_blocks(program: Program) -> list[Block]:
         weights = lengths[members].T, starts[members].T
         found.append(Block(_local(group.stage), np.array(unknowns).T, np.array(rows).T, weights))
     return found
+
+
+def iteration_cost(program: Program) -> float:
+    """Processor seconds of an iteration on a common machine, from the size of the program and the
+    operations of its derivatives (once these are made): the same wherever it is asked.
+    """
+    unknowns, counted = program.nlp["x"].numel(), 0.0
+    for group in program.groups:
+        made = {} if program.problem.profiles else _local(group.stage).operations
+        if not made:
+            return UNCOUNTED * unknowns
+        each = sum(cost * made.get(name, 0) for name, cost in PER_OPERATION.items())
+        counted += len(group.members) * each
+    return PER_UNKNOWN * unknowns + counted
 
 
 @dataclass
