@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..core.stop import TimeIsUp
 from ..judge.verdict import GROWTH
 from .candidate import Candidate, Engine
 from .mesh_sequence import MeshSequence, scale
@@ -45,6 +46,7 @@ class Continuation:
         self.settings = engine.settings
         self.spent = False
         """Whether the work allowed ended the last way."""
+        self._at_hand: Candidate | None = None
 
     def raised(self, c: Candidate) -> Candidate:
         """At its place, on the mesh that was asked for; on the finest that leads to a solution."""
@@ -56,12 +58,23 @@ class Continuation:
         return c
 
     def led(self, c: Candidate) -> Candidate | None:
-        """The last candidate at the end of the path; None where it is blocked before."""
+        """The last candidate at the end of the path; None where it is blocked before. What ends the
+        search in between leaves the candidate that it was at.
+        """
+        try:
+            return self._led(c)
+        except TimeIsUp:
+            if self._at_hand is not None and self._at_hand.place == 1.0:
+                self.taken(self._at_hand)
+            raise
+
+    def _led(self, c: Candidate) -> Candidate | None:
         s, step = self.settings, self.settings.step
         since, blocked, reentered = self.engine.work, False, False
         first, missed, costs = c.place, np.inf, True
         self.spent = False
         while True:
+            self._at_hand = c
             spent = self._is_spent(since) or self.is_enough()
             if c.place == 1.0 and (blocked or spent or not self.meshes.is_coarse(c.mesh)):
                 self.taken(c)

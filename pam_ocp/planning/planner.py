@@ -179,7 +179,9 @@ def plan(
     options : of the solver, over its defaults here.
     time_limit : [s] of the whole search, refinement and replay included (the building of the
         program is not broken off). The best so far is returned, not verified: its verdict says that
-        the time was up. PlanError when there is nothing yet.
+        the time was up. PlanError when there is nothing yet. None: iterations are counted instead,
+        to about a minute of the processor, so that an answer does not depend on the machine; the
+        best verified motion by then is returned, or the best with its verdict.
 
     Raises InputError for an invalid problem, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns

@@ -225,13 +225,34 @@ def test_a_plan_by_shooting_gives_way_to_the_cheaper_one_at_the_end_of_the_path(
     assert plan.objective == pytest.approx(planner()().objective, rel=1e-4)
 
 
-def test_large_problems_have_the_iterations_that_a_path_takes(monkeypatch: Any) -> None:
-    little = replace(SETTINGS, work=1.0)
-    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", little)
-    assert planner()().verified
-    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(little, iterations=1))
+def test_a_path_whose_work_is_spent_says_so(monkeypatch: Any) -> None:
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, work=1e-3))
     with pytest.raises(pam.PlanError, match="the iterations that are allowed ended on the way"):
         planner()()
+
+
+def test_a_search_ends_where_its_work_does(monkeypatch: Any) -> None:
+    """In the midst of a solve: with the best so far, whose verdict says why; or without, in words.
+    A time limit takes the place of that bound.
+    """
+    plant = pam.HangingLoad("DMSP-20-200N", 8.0, feed=pam.feeds.Regulator())
+    wish: dict[str, Any] = {"duration": 0.3, "minimise": "work", "method": Collocation(40, 3)}
+    stops = [{"x": 0.01}, {"x": 0.03}]
+    whole = pam.plan(plant, stops, **wish)
+    first = whole.statistics["stages"][0]["work"]
+    assert 0.0 < first < sum(s["work"] for s in whole.statistics["stages"]) < SETTINGS.work
+    little = replace(SETTINGS, most_work=1.5 * first)
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", little)
+    with pytest.warns(pam.PlanWarning, match="was spent; time_limit= allows more"):
+        plan = pam.plan(plant, stops, **wish)  # ended on the way to the mesh that was asked for
+    assert not plan.verified
+    assert plan.solved
+    assert sum(s["work"] for s in plan.statistics["stages"]) <= little.most_work
+    assert pam.plan(plant, stops, **wish, time_limit=100.0).verified
+    less = replace(SETTINGS, most_work=0.5 * first)
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", less)
+    with pytest.raises(pam.PlanError, match="work that a search may take, about a minute, was"):
+        pam.plan(plant, stops, **wish)
 
 
 @pytest.mark.parametrize("found", ["nothing", "another motion"])
@@ -260,7 +281,7 @@ def test_where_a_mesh_for_the_costs_leads_nowhere_the_tolerance_is_met_all_the_s
 
 
 def test_work_that_is_spent_ends_a_search_with_what_it_has(monkeypatch: Any) -> None:
-    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, work=1.0))
+    monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, work=1e-3))
     plant = pam.HangingLoad("DMSP-20-200N", 8.0, feed=pam.feeds.SpoolValve())
     plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], method=Collocation(15, 3))
     assert plan.verified
