@@ -6,8 +6,8 @@ from ..judge.statement import Phase as Phase
 from ..judge.statement import Profile as Profile
 from ..judge.statement import Stop as Stop
 from ..judge.verdict import Verdict as Verdict
-from .arcs import Arc as Arc
-from .arcs import Arcs as Arcs
+from .transcription.mesh import Arc as Arc
+from .transcription.mesh import Arcs as Arcs
 from .planner import Planner as Planner
 from .planner import plan as plan
 from .problem.problem_file import load_problem as load_problem

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..plants.plant import Plant
-from .arcs import INTERIOR, Arc
 from .arcs_found import Chains, limits_of
 from .problem.limits import common_limits
-from .problem.objective import Symbols
-from .problem.problem import Condition, Leg
+from .problem.problem import Condition, Leg, Symbols
+from .transcription.mesh import INTERIOR, Arc
 
 if TYPE_CHECKING:
     from .result import Plan

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..judge.statement import TIME
-from .arcs import FORM
 from .arcs_found import Chains, Section, Touch, limits_of
 from .problem.problem import Condition, Leg, Problem
-from .transcription.mesh import Interval, Mesh
+from .transcription.mesh import FORM, Interval, Mesh
 from .transcription.solution import Solution
 
 __all__ = ["LONGEST", "SHORTEST", "Divided", "by_sections", "centred"]

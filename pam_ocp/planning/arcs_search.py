@@ -18,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.collocation import HIGHEST_DEGREE
-from .arcs import BY_ARCS, FORM
 from .arcs_found import Chains, Section, Touch, limits_of, merged, sections
 from .arcs_problem import LONGEST, SHORTEST, Divided, by_sections, centred
 from .candidate import Checked, Engine
 from .replay import interval_errors
 from .result import Solved
 from .transcription.guess import from_solution
-from .transcription.mesh import Interval, Mesh, watched
+from .transcription.mesh import BY_ARCS, FORM, Interval, Mesh, watched
 from .transcription.solution import pack
 from .transcription.transcription import Program, later, transcribe
 

@@ -1,35 +1,47 @@
-"""A candidate for the plan, and the solves that lead from one to the next."""
+"""A candidate for the plan, and the solves that lead from one to the next; what its inputs keep the
+objective from; programs with other numbers.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.errors import InputError
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.simulator import evaluated
 from .correction import Corrected, corrected, integrated, left_as
-from .input_gains import gains
-from .problem.problem import Problem
+from .problem.problem import Budget, Condition, Problem
 from .replay import Replay, chosen_plant, explained, interval_errors, replayed
 from .result import Solved
-from .reuse import on_mesh
 from .settings import SETTINGS, Settings
-from .smoothing import smoothed_at
 from .solvers.backend import Backend, Solver
 from .solvers.ipopt_options import Start
 from .solvers.solver import SETTLED, STUCK, Outcome
 from .stages import Stage, stage
 from .transcription.guess import from_solution
-from .transcription.mesh import Mesh
+from .transcription.mesh import Form, Mesh
 from .transcription.solution import pack, unpack
-from .transcription.transcription import Program, transcribe
+from .transcription.stage import between_points
+from .transcription.transcription import Program, Row, smoothed_at, transcribe
 
-__all__ = ["Candidate", "Checked", "Engine", "checked"]
+__all__ = [
+    "Candidate",
+    "Checked",
+    "Engine",
+    "checked",
+    "gains",
+    "on_mesh",
+    "renewed",
+    "same_form",
+]
 
 
 @dataclass(frozen=True)
@@ -276,3 +288,193 @@ class Engine:
         if not found.outcome.success:
             return None
         return replace(c, solved=found, place=1.0, coarser=None, shot=True)
+
+
+# ---- what inputs keep the objective from ---------------------------------------------------------
+# An input that could change inside its interval would lower the objective by the gradient of the
+# Lagrangian by it at the points of the interval (Pontryagin's switching function there), times the
+# change. The multipliers of the solution give that gradient: no re-solve.
+LEAST_CHANGE = 0.02
+"""Of an input inside its interval, in units of nominal, where those beside are the same."""
+
+
+@dataclass(frozen=True)
+class _Freed(Form):
+    """Inputs that have a value at each point of their interval; all rows stay as they are."""
+
+    def input_taus(self, degree: int) -> Array:
+        return self.collocated(degree)
+
+
+def gains(found: Solved) -> Array | None:
+    """What each interval keeps the objective from, by the first order: an estimate, good to a
+    factor of two or so.
+
+    None where inputs are neither held nor linear, the interval knows no points (shooting), or the
+    solution has no multipliers.
+    """
+    mesh, problem = found.program.mesh, found.program.problem
+    form = mesh.form
+    if form.control == "polynomial" or form.scheme == "shooting" or not problem.plant.inputs:
+        return None
+    if not np.any(found.outcome.lam_g):
+        return None
+    freed = transcribe(
+        problem, Mesh(mesh.intervals, _Freed(form.scheme, form.control, form.guarded))
+    )
+    unknowns, at = _spread(found)
+    nlp = freed.nlp
+    lam = ca.MX.sym("lam", nlp["g"].numel())
+    slope = ca.gradient(nlp["f"] + ca.dot(lam, nlp["g"]), nlp["x"])
+    function = ca.Function("slope", [nlp["x"], nlp["p"], lam], [slope])
+    slopes = np.asarray(function(unknowns, freed.parameters(), found.outcome.lam_g)).ravel()
+    (lower, raised), count = _changes(found), len(problem.plant.inputs)
+    result = np.zeros(len(mesh.intervals))
+    for k, interval in enumerate(mesh.intervals):
+        own = slopes[at[k] : at[k] + count * interval.degree].reshape(interval.degree, count)
+        down, up = np.maximum(own, 0.0).sum(axis=0), np.maximum(-own, 0.0).sum(axis=0)
+        result[k] = down @ lower[k] + up @ raised[k]
+    return result
+
+
+def _spread(found: Solved) -> tuple[Array, list[int]]:
+    """(unknowns with each input at all points of its interval, where these stand)."""
+    mesh, problem, w = found.program.mesh, found.program.problem, found.outcome.w
+    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
+    parts, places, old, new = [w[:nx]], [], nx, nx
+    for interval in mesh.intervals:
+        states = nx * len(mesh.form.state_taus(interval.degree))
+        others = len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
+        values = len(mesh.form.input_taus(interval.degree))
+        end = old + states + nu * values
+        inputs = w[old + states : end].reshape(values, nu)
+        taus = mesh.form.collocated(interval.degree).tolist()
+        at = [np.asarray(mesh.form.weights(interval.degree, tau)).ravel() for tau in taus]
+        parts += [w[old : old + states], (np.array(at) @ inputs).ravel(), w[end : end + others]]
+        places.append(new + states)
+        old = end + others
+        new += states + nu * interval.degree + others
+    return np.concatenate([*parts, w[old:]]), places
+
+
+def _changes(found: Solved) -> tuple[Array, Array]:
+    """By how much an input may (fall, rise) inside an interval: in all as to the intervals beside
+    it, and not beyond its bounds. A closed valve has nothing to close.
+    """
+    problem, mesh = found.program.problem, found.program.mesh
+    plant, solution = problem.plant, found.solution
+    nominal = plant.vector("input", attribute="nominal")
+    bounds = np.array([[leg.bounds[v.name] for v in plant.inputs] for leg in problem.legs])
+    low, high = (bounds[[i.leg for i in mesh.intervals]] / nominal[:, None]).transpose(2, 0, 1)
+    scale = np.asarray(solution.durations) / problem.time_nominals
+    lengths, starts = mesh.clock(problem.time_nominals)
+    middles, spans = starts[:-1] @ scale + lengths @ scale / 2, (lengths @ scale)[:, None]
+    u = solution.inputs(middles) / nominal
+    if mesh.form.control == "constant":
+        jumps, least = np.abs(np.diff(u, axis=0)), LEAST_CHANGE
+        before, after = jumps, jumps
+    else:  # from one slope to that beside it, half an interval away
+        slopes = solution.inputs.coefficients[:, 1] / nominal
+        kinks, least = np.abs(np.diff(slopes, axis=0)), 0.0
+        before, after = kinks * spans[1:] / 2, kinks * spans[:-1] / 2
+    none = np.zeros((1, len(nominal)))
+    beside = np.maximum(np.vstack([none, before]), np.vstack([after, none]))
+    change = np.maximum(beside, least)
+    below, above = np.maximum(u - low, 0.0), np.maximum(high - u, 0.0)
+    # half of it to either side, and more to one where a bound leaves less to the other
+    lower = np.minimum(below, np.maximum(change / 2, change - above))
+    return lower, np.minimum(above, np.maximum(change / 2, change - below))
+
+
+# ---- a built program with other numbers ----------------------------------------------------------
+def _shape(problem: Problem) -> tuple[object, ...]:
+    """What the expressions of a program depend on."""
+    plant, goal = problem.plant, problem.objective
+    return (
+        [v.name for v in (*plant.states, *plant.inputs)],  # openings in place of commands, say
+        (goal.time, goal.rate, goal.peaks, goal.words, goal.only_time),
+        [[c.label for c in node] for node in problem.nodes],
+        [[c.label for c in leg.path] for leg in problem.legs],
+        [b.label for b in problem.budgets],
+        len(problem.auxiliaries),
+        list(problem.design),
+        len(problem.profiles),
+        len(problem.aims),
+        problem.closing,
+        [leg.duration[0] == leg.duration[1] for leg in problem.legs],
+    )
+
+
+def same_form(old: Problem, new: Problem) -> bool:
+    """Whether two problems differ by numbers only, so that a program of one bears the other's."""
+    return _shape(old) == _shape(new)
+
+
+def _require_same_form(old: Problem, new: Problem) -> None:
+    if not same_form(old, new):
+        raise InputError(
+            "the changed stops, bounds or budgets name other variables than those the planner was "
+            "built with; only numbers may change. Make a new Planner"
+        )
+    if any(a is not b for a, b in zip(old.profiles, new.profiles, strict=True)):
+        raise InputError("a Profile cannot change in a built planner; make a new Planner")
+
+
+def renewed(program: Program, problem: Problem, mesh: Mesh | None = None) -> Program:
+    """A program with the numbers of another problem of the same form; ``mesh``: with its margins,
+    all else of it being the program's.
+    """
+    program = program.exact()
+    _require_same_form(program.problem, problem)
+    # durations are unknowns in units that the expressions hold
+    same = replace(problem, typical=tuple(map(float, program.problem.time_nominals)))
+    moved = replace(program, problem=same, mesh=mesh or program.mesh)
+    return replace(moved, rows=_rows(program, moved))
+
+
+def on_mesh(problem: Problem, mesh: Mesh, known: Iterable[Program]) -> Program:
+    """The program of a problem on a mesh, with the expressions of a known one where these are the
+    same: margins are limits, and no part of them.
+    """
+    for program in known:
+        same = _structure(program.mesh) == _structure(mesh)
+        if same and same_form(program.problem, problem):
+            return renewed(program, problem, mesh)
+    return transcribe(problem, mesh)
+
+
+def _structure(mesh: Mesh) -> tuple[object, ...]:
+    """What the expressions of a program depend on."""
+    return mesh.form, [
+        replace(i, raised=False, watched=tuple((label, 0.0) for label, _ in i.watched))
+        for i in mesh.intervals
+    ]
+
+
+def _rows(program: Program, moved: Program) -> tuple[Row, ...]:
+    """The rows of a program with the limits of another problem of the same form."""
+    old, problem, intervals = program.problem, moved.problem, moved.mesh.intervals
+    pairs: list[tuple[Sequence[Condition | Budget], Sequence[Condition | Budget]]] = [
+        *zip(old.nodes, problem.nodes, strict=True),
+        *((a.path, b.path) for a, b in zip(old.legs, problem.legs, strict=True)),
+        (old.budgets, problem.budgets),
+        *(
+            (a.conditions, b.conditions)
+            for a, b in zip(old.auxiliaries, problem.auxiliaries, strict=True)
+        ),
+    ]
+    image: dict[int, Condition | Budget] = {
+        id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)
+    }
+
+    def limited(row: Row, condition: Condition | Budget) -> Condition | Budget:
+        if id(condition) in image:
+            return image[id(condition)]
+        assert isinstance(condition, Condition)  # looked at between the points
+        interval = intervals[row.members[0]]
+        return between_points(condition, problem.legs[interval.leg], dict(interval.watched))
+
+    return tuple(
+        replace(row, conditions=tuple(limited(row, c) for c in row.conditions))
+        for row in program.rows
+    )

@@ -19,10 +19,10 @@ from ..judge.verdict import GROWTH
 from .candidate import Candidate, Engine
 from .mesh_sequence import MeshSequence, scale
 from .result import Solved
-from .smoothing import is_nonsmooth
 from .solvers.ipopt_options import Start
 from .solvers.solver import PROJECTIONS, SETTLED
 from .transcription.mesh import Mesh
+from .transcription.transcription import is_nonsmooth
 
 __all__ = ["Continuation"]
 

@@ -19,10 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .candidate import Candidate
-from .problem.objective import is_nonnegative
-from .problem.problem import Problem
+from .problem.problem import Problem, is_nonnegative
 from .settings import Settings
-from .smoothing import is_nonsmooth
 from .transcription.mesh import (
     Interval,
     Mesh,
@@ -34,6 +32,7 @@ from .transcription.mesh import (
     merged,
     watched,
 )
+from .transcription.transcription import is_nonsmooth
 
 __all__ = ["MeshSequence", "scale"]
 

@@ -31,13 +31,11 @@ from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, State
 from ..judge.verdict import TOLERANCE
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from .arcs import Arcs
 from .assembly import assembled, trust
-from .candidate import Engine
+from .candidate import Engine, renewed
 from .problem.formulation import formulate
-from .problem.objective import follows_inputs
+from .problem.problem import follows_inputs
 from .result import Plan, Solved
-from .reuse import renewed
 from .search import Found, Search
 from .settings import SETTINGS, UNBOUNDED, Settings
 from .solvers.backend import KEPT, Backend, SolverName
@@ -46,7 +44,7 @@ from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
 from .stages import Stage, WorkIsSpent, as_data, recorded
 from .starts import MOST
-from .transcription.mesh import Collocation, Method, Shooting
+from .transcription.mesh import Arcs, Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
 
 if TYPE_CHECKING:
@@ -90,7 +88,7 @@ STRICTER, NEARLY, LEAST = 2, 30.0, 1e-6
 """Times that a plan is refined beyond its tolerance where the judge misses that, by so many
 tolerances at most; and to which at least.
 """
-SPENT = "the work that a search may take, about a minute, was spent; time_limit= allows more"
+SPENT = "the work that a search may take, about two minutes, was spent; time_limit= allows more"
 GRACE = 10.0
 """Seconds, at most, for the verdict on a plan that was found when the time was up."""
 
@@ -180,7 +178,7 @@ def plan(
     time_limit : [s] of the whole search, refinement and replay included (the building of the
         program is not broken off). The best so far is returned, not verified: its verdict says that
         the time was up. PlanError when there is nothing yet. None: iterations are counted instead,
-        to about a minute of the processor, so that an answer does not depend on the machine; the
+        to about two minutes of the processor, so that an answer does not depend on the machine; the
         best verified motion by then is returned, or the best with its verdict.
 
     Raises InputError for an invalid problem, PlanError when no solution was found: the

@@ -25,7 +25,6 @@ from ..judge.motion import Judgement, Motion
 from ..judge.statement import Statement
 from ..judge.verdict import TOLERANCE, Verdict
 from ..plants.plant import Plant
-from .arcs import Arc
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement_data import data_of, statement_of
@@ -34,7 +33,7 @@ from .solvers import duals
 from .solvers.diagnosis import Conflict
 from .solvers.solver import Ipopt, Outcome
 from .stages import table
-from .transcription.mesh import Mesh
+from .transcription.mesh import Arc, Mesh
 from .transcription.solution import Solution
 from .transcription.transcription import Program
 

@@ -16,27 +16,23 @@ from numpy.typing import NDArray
 from ..core.stop import TimeIsUp, spared
 from ..judge.costs import COSTS
 from ..judge.statement import Statement
-from .arcs import BY_ARCS, guarded
 from .arcs_search import ArcSearch
-from .candidate import Candidate, Checked, Engine
+from .candidate import Candidate, Checked, Engine, renewed, same_form
 from .continuation import Continuation
 from .mesh_sequence import MeshSequence
 from .openings import ValveOpenings
-from .problem.objective import regularised
+from .problem.problem import regularised
 from .result import Solved
-from .reuse import renewed, same_form
-from .smoothing import has_relaxed, is_nonsmooth
 from .solvers.diagnosis import Conflict, elastic, resolving
 from .solvers.ipopt_options import Start
 from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome
 from .stages import WorkIsSpent, stage, unlimited
 from .starts import Ends, Task, number_of_starts, tasks
-from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
-from .transcription.leading import by_leading
-from .transcription.mesh import Mesh, merged
+from .transcription.guess import by_leading, by_rests, by_stops, from_solution, wants_balance
+from .transcription.mesh import BY_ARCS, Mesh, guarded, merged
 from .transcription.solution import unpack
-from .transcription.transcription import Program, transcribe
+from .transcription.transcription import Program, has_relaxed, is_nonsmooth, transcribe
 
 __all__ = ["Found", "Search"]
 

@@ -7,7 +7,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.judge.costs import COSTS
-from pam_ocp.planning.problem.objective import FORMS
+from pam_ocp.planning.problem.problem import FORMS
 from pam_ocp.planning.problem.problem_file import _READERS
 
 DOCS = Path(__file__).parents[2] / "docs"

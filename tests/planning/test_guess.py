@@ -10,17 +10,17 @@ from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.judge.statement import Statement
 from pam_ocp.planning import Shooting
 from pam_ocp.planning.problem.formulation import formulate
-from pam_ocp.planning.smoothing import is_nonsmooth, smoothed_at
 from pam_ocp.planning.starts import tasks
 from pam_ocp.planning.transcription.guess import (
+    by_leading,
     by_rests,
     by_stops,
     from_solution,
     rest_point,
     wants_balance,
 )
-from pam_ocp.planning.transcription.leading import by_leading
 from pam_ocp.planning.transcription.solution import Solution, unpack
+from pam_ocp.planning.transcription.transcription import is_nonsmooth, smoothed_at
 
 
 def geared(limit=30.0):

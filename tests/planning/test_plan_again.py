@@ -10,8 +10,8 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import Collocation
-from pam_ocp.planning.problem.objective import regularised
-from pam_ocp.planning.reuse import on_mesh
+from pam_ocp.planning.candidate import on_mesh
+from pam_ocp.planning.problem.problem import regularised
 from pam_ocp.planning.transcription.solution import unpack
 from pam_ocp.planning.transcription.transcription import transcribe
 

@@ -12,7 +12,7 @@ from searches import search_of
 import pam_ocp as pam
 from pam_ocp.planning import replay
 from pam_ocp.planning.planner import Planner
-from pam_ocp.planning.problem.objective import regularised
+from pam_ocp.planning.problem.problem import regularised
 from pam_ocp.planning.solvers.diagnosis import elastic, explanation
 from pam_ocp.planning.transcription.guess import by_rests, by_stops, path_of_rests, rest_point
 from pam_ocp.planning.transcription.mesh import Collocation, Shooting, merged

@@ -20,10 +20,10 @@ from pam_ocp.planning.continuation import Continuation
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.search import Search
 from pam_ocp.planning.settings import SETTINGS, Settings
-from pam_ocp.planning.smoothing import smoothed
 from pam_ocp.planning.solvers.solver import PROJECTIONS
 from pam_ocp.planning.transcription.guess import from_solution
 from pam_ocp.planning.transcription.mesh import Collocation
+from pam_ocp.planning.transcription.transcription import smoothed
 
 MASS, LAG, RUB, SPEED = 2.0, 0.05, 3.0, 0.02
 
@@ -251,7 +251,7 @@ def test_a_search_ends_where_its_work_does(monkeypatch: Any) -> None:
     assert pam.plan(plant, stops, **wish, time_limit=100.0).verified
     less = replace(SETTINGS, most_work=0.5 * first)
     monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", less)
-    with pytest.raises(pam.PlanError, match="work that a search may take, about a minute, was"):
+    with pytest.raises(pam.PlanError, match="work that a search may take, about two minutes, was"):
         pam.plan(plant, stops, **wish)
 
 

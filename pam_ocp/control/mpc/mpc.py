@@ -31,7 +31,7 @@ from ...core.stop import locked
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...numerics.buffered import Buffered
-from ...planning.smoothing import smoothed
+from ...planning.transcription.transcription import smoothed
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulator import evaluated

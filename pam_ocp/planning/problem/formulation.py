@@ -19,8 +19,7 @@ from ...plants.plant import Plant, require_plant
 from ...plants.stillness import Position, rate_of, rest_rows, totals
 from .first_stop import left_by_the_past, settled_before, with_draught, with_given_pressures
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
-from .objective import Symbols, budget, objective
-from .problem import Condition, Leg, Problem, Range
+from .problem import Condition, Leg, Problem, Range, Symbols, budget, objective
 
 __all__ = ["Holding", "at_rest", "closing_states", "formulate", "not_implied", "resting_positions"]
 

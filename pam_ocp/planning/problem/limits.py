@@ -21,8 +21,7 @@ from ...judge.statement import (
     subject,
 )
 from ...plants.plant import Plant
-from .objective import Symbols
-from .problem import Condition, Range
+from .problem import Condition, Range, Symbols
 
 __all__ = [
     "Limits",

@@ -19,9 +19,8 @@ from ...core.quantities import known_keys, pair, quantity, table
 from ...judge.statement import TIME, Avoid, Constraint, Phase, Profile, Stop, subject
 from ...plants.plant import Plant
 from ...plants.plant_file import plant_of, require_allowed
-from ..arcs import Arcs
-from ..transcription.mesh import Collocation, Shooting
-from .objective import budget
+from ..transcription.mesh import Arcs, Collocation, Shooting
+from .problem import budget
 
 __all__ = ["expression_of", "load_problem", "plan_arguments"]
 

@@ -24,7 +24,7 @@ from ...core.variables import Variable
 from ...judge.statement import Stop, subject
 from ...plants.plant import Plant, require_plant
 from ..planner import PlanKeywords, Planner
-from ..problem.objective import budget
+from ..problem.problem import budget
 from ..result import Plan
 from ..transcription.guess import from_solution
 

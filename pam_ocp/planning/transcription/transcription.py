@@ -6,7 +6,7 @@ All unknowns are in units of the plant's nominals and ordered along the motion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Literal, TypeAlias, TypeVar
@@ -15,12 +15,27 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.variables import Variable
+from ...plants.plant import Plant
 from ..problem.problem import Budget, Condition, Problem, limits
 from .mesh import Interval, Mesh
 from .solution import Unknowns
 from .stage import Stage, nominals
 
-__all__ = ["Group", "Program", "Row", "later", "sampled", "transcribe", "with_design"]
+__all__ = [
+    "Group",
+    "Program",
+    "Row",
+    "has_relaxed",
+    "has_smoothing",
+    "is_nonsmooth",
+    "later",
+    "sampled",
+    "smoothed",
+    "smoothed_at",
+    "transcribe",
+    "with_design",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
@@ -412,3 +427,50 @@ def _bounds(problem: Problem, mesh: Mesh) -> tuple[Array, Array]:
     parts.append(np.tile([-np.inf, np.inf], (problem.m.numel(), 1)))
     stacked = np.vstack(parts)
     return stacked[:, 0], stacked[:, 1]
+
+
+# ---- the smoothing homotopy -----------------------------------------------------------------------
+# Nonsmooth terms of a plant (dry friction, hysteresis) are widened first: parameters that have a
+# ``widest`` value go from there to their own along one path, evenly in their logarithms, and with
+# them those that have a ``relaxed`` one. The last place of the path is the problem itself.
+def is_nonsmooth(problem: Problem) -> bool:
+    """Whether the plant has nonsmooth terms whose smoothing is narrower than it may be."""
+    return bool(_widths(problem.plant))
+
+
+def has_smoothing(problem: Problem) -> bool:
+    """Whether the plant has nonsmooth terms, at whatever place of the path it stands."""
+    return any(v.widest > 0 for v in problem.plant.parameters)
+
+
+def has_relaxed(problem: Problem) -> bool:
+    """Whether more than widths is led along the path."""
+    return any(v.relaxed > 0 for v in problem.plant.parameters)
+
+
+def _widths(plant: Plant) -> list[Variable]:
+    return [v for v in plant.parameters if v.widest > 0 and v.widest > (v.start or 0.0)]
+
+
+def smoothed(plant: Plant, place: float, relaxed: bool = False) -> Plant:
+    """The plant at a place of the path, 0 (widest smoothing) .. 1 (its own).
+
+    relaxed : whether parameters that have such a value are led along.
+    """
+    begins = {v: v.widest for v in _widths(plant)}
+    if relaxed:
+        begins |= {v: v.relaxed for v in plant.parameters if v.relaxed > 0}
+    return plant.with_values(
+        {
+            v.name: float(np.clip(begin ** (1 - place) * (v.start or 0.0) ** place, v.min, v.max))
+            for v, begin in begins.items()
+        }
+    )
+
+
+def smoothed_at(program: Program, place: float, relaxed: bool = False) -> Program:
+    """The program at a place of the path; itself at the end."""
+    if place >= 1.0:
+        return program
+    problem = replace(program.problem, plant=smoothed(program.problem.plant, place, relaxed))
+    return replace(program, problem=problem)
