@@ -56,12 +56,12 @@ from .muscles.muscle_file import save_muscle as save_muscle
 from .muscles.pneumatic_muscle import Muscle as Muscle
 from .operating.linear import linearize as linearize
 from .operating.resting_point import equilibrium as equilibrium
-from .planning.transcription.mesh import Arcs as Arcs
 from .planning.planner import Planner as Planner
 from .planning.planner import plan as plan
 from .planning.saved_plan import load_plan as load_plan
 from .planning.studies.front import pareto as pareto
 from .planning.studies.robust import robust_plan as robust_plan
+from .planning.transcription.mesh import Arcs as Arcs
 from .planning.transcription.mesh import Collocation as Collocation
 from .plants import feeds as feeds
 from .plants import loads as loads

@@ -6,8 +6,6 @@ from ..judge.statement import Phase as Phase
 from ..judge.statement import Profile as Profile
 from ..judge.statement import Stop as Stop
 from ..judge.verdict import Verdict as Verdict
-from .transcription.mesh import Arc as Arc
-from .transcription.mesh import Arcs as Arcs
 from .planner import Planner as Planner
 from .planner import plan as plan
 from .problem.problem_file import load_problem as load_problem
@@ -18,5 +16,7 @@ from .studies.front import pareto as pareto
 from .studies.robust import robust_plan as robust_plan
 from .studies.robust_result import RobustPlan as RobustPlan
 from .studies.spread import Spread as Spread
+from .transcription.mesh import Arc as Arc
+from .transcription.mesh import Arcs as Arcs
 from .transcription.mesh import Collocation as Collocation
 from .transcription.mesh import Shooting as Shooting

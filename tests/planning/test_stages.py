@@ -1,6 +1,11 @@
 """What a search says of itself."""
 
+import ast
 import logging
+import sys
+from graphlib import TopologicalSorter
+from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from conftest import benchmark_slide
@@ -9,6 +14,7 @@ import pam_ocp as pam
 
 STOPS = [{"x": -0.01}, {"x": 0.01}]
 COARSE = pam.Collocation(12, 3)
+ROOT = Path(pam.__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -60,3 +66,50 @@ def test_starts_that_run_elsewhere_are_stages_too():
     ends = plan.statistics["starts"]
     assert [s["iterations"] for s in starts[:1]] == [ends[0]["iterations"]]
     assert any(s["name"] == "valve openings" for s in plan.statistics["stages"])
+
+
+def test_stages_are_called_in_no_circle():
+    """The modules of the search by what each imports, and the stages of searches by what each was
+    part of: both have an order. Only valve openings, another problem, have a search of their own.
+    """
+    modules = ("search", "openings", "arcs_search", "starts", "continuation", "mesh_sequence")
+    modules += ("candidate", "correction", "replay")
+    calls = {}
+    for name in modules:
+        tree = ast.parse((ROOT / "pam_ocp" / "planning" / f"{name}.py").read_text())
+        imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+        calls[name] = imported & set(modules)
+    order = list(TopologicalSorter(calls).static_order())  # raises CycleError
+    assert order.index("candidate") < order.index("continuation") < order.index("search")
+    muscle, within = pam.muscle("DMSP-20-200N"), {}
+    for feed, losses, term in (
+        (pam.feeds.SpoolValve(), (), "air"),
+        (pam.feeds.Regulator(), (pam.losses.CoulombFriction(10.0),), "work"),
+    ):
+        plant = pam.HangingLoad(muscle, 8.0, feed=feed, losses=losses)
+        wish = {"duration": 0.4, "minimise": term, "method": COARSE}
+        plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], **wish, starts=2)
+        for s in plan.statistics["stages"]:
+            for outer, inner in pairwise(s["name"].split(" / ")):
+                within.setdefault(outer, set()).add(inner)
+    assert within["valve openings"] >= {"starts"}
+    tuple(TopologicalSorter(within).static_order())
+
+
+def test_a_plan_of_smooth_terms_enters_few_files():
+    """But for what is loaded at first use."""
+    plant, entered = benchmark_slide(pam.feeds.Regulator()), set()
+
+    def enters(frame, event, _):
+        path = Path(frame.f_code.co_filename)
+        if event == "call" and "pam_ocp" in path.parts and path.is_relative_to(ROOT / "pam_ocp"):
+            entered.add(path)
+
+    pam.plan(plant, STOPS, method=COARSE)
+    before = sys.getprofile()
+    sys.setprofile(enters)
+    try:
+        pam.plan(plant, STOPS, method=COARSE)
+    finally:
+        sys.setprofile(before)
+    assert len({p for p in entered if "planning" in p.parts}) <= 24

@@ -395,7 +395,7 @@ def _middle(value: object) -> float | None:
     return float(value)  # type: ignore[arg-type]
 
 
-# ---- a motion that the plant can make, led along the usual path -----------------------------------
+# ---- a motion that the plant can make, led along the usual path ----------------------------------
 # Step by step (implicit Euler) the inputs are chosen with which the positions stay nearest to a
 # path of rests between the stops: pressures follow from the forces that the path needs, commands
 # from the pressures, memories from all that went before. What comes out keeps the plant's equations

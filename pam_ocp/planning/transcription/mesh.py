@@ -422,7 +422,7 @@ def doubled_at_most(
     return finer
 
 
-# ---- arcs: the parts of a motion along which the same limits are active ---------------------------
+# ---- arcs: the parts of a motion along which the same limits are active --------------------------
 # Between two switches a motion is smooth, and one polynomial of a high degree follows it; across a
 # switch none does. Arcs plans so that intervals end on the switches.
 INTERIOR = "interior"

@@ -429,7 +429,7 @@ def _bounds(problem: Problem, mesh: Mesh) -> tuple[Array, Array]:
     return stacked[:, 0], stacked[:, 1]
 
 
-# ---- the smoothing homotopy -----------------------------------------------------------------------
+# ---- the smoothing homotopy ----------------------------------------------------------------------
 # Nonsmooth terms of a plant (dry friction, hysteresis) are widened first: parameters that have a
 # ``widest`` value go from there to their own along one path, evenly in their logarithms, and with
 # them those that have a ``relaxed`` one. The last place of the path is the problem itself.
