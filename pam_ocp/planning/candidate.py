@@ -183,11 +183,13 @@ class Engine:
         """Of all solves so far."""
         return sum(s.work for s in self.stages)
 
-    def of(self, problem: Problem, mesh: Mesh | None = None) -> Engine:
+    def of(
+        self, problem: Problem, mesh: Mesh | None = None, settings: Settings | None = None
+    ) -> Engine:
         """For another problem."""
         first = transcribe(problem, mesh or self.first.mesh)
         solver = self._near.build(first)
-        return Engine(first, solver, self.backend, self.stages, self.settings)
+        return Engine(first, solver, self.backend, self.stages, settings or self.settings)
 
     def program(self, mesh: Mesh) -> Program:
         """The user's own problem on a mesh."""

@@ -7,6 +7,7 @@ whatever ends the search, there is the best motion so far, and more starts are n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -27,7 +28,7 @@ from .solvers.diagnosis import Conflict, elastic, resolving
 from .solvers.ipopt_options import Start
 from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome
-from .stages import WorkIsSpent, stage, unlimited
+from .stages import WorkIsSpent, limited, stage
 from .starts import Ends, Task, number_of_starts, tasks
 from .transcription.guess import by_leading, by_rests, by_stops, from_solution, wants_balance
 from .transcription.mesh import BY_ARCS, Mesh, guarded, merged
@@ -48,6 +49,8 @@ GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
 SAME = 1e-6
 """Relative difference of objectives of which the one with less left to gain is kept."""
+SHARE = 0.6
+"""Of a search's work, for valve openings at most: the way back to commands follows."""
 PARTS = 4, 2
 """Intervals in one of meshes that are tried where the first led to nothing: few unknowns, and
 numerical damping.
@@ -309,7 +312,7 @@ class Search:
         program, solver = engine.smoothed(own, self.place), engine.solver_of(own)
         with stage("starts", f"{len(starts)} more" if number else "the usual guess"):
             if isinstance(solver, Ipopt) and len(starts) > 1:
-                with unlimited():
+                with limited():
                     outcomes = solved_side_by_side(solver, program, starts, self._first_seconds)
             else:
                 outcomes = [solver(program, task.guess, task.start) for task in starts]
@@ -383,9 +386,12 @@ class Search:
         opened = ValveOpenings.of(self.problem.plant, self.statement, costly and self._of_air)
         if opened is None:
             return None
-        with stage("valve openings", "in place of commands, which have dead zones"):
-            engine, told = self.engine.of(opened.problem), self.statement
-            inner = Search(engine, told, self.starts if costly else 1, self.tolerance)
+        s, why = self.settings, "in place of commands, which have dead zones"
+        part = replace(s, all_work=SHARE * s.all_work, most_work=SHARE * s.most_work)
+        engine = self.engine.of(opened.problem, settings=part)
+        inner = Search(engine, self.statement, self.starts if costly else 1, self.tolerance)
+        c = None
+        with stage("valve openings", why), limited(part.most_work), suppress(WorkIsSpent):
             if costly:
                 c = inner.best().best
             else:

@@ -26,11 +26,11 @@ __all__ = [
     "Stage",
     "WorkIsSpent",
     "as_data",
+    "limited",
     "recorded",
     "require_work",
     "stage",
     "table",
-    "unlimited",
     "written",
 ]
 
@@ -120,10 +120,12 @@ def stage(name: str, reason: str) -> Iterator[None]:
 
 
 @contextmanager
-def unlimited() -> Iterator[None]:
-    """For solves side by side, of which none may end for what another takes."""
+def limited(limit: float = inf) -> Iterator[None]:
+    """Another limit of the work of all: a lower one for a part that others follow, none for solves
+    side by side, of which none may end for what another takes.
+    """
     record = RECORD.get() or _Record([])
-    before = RECORD.set(_Record(record.found, inf, record.names, record.reason))
+    before = RECORD.set(_Record(record.found, limit, record.names, record.reason))
     try:
         yield
     finally:
