@@ -10,7 +10,8 @@ a dictionary of values that JSON knows. Some entries of a row have a meaning her
 word that is counted), ``text`` (printed behind it), ``why`` (a list of lines below). What a case
 refuses (a PamError) or raises is a row, too. ``summary(rows)`` returns the text at the end.
 
-Every study takes a count and a seed (from the clock where none is given; it is printed), and
+Every study takes a seed (from the clock where none is given; it is printed), one whose cases have
+numbers a count, and
 
     --only 3,17 or WORD ...     these cases alone
     --start N, --end N          the first number, and the number before which it ends
@@ -142,12 +143,15 @@ def limited(work: Work, seconds: float) -> Row:
 def parser(
     doc: str | None, count: int | None = None, seed: int | None = None
 ) -> argparse.ArgumentParser:
-    """The options of every study; ``seed`` where the clock's shall not be taken."""
+    """The options of every study. count : without --only, where cases have numbers. seed : where
+    the clock's shall not be taken.
+    """
     made = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    made.add_argument("count", nargs="?", type=int, default=count, help=f"of cases ({count})")
-    made.add_argument("seed", nargs="?", type=_seed, default=argparse.SUPPRESS)
+    if count is not None:
+        made.add_argument("count", nargs="?", type=int, default=count, help=f"of cases ({count})")
+        made.add_argument("seed", nargs="?", type=_seed, default=argparse.SUPPRESS)
     clock = time.time_ns() // 10**9
     made.add_argument("--seed", type=int, default=clock if seed is None else seed)
     made.add_argument("--only", nargs="+", default=[], metavar="CASE")
