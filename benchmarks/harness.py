@@ -97,18 +97,21 @@ def session_seconds(session: int) -> float:
 
 # ---- a case --------------------------------------------------------------------------------------
 def judged(work: Work) -> Row:
-    """The row of a case, with its seconds; of what it refuses or raises, the words."""
-    from pam_ocp import PamError
+    """The row of a case, with its seconds; of what it refuses or raises, the words.
 
+    pam_ocp is not imported here: a study may ask about another copy of it.
+    """
     begin, clock = spent(), time.monotonic()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             row = work()
-        except PamError as error:
-            row = {"verdict": "refused", "why": [" ".join(str(error).split())[:400]]}
-        except Exception as error:  # a finding of its own
-            row = {"verdict": "RAISED", "why": [f"{type(error).__name__}: {error}"]}
+        except Exception as error:
+            refusal = getattr(sys.modules.get("pam_ocp"), "PamError", ())
+            if isinstance(error, refusal):
+                row = {"verdict": "refused", "why": [" ".join(str(error).split())[:400]]}
+            else:  # a finding of its own
+                row = {"verdict": "RAISED", "why": [f"{type(error).__name__}: {error}"]}
     taken = {"processor": round(spent() - begin, 2), "clock": round(time.monotonic() - clock, 2)}
     return {**taken, **row}
 
