@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import os
 import re
@@ -116,26 +117,45 @@ def judged(work: Work) -> Row:
     return {**taken, **row}
 
 
-def _child(connection: Any, work: Work) -> None:
+_PARENT: list[Any] = []
+"""The connection of a process of its own."""
+
+
+def about(text: str) -> None:
+    """What a case is about, told before it ends: it stands in the row of one given up, too."""
+    for connection in _PARENT:
+        connection.send({"text": text})
+
+
+def _child(connection: Any, work: Work, seconds: float) -> None:
     os.setsid()  # the processes that it starts are counted and ended with it
+    if seconds < math.inf:  # it ends where its parent is no more, too
+        limit = math.ceil(seconds) + 5
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+    _PARENT[:] = [connection]
     connection.send(judged(work))
 
 
 def limited(work: Work, seconds: float) -> Row:
     """``judged`` in a process of its own, given up after so many seconds of the processor."""
     here, there = multiprocessing.Pipe()
-    process = multiprocessing.get_context("fork").Process(target=_child, args=(there, work))
+    process = multiprocessing.get_context("fork").Process(
+        target=_child, args=(there, work, seconds)
+    )
     process.start()
     there.close()
-    row: Row = {"verdict": "over time", "why": [], "processor": seconds}
-    while session_seconds(process.pid or 0) <= seconds:
+    row: Row = {}
+    verdict = "over time"
+    while "clock" not in row and session_seconds(process.pid or 0) <= seconds:
         if not here.poll(0.2):
             continue
         try:
-            row = here.recv()
+            row |= here.recv()
         except EOFError:
-            row = {"verdict": "DIED", "why": []}
-        break
+            verdict = "DIED"
+            break
+    if "clock" not in row:  # the last message has it
+        row |= {"verdict": verdict, "processor": seconds}
     if process.is_alive() and os.getpgid(process.pid or 0) == process.pid:
         os.killpg(process.pid, signal.SIGKILL)
     process.join(5)
@@ -206,8 +226,9 @@ def stored(table: Path | None, seed: int) -> dict[str, Row]:
 def show(row: Row) -> None:
     """A line for a case, and what belongs below it."""
     key, verdict = str(row["case"]), row.get("verdict", "")
+    key = f"{key:>4}" if key.isdigit() else f"{key:<32}"
     text = str(row.get("text", ""))[:400]
-    print(f"{key:>4} {verdict:<17} {row['processor']:6.1f} s  {text}", flush=True)
+    print(f"{key} {verdict:<17} {row['processor']:6.1f} s  {text}", flush=True)
     for each in row.get("why", ())[:6]:
         print(f"       {each[:300]}", flush=True)
 

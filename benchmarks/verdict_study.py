@@ -56,8 +56,9 @@ def judged(task: random_tasks.Task, keep: Path | None = None) -> harness.Row:
 
 def one(index: int, seed: int, keep: Path | None) -> harness.Row:
     task = drawn(index, seed)
+    harness.about(str(task))
     file = keep and keep / f"{seed}-{index}.pickle"
-    return {"text": str(task), "task": str(task), **judged(task, file)}
+    return {"index": index, "task": str(task), "text": str(task), **judged(task, file)}
 
 
 def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
