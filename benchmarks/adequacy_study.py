@@ -1,6 +1,6 @@
 """Does a dynamic fit say when its model is inadequate, and do its intervals hold the truth?
 
-    python benchmarks/adequacy_study.py [--seed N] [--rigs 300] [--fault NAME ...]
+    python benchmarks/adequacy_study.py [300] [--seed N] [--fault NAME ...]
 
 Random rigs (hanging loads, slides, joints, springs over a muscle; catalogue muscles, masses, lags,
 damping, noise, excitation, what is measured, what is free, which fit) with one of eight faults in
@@ -11,22 +11,21 @@ whatever is free, if it changes by a tenth: of a slack pair of muscles no fit te
 
 Printed: each rig with what was said of it, then by fault how often the model was called inadequate
 and how often the cause was named rightly; and how many of the parameters lie within their 95 %
-intervals where nothing was named. Without --seed it comes from the clock.
+intervals where nothing was named.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
-import warnings
-from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+import harness
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.core.errors import PamError
 
 F, L = pam.feeds, pam.losses
 SAMPLE = 0.01
@@ -201,19 +200,18 @@ def fitted(rng: np.random.Generator, rig: Rig, records: list[pam.Trajectory]) ->
     return way, pam.fit_free_run(start, records, list(rig.free), outputs=rig.outputs, **given)
 
 
-def one(seed: int, k: int, fault: str) -> dict[str, Any] | None:
+def one(seed: int, k: int, fault: str) -> harness.Row:
     for tries in range(20):
         rng = np.random.default_rng([seed, k, tries])
         try:
             rig = drawn_rig(rng, fault)
             records, counts = with_fault(rng, rig, fault)
-        except PamError:
+        except pam.PamError:
             continue  # a load that this muscle does not hold
         if counts:
             break
     else:
-        return None
-    began = time.process_time()
+        return {"verdict": "no rig"}
     way, fit = fitted(rng, rig, records)
     a = fit.adequacy
     inside = {}
@@ -223,87 +221,57 @@ def one(seed: int, k: int, fault: str) -> dict[str, Any] | None:
         )
         low, high = fit.interval(name)
         inside[entry] = bool(low <= true <= high)
+    cause = a.cause or ("not tested" if a.untested else "")
+    outside = [n for n, i in inside.items() if not i]
+    alarm = bool(cause) != (fault != "none")
+    mark = "" if cause == FAULTS[fault] else " <<<" if alarm else " <"
     return {
         "fault": fault,
-        "cause": a.cause or ("not tested" if a.untested else ""),
+        "cause": cause,
         "tested": bool(a.tests),
         "inside": inside,
         "way": way,
-        "rig": f"{rig.kind}, {way}, {', '.join(rig.outputs)}; free {', '.join(rig.free)}",
-        "excess": a.excess,
-        "seconds": time.process_time() - began,
-        "least": min((t.probability / t.level for t in a.tests), default=1.0),
-        "sentence": a.sentence,
+        "text": f"{fault:<15} -> {cause or 'adequate'}{mark} {rig.kind}, {way}, "
+        f"{', '.join(rig.outputs)}; free {', '.join(rig.free)}; excess {a.excess:.2g}"
+        + (f"; outside: {', '.join(outside)}" if outside else "")
+        + ("" if a.tests else "; NOT TESTED"),
     }
 
 
-def told(found: list[dict[str, Any]]) -> None:
-    by = defaultdict(list)
-    for f in found:
-        by[f["fault"]].append(f)
-    print(f"\n{'fault':<16}{'rigs':>5}{'inadequate':>12}{'cause named':>13}")
-    for fault, rows in by.items():
-        said = sum(bool(r["cause"]) and r["tested"] for r in rows)
-        right = sum(r["cause"] == FAULTS[fault] for r in rows)
-        print(f"{fault:<16}{len(rows):>5}{said:>12}{right:>13}")
-    faulty = [f for f in found if f["fault"] != "none"]
-    clean = [f for f in found if f["fault"] == "none"]
-    if faulty:
-        share = np.mean([bool(f["cause"]) and f["tested"] for f in faulty])
-        print(f"inadequacy found in {100 * share:.1f} %")
-    if clean:
-        print(f"false alarms {100 * np.mean([bool(f['cause']) for f in clean]):.1f} %")
-    for label, rows in (
-        ("no inadequacy named", [f for f in found if not f["cause"]]),
-        ("coloured noise", [f for f in found if f["fault"] == "coloured noise"]),
+def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+    for k in harness.numbers(given):
+        yield k, partial(one, given.seed, k, given.fault[k % len(given.fault)])
+
+
+def summary(rows: list[harness.Row]) -> str:
+    found = [r for r in rows if "fault" in r]
+    lines = []
+    for fault in FAULTS:
+        some = [r for r in found if r["fault"] == fault]
+        if some:
+            rejected = sum(bool(r["cause"]) and r["tested"] for r in some)
+            right = sum(r["cause"] == FAULTS[fault] for r in some)
+            lines.append([fault, len(some), rejected, right])
+    parts = [harness.table(("fault", "rigs", "inadequate", "cause named"), lines)]
+    faulty = [bool(r["cause"]) and r["tested"] for r in found if r["fault"] != "none"]
+    clean = [bool(r["cause"]) for r in found if r["fault"] == "none"]
+    parts.append(f"inadequacy found in {harness.share(faulty):.1f} %")
+    parts.append(f"false alarms {harness.share(clean):.1f} %")
+    for label, some in (
+        ("no inadequacy named", [r for r in found if not r["cause"]]),
+        ("coloured noise", [r for r in found if r["fault"] == "coloured noise"]),
     ):
         for way in ("all", "whole", "horizon", "plant"):
-            held = [i for f in rows if way in ("all", f["way"]) for i in f["inside"].values()]
+            held = [i for r in some if way in ("all", r["way"]) for i in r["inside"].values()]
             if held:
-                print(
-                    f"within 95 % intervals, {label}, {way}: {sum(held)} of {len(held)} "
-                    f"({100 * np.mean(held):.1f} %)"
-                )
+                count = f"{sum(held)} of {len(held)} ({harness.share(held):.1f} %)"
+                parts.append(f"within 95 % intervals, {label}, {way}: {count}")
+    return "\n".join(parts)
 
 
-def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--seed", type=int, default=time.time_ns() // 10**9)
-    options.add_argument("--rigs", type=int, default=300)
-    options.add_argument("--fault", choices=list(FAULTS), nargs="+", default=list(FAULTS))
-    given = options.parse_args()
-    warnings.simplefilter("ignore")
-    print("seed", given.seed)
-    found, refused = [], 0
-    for k in range(given.rigs):
-        fault = given.fault[k % len(given.fault)]
-        try:
-            row = one(given.seed, k, fault)
-        except PamError as error:
-            print(f"{k:4d} {fault:<15} refused: {error}", flush=True)
-            refused += 1
-            continue
-        if row is None:
-            continue
-        found.append(row)
-        out = [n for n, i in row["inside"].items() if not i]
-        mark = (
-            ""
-            if row["cause"] == FAULTS[fault]
-            else " <<<"
-            if bool(row["cause"]) != (fault != "none")
-            else " <"
-        )
-        print(
-            f"{k:4d} {fault:<15} -> {row['cause'] or 'adequate':<23}{mark} {row['rig']}; "
-            f"excess {row['excess']:.2g}, {row['seconds']:.1f} s"
-            + (f"; outside: {', '.join(out)}" if out else "")
-            + ("" if row["tested"] else "; NOT TESTED"),
-            flush=True,
-        )
-    told(found)
-    print(f"refused, with a reason: {refused}")
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--fault", choices=list(FAULTS), nargs="+", default=list(FAULTS))
 
 
 if __name__ == "__main__":
-    main()
+    harness.main(__doc__, cases, summary, count=300, options=options)

@@ -1,5 +1,7 @@
-"""Economical motions on every arrangement and feed that has them: do they converge, and are they
-exact?
+"""Minimum-energy and minimum-air motions of every arrangement and feed: do they converge, and are
+they exact?
+
+    python benchmarks/economy.py [--seed N] [--fine] [--only WORD ...]
 
 Work, air and exergy at the default call, a motion of fixed duration there, and there and back.
 Figures: the objective, the same integral by SciPy along its own replay of the plan (how exact the
@@ -7,18 +9,20 @@ reported figure is), what the plan itself says that it may lie above the least, 
 lies above the best of two finer searches: on 200 to 400 equal intervals a leg, until it settles to
 2e-4, and on its own mesh with each interval split in two, whose inputs hold the plan's among them.
 Times are those of the processor, of all processes of a task together.
-
-Run:  python benchmarks/economy.py [--seed N] [--fine] [--only WORD ...]
 """
+
+from __future__ import annotations
 
 import argparse
 import contextlib
-import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
+import harness
 import motion_check
 import numpy as np
 import random_tasks
-import verdict_study
 
 import pam_ocp as pam
 from pam_ocp.planning.solvers.backend import Backend
@@ -32,62 +36,52 @@ REFERENCE = 2e-4
 """To which a reference settles."""
 LEAST = 1e-2
 """Objectives below it are judged as if they were this large, as by plan."""
+FEEDS: dict[str, Callable[[], Any]] = {
+    "regulator": pam.feeds.Regulator,
+    "spool": pam.feeds.SpoolValve,
+    "on-off": pam.feeds.OnOffValves,
+    "ideal": pam.feeds.IdealPressure,
+}
 
 
-def plants(rng):
+def plants(rng: np.random.Generator) -> Iterator[tuple[str, pam.Plant, list[dict[str, float]]]]:
     """(words, plant, stops) of every arrangement with a regulator and with each kind of valve."""
     muscle = pam.muscle("DMSP-20-200N")
     reach = rng.uniform(0.006, 0.012)
-    feeds = {
-        "regulator": lambda: pam.feeds.Regulator(),
-        "spool": lambda: pam.feeds.SpoolValve(),
-        "on-off": lambda: pam.feeds.OnOffValves(),
-        "ideal": lambda: pam.feeds.IdealPressure(),
-    }
-    makers = {
-        "hanging": lambda f: (
-            pam.HangingLoad(muscle, rng.uniform(5, 15), feed=f),
+    above = (0.01, 0.01 + 2 * reach)
+    makers: dict[str, tuple[Callable[[Any], pam.Plant], str, tuple[float, float]]] = {
+        "hanging": (lambda f: pam.HangingLoad(muscle, rng.uniform(5, 15), feed=f), "x", above),
+        "spring": (
+            lambda f: pam.SpringOverMuscle(muscle, 2.0, feed=f),
             "x",
-            0.01,
-            0.01 + 2 * reach,
+            (0.005, 0.005 + 2 * reach),
         ),
-        "spring": lambda f: (
-            pam.SpringOverMuscle(muscle, 2.0, feed=f),
-            "x",
-            0.005,
-            0.005 + 2 * reach,
-        ),
-        "series": lambda f: (
-            pam.SeriesLoad(muscle, rng.uniform(5, 15), feed=f),
-            "x",
-            0.01,
-            0.01 + 2 * reach,
-        ),
-        "slide": lambda f: (pam.AntagonisticSlide(muscle, 2.0, feed=f), "x", -reach, reach),
-        "joint": lambda f: (
-            pam.AntagonisticJoint(muscle, feed=f),
+        "series": (lambda f: pam.SeriesLoad(muscle, rng.uniform(5, 15), feed=f), "x", above),
+        "slide": (lambda f: pam.AntagonisticSlide(muscle, 2.0, feed=f), "x", (-reach, reach)),
+        "joint": (
+            lambda f: pam.AntagonisticJoint(muscle, feed=f),
             "theta",
-            -30 * reach,
-            30 * reach,
+            (-30 * reach, 30 * reach),
         ),
     }
-    for kind, make in makers.items():
-        for feed, build in feeds.items():
-            plant, name, a, b = make(build())
-            yield f"{kind}, {feed}", plant, [{name: a}, {name: b}]
+    for kind, (make, name, ends) in makers.items():
+        for feed, build in FEEDS.items():
+            yield f"{kind}, {feed}", make(build()), [{name: end} for end in ends]
 
 
-def integral(plant, stops, plan, term):
+def integral(plant: pam.Plant, stops: list[Any], plan: pam.planning.Plan, term: str) -> float:
     """The term's integral along SciPy's own replay of the plan [SI]."""
     task = random_tasks.Task("", plant, stops, (), {"minimise": term})
     check = motion_check.Check(task, motion_check.Answer.of(plan))
     return float(dict(zip(check.running(), check.run().integrals, strict=True))[term])
 
 
-def finer(plant, stops, wanted, plan):
-    """The least objective of finer searches from a plan; none where none is found."""
+def finer(
+    plant: pam.Plant, stops: list[Any], wanted: dict[str, Any], plan: pam.planning.Plan
+) -> float:
+    """The least objective of finer searches from a plan; NaN where none is found."""
     found = []
-    equal = {"method": pam.Collocation(200, 3), "tolerance": REFERENCE}
+    equal: dict[str, Any] = {"method": pam.Collocation(200, 3), "tolerance": REFERENCE}
     with contextlib.suppress(pam.PamError):
         found.append(pam.plan(plant, stops, **wanted, guess=plan, **equal).objective)
     coarse = plan._solved
@@ -97,59 +91,53 @@ def finer(plant, stops, wanted, plan):
     return min([*found, *([outcome.objective] if outcome.success else [])], default=np.nan)
 
 
-def judged(plant, stops, wanted, fine):
-    """(verified, objective, by SciPy, what the plan says, error to the fine mesh, seconds)."""
-    begin = verdict_study.spent()
+def judged(plant: pam.Plant, stops: list[Any], wanted: dict[str, Any], fine: bool) -> harness.Row:
+    """Verdict, objective, the same by SciPy, the gap that the plan says, error to finer meshes."""
+    begin = harness.spent()
     plan = pam.plan(plant, stops, **wanted)
-    seconds = verdict_study.spent() - begin
-    term, gap = wanted["minimise"], plan.statistics.get("objective_gap", np.nan)
-    scipy = integral(plant, stops, plan, term) / GOALS[term]
-    error = np.nan
+    seconds = harness.spent() - begin
+    term, value = wanted["minimise"], plan.objective
+    row = {
+        "verdict": "verified" if plan.verified else "UNVERIFIED",
+        "objective": value,
+        "scipy": integral(plant, stops, plan, term) / GOALS[term],
+        "gap": plan.statistics.get("objective_gap", np.nan),
+        "error": np.nan,
+        "processor": seconds,
+    }
     if fine:
         least = finer(plant, stops, wanted, plan)
-        error = (plan.objective - least) / max(abs(least), LEAST)
-    return plan.verified, plan.objective, scipy, gap, error, seconds
+        row["error"] = (value - least) / max(abs(least), LEAST)
+    text = "{objective:9.5g} by SciPy {scipy:9.5g}, gap {gap:8.1e}, error {error:8.1e}"
+    return {**row, "text": text.format(**row)}
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--fine", action="store_true")
-    parser.add_argument("--only", nargs="*", default=[""], help="arrangements or feeds")
-    arguments = parser.parse_args()
-    warnings.simplefilter("ignore")
-    rng = np.random.default_rng(arguments.seed)
-    rows = []
-    for words, plant, stops in plants(rng):
-        if not any(word in words for word in arguments.only):
-            continue
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+    for words, plant, stops in plants(np.random.default_rng(given.seed)):
         valves = any(v.name.endswith(".supply_flow") for v in plant.outputs)
         for term in GOALS if valves else ("work",):
             for cyclic in (False, True):
                 wanted = {"minimise": term, "duration": 0.4, "cyclic": cyclic}
-                line = f"{words:20s} {term:6s} {'cyclic' if cyclic else '':6s}"
-                try:
-                    row = judged(plant, stops, wanted, arguments.fine)
-                except pam.PamError as error:
-                    row = (False, *[np.nan] * 5)
-                    print(f"{line} {' '.join(str(error).split())[:150]}", flush=True)
-                else:
-                    print(
-                        f"{line} {'verified' if row[0] else 'UNVERIFIED':10s} {row[1]:9.5g} "
-                        f"by SciPy {row[2]:9.5g}, gap {row[3]:8.1e}, error {row[4]:8.1e}, "
-                        f"{row[5]:5.1f} s",
-                        flush=True,
-                    )
-                rows.append(row)
-    verified, values, scipy, gaps, errors, seconds = map(np.array, zip(*rows, strict=True))
-    print(
-        f"{verified.sum()} of {len(rows)} verified; {np.sum(errors <= 1e-3)} of "
-        f"{np.isfinite(errors).sum()} within 1e-3 of the fine mesh, worst {np.nanmax(errors):.1e}; "
-        f"{np.sum(gaps <= 1e-3)} say so; figures by SciPy agree to "
-        f"{np.nanmax(abs(values - scipy) / np.maximum(abs(scipy), LEAST)):.1e}; "
-        f"seconds: median {np.nanmedian(seconds):.1f}, worst {np.nanmax(seconds):.1f}"
-    )
+                key = f"{words}, {term}{', cyclic' if cyclic else ''}"
+                yield key, partial(judged, plant, stops, wanted, given.fine)
+
+
+def summary(rows: list[harness.Row]) -> str:
+    names = ("objective", "scipy", "gap", "error")
+    solved = [r for r in rows if "objective" in r]
+    values, scipy, gaps, errors = (np.array([r[n] for r in solved], float) for n in names)
+    off = np.max(abs(values - scipy) / np.maximum(abs(scipy), LEAST), initial=0.0)
+    text = f"{np.sum(gaps <= 1e-3)} say within 1e-3; figures by SciPy agree to {off:.1e}"
+    known = errors[np.isfinite(errors)]
+    if known.size:
+        text += f"; {np.sum(known <= 1e-3)} of {known.size} within 1e-3 of the fine mesh, worst "
+        text += f"{known.max():.1e}"
+    return text
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--fine", action="store_true", help="compare with finer searches")
 
 
 if __name__ == "__main__":
-    main()
+    harness.main(__doc__, cases, summary, seed=1, options=options)

@@ -8,8 +8,9 @@ at random, written by the libraries of others. Each is read without a word; wher
 keyword, the user's answer is given if it is the keyword that the sentence names, and so on.
 
 Counted: right at the first call; right with the keywords named; refused by a sentence that names a
-keyword or what to do; refused otherwise; wrong with a doubt or a note that names the column; wrong
-in silence. Exit code 1 if one is wrong in silence.
+keyword or what to do; refused otherwise; wrong with a warning that names the column; wrong in
+silence. --keep leaves the files in a folder, --show prints what was said of each. Exit code 1 if
+one is wrong in silence.
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ import re
 import sys
 import tempfile
 import warnings
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
+import harness
 import numpy as np
 import scipy.io
 
@@ -844,38 +846,28 @@ def read(case: Case) -> tuple[str, str]:
     return "refused", sentence
 
 
-def study(count: int, seed: int, folder: Path) -> list[tuple[str, str, str]]:
-    """(shape, outcome, what was said) of each file: all shapes in turn."""
-    found = []
-    for i in range(count):
-        name = list(SHAPES)[i % len(SHAPES)]
-        place = folder / f"{i:03d}_{name}"
-        place.mkdir(parents=True)
-        case = SHAPES[name](Draw([seed, i]), place)
-        found.append((f"{i:03d} {name}", *read(case)))
-    return found
+def one(number: int, seed: int, folder: Path, show: bool = False) -> harness.Row:
+    """A file of the next shape, read."""
+    name = list(SHAPES)[number % len(SHAPES)]
+    place = folder / f"{number:03d}_{name}"
+    place.mkdir(parents=True)
+    outcome, words = read(SHAPES[name](Draw([seed, number]), place))
+    right = outcome.startswith("right with")
+    row = {"verdict": "right with a keyword" if right else outcome, "text": f"{name}: {outcome}"}
+    return {**row, "why": [words] if show or not outcome.startswith("right") else []}
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("count", type=int, nargs="?", default=100)
-    parser.add_argument("--seed", type=int, default=0)
+def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+    with tempfile.TemporaryDirectory() as scratch:
+        for number in harness.numbers(given):
+            yield number, partial(one, number, given.seed, given.keep or Path(scratch), given.show)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--keep", type=Path, help="folder in which the files stay")
     parser.add_argument("--show", action="store_true", help="what was said of each file")
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        found = study(options.count, options.seed, options.keep or Path(scratch))
-    for name, outcome, words in found:
-        if options.show or not outcome.startswith("right"):
-            print(f"{name}: {outcome}: {words[:400]}")
-    counts = Counter(
-        "right with a keyword" if o.startswith("right with") else o for _, o, _ in found
-    )
-    print(f"{options.count} files, seed {options.seed}:", dict(counts))
-    return int(counts["WRONG IN SILENCE"] > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    rows = harness.main(__doc__, cases, count=100, seed=0, options=options)
+    sys.exit(any(row["verdict"] == "WRONG IN SILENCE" for row in rows))

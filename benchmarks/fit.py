@@ -1,6 +1,6 @@
 """The static fit against local solvers from the same random starts: success rate and time.
 
-    python benchmarks/fit.py [starts]
+    python benchmarks/fit.py [starts] [--only WORD ...]
 
 A spreadsheet's solver (generalised reduced gradient) is a local method; SLSQP, the method of its
 kind in SciPy, stands for it. IPOPT (the solver of our last step, alone) and lmfit (where it is
@@ -11,17 +11,17 @@ the least one found. Times as ratios to ours in the same run.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import casadi as ca
+import harness
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
 import pam_ocp as pam
-from pam_ocp.fitting import fit_force
 from pam_ocp.muscles.law import SixParameterLaw
 
 MUSCLES = {"DMSP-20-300": 0.300, "DMSP-10-250": 0.250}
@@ -82,12 +82,10 @@ def ipopt(table: pam.fitting.ForceTable) -> Callable[[np.ndarray], float]:
     return lambda start: 1e4 * float(solver(x0=start)["f"])
 
 
-def lmfit_of(table: pam.fitting.ForceTable) -> Callable[[np.ndarray], float] | None:
-    """lmfit's Minimizer (leastsq with exact derivatives), or None where it is not installed."""
-    try:
-        import lmfit
-    except ImportError:
-        return None
+def lmfit_of(table: pam.fitting.ForceTable) -> Callable[[np.ndarray], float]:
+    """lmfit's Minimizer (leastsq with exact derivatives)."""
+    import lmfit
+
     residuals, jacobian = squares_of(table)
 
     def vector(parameters: lmfit.Parameters) -> np.ndarray:
@@ -112,46 +110,62 @@ def lmfit_of(table: pam.fitting.ForceTable) -> Callable[[np.ndarray], float] | N
     return run
 
 
-def main(count: int) -> None:
-    random = np.random.default_rng(1000)
-    starts = 10 ** random.uniform(-1, 1, (count, 6)) * random.choice([-1, 1], (count, 6))
-    print(f"{'muscle':<14}{'method':<24}{'success':>9}{'ms a fit':>10}{'time/ours':>11}")
-    for name, length in MUSCLES.items():
-        table = pam.read_table(f"{name}_static.csv", rest_length=length).taut
-        residuals, jacobian = squares_of(table)
-        fit_force(table)  # CasADi builds its functions once
+def ours(table: pam.fitting.ForceTable) -> Callable[[np.ndarray], float]:
+    """fit_force, with intervals."""
+    pam.fit_force(table)  # CasADi builds its functions once
 
-        def ours(start: np.ndarray, table: pam.fitting.ForceTable = table) -> float:
-            law = SixParameterLaw.from_published(start * SIZES)
-            found = fit_force(table, start={n: float(v) for n, v in law.values.items()})
-            found.intervals()
-            return found.squares
+    def run(start: np.ndarray) -> float:
+        law = SixParameterLaw.from_published(start * SIZES)
+        found = pam.fit_force(table, start={n: float(v) for n, v in law.values.items()})
+        found.intervals()
+        return float(found.squares)
 
-        results: dict[str, tuple[np.ndarray, float]] = {}
-        methods: dict[str, Callable[[np.ndarray], float] | None] = {
-            "ours, with intervals": ours,
-            "SLSQP (GRG's kind)": partial(slsqp, residuals, jacobian),
-            "SciPy least_squares": partial(trust_region, residuals, jacobian),
-            "IPOPT alone": ipopt(table),
-            "lmfit": lmfit_of(table),
-        }
-        for method, run in methods.items():
-            if run is None:
-                print(f"{name:<14}{method:<24}  not installed (pip install lmfit): skipped")
-                continue
-            began = time.perf_counter()
-            found = np.array([run(start) for start in starts])
-            results[method] = found, (time.perf_counter() - began) / count
-        least = min(float(np.nanmin(found)) for found, _ in results.values())
-        reference = results["ours, with intervals"][1]
-        for method, (found, seconds) in results.items():
-            share = float(np.mean(found <= least * (1 + 1e-6)))
-            print(
-                f"{name:<14}{method:<24}{100 * share:>7.1f} %{1e3 * seconds:>10.2f}"
-                f"{seconds / reference:>11.2f}"
-            )
+    return run
+
+
+METHODS: dict[str, Callable[[pam.fitting.ForceTable], Callable[[np.ndarray], float]]] = {
+    "ours, with intervals": ours,
+    "SLSQP (GRG's kind)": lambda table: partial(slsqp, *squares_of(table)),
+    "SciPy least_squares": lambda table: partial(trust_region, *squares_of(table)),
+    "IPOPT alone": ipopt,
+    "lmfit": lmfit_of,
+}
+
+
+def one(muscle: str, method: str, starts: np.ndarray) -> harness.Row:
+    """Sums of squares from all starts, and milliseconds of a fit."""
+    table = pam.read_table(f"{muscle}_static.csv", rest_length=MUSCLES[muscle]).taut
+    try:
+        run = METHODS[method](table)
+    except ImportError as missing:
+        return {"verdict": "skipped", "why": [str(missing)]}
+    begin = time.perf_counter()
+    with np.errstate(all="ignore"):  # local solvers run away from some starts
+        found = [run(start) for start in starts]
+    took = 1e3 * (time.perf_counter() - begin) / len(starts)
+    return {"muscle": muscle, "method": method, "squares": found, "ms": took}
+
+
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+    random = np.random.default_rng(given.seed)
+    size = (given.count, 6)
+    starts = 10 ** random.uniform(-1, 1, size) * random.choice([-1, 1], size)
+    for muscle in MUSCLES:
+        for method in METHODS:
+            yield f"{muscle}, {method}", partial(one, muscle, method, starts)
+
+
+def summary(rows: list[harness.Row]) -> str:
+    lines = []
+    for muscle in MUSCLES:
+        found = [r for r in rows if r.get("muscle") == muscle]
+        least = min((float(np.nanmin(r["squares"])) for r in found), default=np.nan)
+        base = next((r["ms"] for r in found if r["method"].startswith("ours")), np.nan)
+        for r in found:
+            success = harness.share(s <= least * (1 + 1e-6) for s in r["squares"])
+            lines.append([muscle, r["method"], f"{success:.1f} %", r["ms"], r["ms"] / base])
+    return harness.table(("muscle", "method", "success", "ms a fit", "time / ours"), lines)
 
 
 if __name__ == "__main__":
-    with np.errstate(all="ignore"):  # local solvers run away from some starts
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000)
+    harness.main(__doc__, cases, summary, count=1000, seed=1000)

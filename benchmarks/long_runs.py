@@ -1,6 +1,6 @@
 """Long runs: whether memory and open files stay as they are, and answers too.
 
-    python benchmarks/long_runs.py [--share 1.0] [loop|mpc|plans|exports|stream ...]
+    python benchmarks/long_runs.py [--share 1.0] [--only loop mpc plans exports stream]
 
 loop    : an Mpc and its plant as FMUs, a million steps at 1 kHz. A day has 86 million: what grows
           by the step shows in a million as well.
@@ -17,16 +17,17 @@ are compared with those after a fifth. Answers are compared where the same is as
 from __future__ import annotations
 
 import argparse
+import math
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from time import process_time
 from typing import Any
 
+import harness
 import numpy as np
 
 import pam_ocp as pam
@@ -56,17 +57,15 @@ class Meter:
             memory = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
             self.notes.append((memory, len(os.listdir("/proc/self/fd"))))
 
-    def told(self, differ: float, allowed: float) -> bool:
-        """Print it; whether nothing grew, and answers differ by no more."""
+    def row(self, differ: float, allowed: float) -> harness.Row:
+        """Flat where nothing grew, and answers differ by no more than is allowed."""
         (before, files), (after, more) = self.notes[len(self.notes) // 5], self.notes[-1]
         good = after - before < GROWTH and more <= files and differ <= allowed
-        print(
-            f"{self.count} times, {process_time():.0f} s of processor; memory {before:.1f} -> "
-            f"{after:.1f} MB, files {files} -> {more}; answers differ by {differ:.1e}"
-            f"{'' if good else '  NOT FLAT OR NOT EQUAL'}",
-            flush=True,
+        text = (
+            f"{self.count} times; memory {before:.1f} -> {after:.1f} MB, files {files} -> {more}; "
+            f"answers differ by {differ:.1e}"
         )
-        return good
+        return {"verdict": "flat" if good else "NOT FLAT OR NOT EQUAL", "text": text}
 
 
 def controller(sample_time: float) -> tuple[pam.Plant, Any, Any]:
@@ -125,7 +124,7 @@ class Unit:
         shutil.rmtree(self._folder)
 
 
-def settled(count: int, step: Callable[[int], float]) -> bool:
+def settled(count: int, step: Callable[[int], float]) -> harness.Row:
     """So many steps of a loop in whole periods; whether the last period is as the fourth."""
     count = max(5, count // PERIOD) * PERIOD
     meter, fourth, last = Meter(count), np.zeros(PERIOD), np.zeros(PERIOD)
@@ -134,10 +133,10 @@ def settled(count: int, step: Callable[[int], float]) -> bool:
         if k == 4 * PERIOD - 1:
             fourth[:] = last
         meter.note(k + 1)
-    return meter.told(float(np.abs(last - fourth).max() / np.abs(fourth).max()), SAME)
+    return meter.row(float(np.abs(last - fourth).max() / np.abs(fourth).max()), SAME)
 
 
-def loop(count: int) -> bool:
+def loop(count: int) -> harness.Row:
     plant, mpc, rest = controller(STEP)
     commands = [v.name for v in plant.inputs]
     states = [v.name for v in plant.states]
@@ -157,13 +156,13 @@ def loop(count: int) -> bool:
             slide.step(k * STEP)
             return seen["x"]
 
-        good = settled(count, step)
+        row = settled(count, step)
         control.close()
         slide.close()
-    return good
+    return row
 
 
-def mpc(count: int) -> bool:
+def mpc(count: int) -> harness.Row:
     plant, regulator, rest = controller(0.005)
     names = [v.name for v in plant.states]
     low, high = (plant.vector("state", attribute=a) for a in ("min", "max"))
@@ -179,7 +178,7 @@ def mpc(count: int) -> bool:
     return settled(count, step)
 
 
-def plans(count: int) -> bool:
+def plans(count: int) -> harness.Row:
     plant = pam.AntagonisticSlide("DMSP-20-400N", mass=2.0)
     stops = [{"x": -0.01}, {"x": 0.01}]
     planner = pam.Planner(plant, stops, method=pam.Collocation(20, 3))
@@ -190,10 +189,10 @@ def plans(count: int) -> bool:
         if k == 4:
             durations[0] = durations[1]
         meter.note(k + 1)
-    return meter.told(float(np.abs(durations[1] / durations[0] - 1).max()), 0.0)
+    return meter.row(float(np.abs(durations[1] / durations[0] - 1).max()), 0.0)
 
 
-def exports(count: int) -> bool:
+def exports(count: int) -> harness.Row:
     plant = pam.HangingLoad("DMSP-20-300", mass=10.0)
     meter, found = Meter(count), []
     with tempfile.TemporaryDirectory() as folder:
@@ -205,10 +204,10 @@ def exports(count: int) -> bool:
             found = [*found[:1], unit.get(["x"])[0]]
             unit.close()
             meter.note(k + 1)
-    return meter.told(abs(found[-1] - found[0]), 0.0)
+    return meter.row(abs(found[-1] - found[0]), 0.0)
 
 
-def stream(count: int) -> bool:
+def stream(count: int) -> harness.Row:
     plant, meter = pam.HangingLoad("DMSP-20-300"), Meter(count)
 
     def cases() -> Iterator[dict[str, Any]]:
@@ -221,29 +220,22 @@ def stream(count: int) -> bool:
         told = lambda done, _: meter.note(done)  # noqa: E731
         kept = pam.simulate_many(plant, cases(), duration=0.1, progress=told, **ask, **places)
         numbers = kept["x_end"]
-    return meter.told(float(np.abs(numbers[-1000:] - numbers[:1000][: len(numbers)]).max()), 1e-9)
+    return meter.row(float(np.abs(numbers[-1000:] - numbers[:1000][: len(numbers)]).max()), 1e-9)
 
 
 RUNS = {"loop": 10**6, "mpc": 10**5, "plans": 10**4, "exports": 10**3, "stream": 10**5}
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("runs", nargs="*", metavar="RUN", help=", ".join(RUNS))
-    parser.add_argument("--share", type=float, default=1.0)
-    parser.add_argument("--here", action="store_true", help="in this process")
-    options = parser.parse_args()
-    failed = 0
-    for name in options.runs or RUNS:
-        if options.here:
-            print(f"{name:<8}", end="", flush=True)
-            count = max(100, round(RUNS[name] * options.share))
-            failed += not globals()[name](count)
-        else:
-            command = [sys.executable, __file__, name, "--here", "--share", str(options.share)]
-            failed += subprocess.run(command).returncode != 0
-    return 1 if failed else 0
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+    for name, count in RUNS.items():
+        yield name, partial(globals()[name], max(100, round(count * given.share)))
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(seconds=math.inf)  # each in a process of its own
+    parser.add_argument("--share", type=float, default=1.0, help="of each run")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    rows = harness.main(__doc__, cases, options=options)
+    sys.exit(any(row["verdict"] != "flat" for row in rows))

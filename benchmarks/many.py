@@ -1,20 +1,28 @@
 """A loop over many cases: what it costs beside a plain one, what processes gain, what memory it
-takes.
+takes, what is lost where jobs are killed.
 
     python benchmarks/many.py                    cost and scaling, some hundred cases
-    python benchmarks/many.py --large            100 000 simulations of a slide, 1000 plans
-    python benchmarks/many.py --memory [cases]   memory by the number of cases, into a folder
-    python benchmarks/many.py --keep [base]      numbers kept of 10 base cases, with Sobol indices
-    python benchmarks/many.py --killed [base]    the same into a folder, killed and resumed twice
+    python benchmarks/many.py large              100 000 simulations of a slide, 1000 plans
+    python benchmarks/many.py memory [cases]     memory by the number of cases, into a folder
+    python benchmarks/many.py keep [base]        numbers kept of 10 base cases, with Sobol indices
+    python benchmarks/many.py killed [base]      the same into a folder, killed and resumed twice
+    python benchmarks/many.py scheduler [seed]   job arrays on a simulated scheduler
+    python benchmarks/many.py array [jobs]       the shards of a study as processes, two at a time
 
 Cost: processor seconds of all processes for a case, by ``simulate_many`` or ``each``, over those
 of a plain loop, which is run on a sample of the same cases in the same minute. Scaling: wall time
 by one process of our own over that by two; it needs two idle processors. Cases go into a folder
 of Parquet files.
+
+scheduler: jobs wait for a free processor, each computes its slice of the cases by
+``simulate_many(keep=, into=)``, is killed at random, and is started once more; what its last file
+did not hold yet is computed again. array: a tenth of the shards are killed (SIGKILL) amid their
+steps and queued again; the merged folder is compared with one run's.
 """
 
 from __future__ import annotations
 
+import heapq
 import os
 import random
 import resource
@@ -22,12 +30,15 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from time import perf_counter, time
+from time import time
 from typing import Any
 
+import harness
 import numpy as np
+from harness import both as measured
+from harness import spent as processor
 
 import pam_ocp as pam
 
@@ -63,19 +74,6 @@ class Quickest:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Quickest, ()
-
-
-def processor() -> float:
-    """Seconds of this process and of its children that have ended."""
-    both = (resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(r.ru_utime + r.ru_stime for r in both)
-
-
-def measured(work: Callable[[], Any]) -> tuple[float, float]:
-    """(processor seconds of all processes, seconds by the clock)."""
-    begin, clock = processor(), perf_counter()
-    work()
-    return processor() - begin, perf_counter() - clock
 
 
 def simulations(count: int, both: bool = True) -> dict[str, float]:
@@ -225,7 +223,7 @@ def killed(base: int) -> bool:
     print(f"{count} cases in {PARTS} files")
 
     def run(folder: Path, limit: int) -> set[tuple[str, int]]:
-        command = [sys.executable, __file__, "--broken", str(folder), str(base), str(limit)]
+        command = [sys.executable, __file__, "broken", str(folder), str(base), str(limit)]
         before = processor()
         code = subprocess.run(command).returncode
         assert code == (0 if limit > count else -signal.SIGKILL)
@@ -252,30 +250,100 @@ def killed(base: int) -> bool:
     return same and resumed
 
 
-def main() -> None:
-    if "--broken" in sys.argv:
-        broken(sys.argv[2], *map(int, sys.argv[3:]))
-        return
-    print(f"load {os.getloadavg()[0]:.1f}", flush=True)
-    if "--memory" in sys.argv:
-        memory(int(sys.argv[2]) if len(sys.argv) > 2 else 100_000)
-        return
-    if "--killed" in sys.argv:
-        sys.exit(not killed(int(sys.argv[2]) if len(sys.argv) > 2 else 16384))
-    if "--keep" in sys.argv:
-        for name, value in kept(int(sys.argv[2]) if len(sys.argv) > 2 else 2048).items():
-            print(f"{name:<52}{value:>10.3f}")
-        return
-    large = "--large" in sys.argv
-    parts = (
-        (lambda: simulations(100_000, both=False), lambda: simulations(5000), lambda: plans(1000))
-        if large
-        else (lambda: simulations(200), lambda: plans(40))
-    )
+# ---- job arrays ----------------------------------------------------------------------------------
+CASE, START, ROWS = 0.255e-3, 10.0, 100_000
+"""Seconds of a case (docs/many.md) and of a job's start (queue, imports, compiler); rows a file."""
+BYTES = 35
+
+
+def scheduled(
+    cases: int, jobs: int, processors: int, doomed: float, chance: random.Random
+) -> tuple[float, float]:
+    """(wall, processor) seconds. doomed : probability that a job is killed, at any of its cases,
+    each time it is started.
+    """
+    part = -(-cases // jobs)
+    waiting = [min(part, cases - i * part) for i in range(jobs) if i * part < cases]
+    free = [0.0] * processors
+    wall, spent = 0.0, 0.0
+    while waiting:
+        left, begin = waiting.pop(0), heapq.heappop(free)
+        dies = chance.random() < doomed
+        done = int(chance.random() * left) if dies else left
+        end = begin + START + CASE * done
+        if dies:
+            waiting.append(left - done // ROWS * ROWS)
+        wall, spent = max(wall, end), spent + end - begin
+        heapq.heappush(free, end)
+    return wall, spent
+
+
+def scheduler(seed: int) -> None:
+    """What the simulated scheduler costs."""
+    print(f"seed {seed}; a tenth of the jobs killed, as often as they are started")
+    rows = []
+    for cases, jobs, processors in ((10**6, 50, 2), (10**6, 50, 50), (10**8, 200, 50)):
+        wall, spent = scheduled(cases, jobs, processors, 0.1, random.Random(seed))
+        plain = scheduled(cases, jobs, processors, 0.0, random.Random(seed))[1]
+        more, size = f"{100 * (spent / plain - 1):.1f} %", cases * BYTES / 1e9
+        rows.append([cases, jobs, processors, wall / 60, spent / 3600, more, size])
+    heads = ("cases", "jobs", "processors", "wall [min]", "processor [h]", "lost", "disk [GB]")
+    print(harness.table(heads, rows))
+
+
+def array(count: int) -> bool:
+    """Run an array of a case for each shard, and the study in one go; whether bits are equal."""
+    harness.importable("studies")
+    import job_array as jobs
+
+    doomed = jobs.drawn(count, random.Random(int(time())))
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        path, out, one = jobs.loads(folder, count), folder / "out", folder / "one"
+        words = [path, "--out", out, "--cache", folder / "kept"]
+        before = processor()
+        killed = jobs.array(words, out, count, doomed)
+        seconds = processor() - before
+        for rest in ([*words, "--merge"], [path, "--out", one, "--cache", folder / "other"]):
+            process = jobs.job(rest)
+            process.join()
+            assert process.exitcode == 0, rest
+        files = jobs.written(out)
+        same = files == jobs.written(one)
+    print(f"{count} shards of {2 * count + 2} steps; killed amid their work: {killed}")
+    print(f"{seconds:.0f} s of processor for all jobs, without imports")
+    print(f"{len(files)} files merged, equal to one run's bit for bit: {same}")
+    return same and set(killed) == doomed
+
+
+# ---- the command line ----------------------------------------------------------------------------
+def shown(*parts: Any) -> None:
     for part in parts:
         for name, value in part().items():
             print(f"{name:<52}{value:>10.3f}", flush=True)
 
 
+def main(what: str = "", number: str = "", *more: str) -> int:
+    print(f"load {os.getloadavg()[0]:.1f}", flush=True)
+    if what == "broken":
+        broken(number, *map(int, more))
+    elif what == "memory":
+        memory(int(number or 100_000))
+    elif what == "keep":
+        shown(lambda: kept(int(number or 2048)))
+    elif what == "scheduler":
+        scheduler(int(number or time()))
+    elif what == "killed":
+        return int(not killed(int(number or 16384)))
+    elif what == "array":
+        return int(not array(int(number or 50)))
+    elif what == "large":
+        several = lambda: simulations(100_000, both=False)  # noqa: E731
+        shown(several, lambda: simulations(5000), lambda: plans(1000))
+    else:
+        shown(lambda: simulations(200), lambda: plans(40))
+    return 0
+
+
 if __name__ == "__main__":
-    main()
+    sys.exit(main(*sys.argv[1:]))

@@ -4,7 +4,7 @@
 
 prints one group as JSON. A group is a function of ``quick`` (smaller sizes) that returns {figure:
 number}. Seconds are those of the processor, unless a figure says "wall". A figure named NAME@SIZE
-belongs to a curve over sizes (growth.py).
+belongs to the curve NAME over sizes; page.py draws the curves and tells their slopes.
 """
 
 from __future__ import annotations
@@ -14,12 +14,27 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
+from pathlib import Path
 from statistics import median
-from time import perf_counter, process_time, thread_time
+from time import process_time, thread_time
 from typing import Any
 
-import growth  # noqa: F401  # its groups
-from measuring import BAR, GROUPS, HERE, STOPS, group, slide, spent, timed, wish
+import harness
+from harness import process_seconds, timed
+from pam_2dir import BAR, COMMANDS, STOPS, WISHES, plant, slide
+
+HERE = Path(__file__).resolve().parent
+GROUPS: dict[str, Callable[[bool], dict[str, float]]] = {}
+PLAIN = 400
+"""Intervals beyond which plain CasADi, no figure of ours, takes longer than all else here."""
+
+
+def group(function: Callable[[bool], dict[str, float]]) -> Callable[[bool], dict[str, float]]:
+    """A function that measures figures."""
+    GROUPS[function.__name__] = function
+    return function
+
 
 # ---- starting -----------------------------------------------------------------------------------
 PLANT = "import pam_ocp as pam; pam.HangingLoad('DMSP-20-400N')"
@@ -29,7 +44,7 @@ PLANT = "import pam_ocp as pam; pam.HangingLoad('DMSP-20-400N')"
 def start(quick: bool) -> dict[str, float]:
     """Imports, the least of three each (the first reads from the disk); the tour, warm caches."""
     works = ("import casadi", "import pam_ocp", PLANT)
-    casadi, ours, plant = (min(spent("-c", work) for _ in range(3)) for work in works)
+    casadi, ours, plant = (min(process_seconds("-c", work) for _ in range(3)) for work in works)
     found = {
         "import [s]": ours,
         "import beyond CasADi [s]": ours - casadi,
@@ -38,8 +53,8 @@ def start(quick: bool) -> dict[str, float]:
     if not quick:
         with tempfile.TemporaryDirectory() as folder:
             tour = ("-m", "pam_ocp", "tour", "--out", folder)
-            spent(*tour)
-            found["tour, warm caches [s]"] = spent(*tour)
+            process_seconds(*tour)
+            found["tour, warm caches [s]"] = process_seconds(*tour)
     return found
 
 
@@ -49,11 +64,11 @@ from time import process_time
 begin = process_time()
 sys.path.insert(0, {here!r})
 import pam_ocp as pam
-import measuring
-plant = measuring.slide({case!r})
+import pam_2dir
+plant = pam_2dir.plant({case!r})
 ready = process_time()
-wish = measuring.wish({case!r})
-plan = pam.plan(plant, measuring.STOPS, method=pam.Collocation(50, 3), **wish)
+wish = pam_2dir.WISHES[{case!r}]
+plan = pam.plan(plant, pam_2dir.STOPS, method=pam.Collocation(50, 3), **wish)
 assert plan.verified
 print(process_time() - ready, plan.statistics["iterations"])
 """
@@ -64,14 +79,14 @@ def first_plan(quick: bool) -> dict[str, float]:
     """PAM-2DIR as a whole process, and the first plan after import, to plain CasADi."""
     found: dict[str, float] = {}
     for case in "ab":
-        plain_whole = spent("plain.py", case)
+        plain_whole = process_seconds("plain.py", case)
         plain = json.loads(
             subprocess.run(
                 [sys.executable, "plain.py", case], capture_output=True, text=True, cwd=HERE
             ).stdout
         )
         script = FIRST.format(here=str(HERE), case=case)
-        whole = spent("-c", script)
+        whole = process_seconds("-c", script)
         said = subprocess.run(
             [sys.executable, "-c", script], capture_output=True, text=True, check=True
         ).stdout.split()
@@ -94,7 +109,7 @@ def again(quick: bool) -> dict[str, float]:
         bare = plain.Plain(case)
         bare()
         cold = median(bare()["seconds"] for _ in range(3))
-        planner = pam.Planner(slide(case), STOPS, method=pam.Collocation(50, 3), **wish(case))
+        planner = pam.Planner(plant(case), STOPS, method=pam.Collocation(50, 3), **WISHES[case])
         near = planner()
         loads = iter([2.02, 2.2, 2.1, 1.9, 2.05, 1.95, 2.15, 2.08, 1.98])
         seconds = timed(lambda p=planner, n=near, m=loads: p({"mass": next(m)}, guess=n), 7)
@@ -122,13 +137,11 @@ def accurate(quick: bool) -> dict[str, float]:
 @group
 def estimators(quick: bool) -> dict[str, float]:
     """A Kalman filter's step, and that of a moving horizon of 10 [ms]."""
-    import mpc
-
     import pam_ocp as pam
 
-    plant = mpc.benchmark_plant()
+    plant = slide()
     rest = plant.equilibrium(x=-0.01, stiffness=2e4)
-    inputs = {n: rest[n] for n in mpc.COMMANDS}
+    inputs = {n: rest[n] for n in COMMANDS}
     common = {"sample_time": 0.005, "measured": {"x": 1e-5}, "start": rest}
     found, moving = {}, pam.control.MovingHorizonEstimator
     for name, estimator in (
@@ -161,13 +174,13 @@ def compare(quick: bool) -> dict[str, float]:
     force = force + np.random.default_rng(7).normal(0, 3.0, 100)
     table = pam.fitting.ForceTable(p.ravel(), kappa.ravel(), force, rest_length=0.3)
     fixed = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.28}
-    begin, wall = process_time(), perf_counter()
-    found = pam.compare_laws(table, fixed=fixed, executor=0)
-    seconds = process_time() - begin
+    made: list[Any] = []
+    work = lambda: made.append(pam.compare_laws(table, fixed=fixed, executor=0))  # noqa: E731
+    seconds, wall = harness.both(work)
     return {
         "compare_laws, 100 cells [s]": seconds,
-        "compare_laws, 100 cells, wall [s]": perf_counter() - wall,
-        "laws that were fitted": float(sum(entry.fit is not None for entry in found.laws)),
+        "compare_laws, 100 cells, wall [s]": wall,
+        "laws that were fitted": float(sum(entry.fit is not None for entry in made[0].laws)),
     }
 
 
@@ -276,27 +289,19 @@ def records(quick: bool) -> dict[str, float]:
 @group
 def exported(quick: bool) -> dict[str, float]:
     """An Mpc of horizon 50 as an FMU, compiled anew, and as C in single precision."""
-    import resource
-
     import mpc
 
     import pam_ocp as pam
 
-    def all_of_it() -> float:
-        both = (resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        return sum(r.ru_utime + r.ru_stime for r in both)
-
-    rate = dict.fromkeys(mpc.COMMANDS, 0.1)
-    ask: dict[str, Any] = {"sample_time": mpc.STEP, "track": {"x": 1.0}, "rate": rate}
-    controller = pam.control.Mpc(mpc.benchmark_plant(), horizon=50, iterations=1, **ask)
+    controller = mpc.controller(slide(), 50, iterations=1)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["PAM_OCP_CACHE"] = folder
-        block, begin = pam.control.block(controller), all_of_it()
+        block, begin = pam.control.block(controller), harness.spent()
         pam.export_fmu(block, f"{folder}/mpc.fmu", platforms="native")
-        found = {"Mpc 50 as FMU, compiled [s]": all_of_it() - begin}
-        begin = all_of_it()
+        found = {"Mpc 50 as FMU, compiled [s]": harness.spent() - begin}
+        begin = harness.spent()
         pam.export_c(block, f"{folder}/mpc", precision="single")
-        found["Mpc 50 as C, single precision [s]"] = all_of_it() - begin
+        found["Mpc 50 as C, single precision [s]"] = harness.spent() - begin
     return found
 
 
@@ -308,10 +313,11 @@ def long_works(quick: bool) -> dict[str, float]:
     if quick:
         return {}
     with tempfile.TemporaryDirectory() as folder:
+        example = str(HERE.parent / "examples/robust_plan.py")
         site = ("-m", "sphinx", "-q", "-E", "-b", "html", str(HERE.parent / "docs"), folder)
         return {
-            "examples/robust_plan.py [s]": spent(str(HERE.parent / "examples/robust_plan.py")),
-            "documentation, built [s]": spent(*site),
+            "examples/robust_plan.py [s]": process_seconds(example),
+            "documentation, built [s]": process_seconds(*site),
         }
 
 
@@ -320,10 +326,135 @@ def fmu_step(quick: bool) -> dict[str, float]:
     """A communication step of an FMU, in units of six right-hand sides and a Jacobian."""
     if quick:
         return {}
-    sys.path.insert(0, str(HERE))
     import fmu_step as script
 
     return {f"FMU, {name} [units]": value for name, value in script.figures(quick).items()}
+
+
+# ---- growth -------------------------------------------------------------------------------------
+@group
+def intervals(quick: bool) -> dict[str, float]:
+    """Growth with the number of intervals, beside plain CasADi."""
+    import plain
+
+    import pam_ocp as pam
+
+    plant, found = slide(), {}
+    for n in (25, 50, 100) if quick else (25, 50, 100, 200, 400, 800):
+        planner = pam.Planner(plant, STOPS, cyclic="mirrored", method=pam.Collocation(n, 3))
+        begin = process_time()
+        plan = planner(tolerance=None)
+        found[f"plan [s]@{n}"] = process_time() - begin
+        found[f"iterations@{n}"] = float(plan.statistics["iterations"])
+        if n > PLAIN:
+            continue
+        bare = plain.Plain("a", n)()
+        found[f"plan, plain CasADi [s]@{n}"] = bare["seconds"]
+        found[f"iterations, plain CasADi@{n}"] = bare["iterations"]
+    return found
+
+
+@group
+def mpc_step(quick: bool) -> dict[str, float]:
+    """Mpc on the slide, and its growth with the horizon [ms]; worst steps out of 10 000."""
+    import mpc
+    import numpy as np
+
+    plant, found = slide(), {}
+    for horizon in (10, 50) if quick else (10, 25, 50, 100, 200):
+        for how, compiled in (("Mpc", False), ("Mpc compiled", True)):
+            for name, iterations in (("one iteration", 1), ("converged", 30)):
+                steps = 200 if horizon != 50 or quick else 10_000 if compiled else 1000
+                options = {"iterations": iterations, "compiled": compiled}
+                _, seconds = mpc.run(plant, horizon, False, steps, **options)
+                middle = 1e3 * float(np.median(seconds))
+                found[f"{how}, {name} [ms]@{horizon}"] = middle
+                if horizon == 50:
+                    found[f"{how} 50, {name} [ms]"] = middle
+                    worst = 1e3 * float(seconds.max()) / middle
+                    found[f"{how} 50, {name}, worst / median"] = worst
+    return found
+
+
+@group
+def fit_cells(quick: bool) -> dict[str, float]:
+    """fit_force with intervals, and SciPy's Levenberg-Marquardt, over the number of cells."""
+    import numpy as np
+    from scipy.optimize import curve_fit
+
+    import pam_ocp as pam
+
+    law, found = pam.muscle("DMSP-20-200N").force, {}
+    random = np.random.default_rng(20)
+
+    def formula(at: Any, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float) -> Any:
+        p, kappa = at
+        return (a1 * p + a2) * np.exp(a3 * kappa) + a4 * kappa * p + a5 * p + a6
+
+    begin = list(law.published) if hasattr(law, "published") else [-4.0, 292, -33, -934, 294, -280]
+    for count in (60, 1000) if quick else (60, 300, 1000, 10_000, 50_000):
+        p, kappa = random.uniform(0.5, 6, count) * BAR, random.uniform(0, 0.2, count)
+        force = np.asarray(law(p, kappa)).ravel() + random.normal(0, 5.0, count)
+        table = pam.fitting.ForceTable(p, kappa, force, rest_length=0.3).taut
+        once = process_time()
+        pam.fit_force(table).intervals()
+        once = process_time() - once
+        work = lambda t=table: pam.fit_force(t).intervals()  # noqa: E731
+        found[f"fit_force with intervals [s]@{count}"] = timed(work, 1) if once < 5 else once
+        at = np.array([table.pressure / BAR, table.contraction])
+        begin[2] = -20.0
+        lm = lambda a=at, t=table: curve_fit(formula, a, t.force, begin, maxfev=20000)  # noqa: E731
+        found[f"SciPy LM [s]@{count}"] = timed(lm, 1)
+    return found
+
+
+def chain(count: int, pushed: int = 1) -> Any:
+    """Masses in a row between springs and dampers, 2 count states; so many of them are pushed."""
+    import pam_ocp as pam
+
+    plant = pam.Plant("chain", "masses between springs")
+    q = [plant.state(f"q{i}", nominal=0.01) for i in range(count)]
+    v = [plant.state(f"v{i}", nominal=0.1) for i in range(count)]
+    push = [plant.input(f"push{i}", start=1.0, min=-20.0, max=20.0) for i in range(pushed)]
+    for i in range(count):
+        left = q[i - 1] if i else 0
+        right = q[i + 1] if i + 1 < count else 0
+        force = 400 * (left - 2 * q[i] + right) - 3 * v[i] - 1e4 * q[i] ** 3
+        plant.der(q[i], v[i])
+        plant.der(v[i], force + (push[i] if i < pushed else 0))
+    return plant
+
+
+@group
+def states(quick: bool) -> dict[str, float]:
+    """A simulation, and a plan (quickest from rest to rest, each mass pushed), over the states."""
+    import numpy as np
+
+    import pam_ocp as pam
+
+    found, t = {}, np.linspace(0.0, 1.0, 101)
+    push, common = {"push0": np.sin(20 * t)}, {"t": t, "rtol": 1e-8}
+    for count in (2, 8) if quick else (2, 4, 8, 12, 18):
+        plant, many = chain(count), 2 * count
+        run = lambda p=plant, **way: pam.simulate(p, push, **common, **way)  # noqa: E731
+        found[f"simulate [s]@{many}"] = timed(run, 3)
+        machine = lambda r=run: r(compiled=True)  # noqa: E731
+        found[f"simulate, compiled [s]@{many}"] = timed(machine, 9)
+        stops = [{f"q{i}": place for i in range(count)} for place in (0.0, 0.01)]
+        planner = pam.Planner(chain(count, count), stops, method=pam.Collocation(30, 3))
+        made: list[Any] = []
+        seconds = timed(lambda p=planner, m=made: m.append(p(tolerance=None)), 1)
+        found[f"plan, masses in a row [s]@{many}"] = seconds
+        found[f"iterations, masses in a row@{many}"] = float(made[-1].statistics["iterations"])
+    return found
+
+
+@group
+def cases(quick: bool) -> dict[str, float]:
+    """What the loop over cases adds to a plain loop, and what two processes gain (wall)."""
+    import many
+
+    return many.figures(quick)
 
 
 def main() -> None:
@@ -333,5 +464,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(HERE))
     main()

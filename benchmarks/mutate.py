@@ -4,8 +4,8 @@ Faults of the operators of ``mutation/`` are drawn by a seed: first a line of th
 a fault of that line. Each is put into a scratch copy, where the tests that run its line are asked,
 the likeliest first, until one fails. A fault that no test run in the room touches has survived.
 
-Run:  nice -n 10 python benchmarks/mutate.py --seed 1 muscles=60 plants=60 ... [--out file]
-      nice -n 10 python benchmarks/mutate.py --again file     (the survivors of an earlier run)
+    nice -n 10 python benchmarks/mutate.py --seed 1 muscles=60 plants=60 ... [--table FILE]
+    nice -n 10 python benchmarks/mutate.py --again FILE     (the survivors of an earlier table)
 
 Needs pytest-cov (extra ``test``). The coverage of a room is collected first and kept in --keep.
 """
@@ -19,8 +19,11 @@ import random
 import sys
 import tempfile
 from collections import Counter, defaultdict
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+import harness
 from mutation.c_faults import c_faults
 from mutation.coverage_map import CoverageMap, collect
 from mutation.faults import Fault, placed
@@ -128,61 +131,63 @@ def still_there(scratch: Scratch, fault: Fault) -> Fault | None:
     return dataclasses.replace(fault, start=at[0], end=at[1], line=text.count("\n", 0, at[0]) + 1)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
-    parser.add_argument("counts", nargs="*", help=f"room=count, of {', '.join(ROOMS)}")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, help="one line of JSON for each fault is added here")
-    parser.add_argument("--again", type=Path, help="ask again about the survivors in this file")
-    parser.add_argument("--keep", type=Path, help="folder of the coverage, used again if there")
-    parser.add_argument("--budget", type=float, default=BUDGET, help="seconds of tests a fault")
-    given = parser.parse_args()
+def wanted(tree: Path, given: argparse.Namespace) -> list[tuple[str, Fault]]:
+    """(room, fault) of those that are drawn, or of the survivors of a table."""
+    if given.again:
+        rows = (json.loads(line) for line in given.again.read_text("utf-8").splitlines())
+        last = {row["case"]: row for row in rows}  # the last word counts
+        survived = [row for row in last.values() if not row["verdict"].startswith("killed")]
+        return [(row["room"], Fault(**row["fault"])) for row in survived]
+    rng, found = random.Random(given.seed), []
+    for word in given.counts:
+        room, _, count = word.partition("=")
+        faults = faults_of(tree, ROOMS[room][1])
+        found += [(room, fault) for fault in drawn(tree, faults, int(count), rng)]
+    return found
+
+
+def one(
+    scratch: Scratch, room: str, first: Fault, known: CoverageMap | None, budget: float
+) -> harness.Row:
+    row: harness.Row = {"room": room, "fault": dataclasses.asdict(first), "text": str(first)}
+    fault = still_there(scratch, first)
+    if fault is None:
+        return {**row, "verdict": "STALE"}
+    answer = asked(scratch, fault, known, budget)
+    return {**row, "verdict": answer.word, "text": str(fault), "by": answer.by}
+
+
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
     with tempfile.TemporaryDirectory() as temporary:
         scratch = Scratch(Path(temporary) / "tree")
         keep = given.keep or Path(temporary) / "coverage"
         keep.mkdir(parents=True, exist_ok=True)
-        if given.again:
-            lines = [json.loads(line) for line in given.again.read_text("utf-8").splitlines()]
-            fates = {json.dumps(entry["fault"]): entry for entry in lines}  # the last word counts
-            wanted = [
-                (entry["room"], Fault(**entry["fault"]))
-                for entry in fates.values()
-                if not entry["word"].startswith("killed")
-            ]
-        else:
-            rng = random.Random(given.seed)
-            wanted = []
-            for word in given.counts:
-                room, _, count = word.partition("=")
-                faults = faults_of(scratch.folder, ROOMS[room][1])
-                wanted += [(room, f) for f in drawn(scratch.folder, faults, int(count), rng)]
-        known: dict[str, CoverageMap | None] = {}
-        tally: dict[str, Counter[str]] = defaultdict(Counter)
-        for room, drawn_fault in wanted:
+        known: dict[str, CoverageMap | None] = {"c": None}
+        for room, fault in wanted(scratch.folder, given):
             tests = ROOMS[room][0]
             if room not in known:
-                if room != "c" and not (keep / f"{tests}.json").exists():
+                if not (keep / f"{tests}.json").exists():
                     collect(scratch.folder, tests, keep)
-                known[room] = None if room == "c" else CoverageMap(scratch.folder, tests, keep)
-            fault = still_there(scratch, drawn_fault)
-            answer = (
-                Answer("STALE", "", 0.0)
-                if fault is None
-                else asked(scratch, fault, known[room], given.budget)
-            )
-            tally[room][answer.word.split()[0]] += 1
-            print(f"{answer.word:<28}{answer.seconds:6.1f} s  {fault or drawn_fault}", flush=True)
-            if given.out:
-                entry = dataclasses.asdict(answer) | {
-                    "room": room,
-                    "fault": dataclasses.asdict(drawn_fault),
-                }
-                with given.out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(entry) + "\n")
-    for room, found in tally.items():
-        print(f"{room}: {found['killed']} of {sum(found.values())} killed; {dict(found)}")
-    return int(any(set(found) != {"killed"} for found in tally.values()))
+                known[room] = CoverageMap(scratch.folder, tests, keep)
+            yield str(fault), partial(one, scratch, room, fault, known[room], given.budget)
+
+
+def summary(rows: list[harness.Row]) -> str:
+    lines = []
+    for room in ROOMS:
+        fates = Counter(r["verdict"].split()[0] for r in rows if r.get("room") == room)
+        if fates:
+            lines.append([room, fates.total(), fates["killed"], fates["SURVIVED"], fates["STALE"]])
+    return harness.table(("room", "faults", "killed", "survived", "stale"), lines)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("counts", nargs="*", help=f"room=count, of {', '.join(ROOMS)}")
+    parser.add_argument("--again", type=Path, help="ask again about the survivors in this table")
+    parser.add_argument("--keep", type=Path, help="folder of the coverage, used again if there")
+    parser.add_argument("--budget", type=float, default=BUDGET, help="seconds of tests a fault")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    rows = harness.main(__doc__, cases, summary, seed=0, options=options)
+    sys.exit(not all(row["verdict"].startswith("killed") for row in rows))

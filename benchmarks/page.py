@@ -7,12 +7,12 @@ import re
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-from measuring import write
 
 HERE = Path(__file__).resolve().parent
 DOCS = HERE.parent / "docs"
@@ -134,17 +134,11 @@ def ticks(ax: Axes, sizes: list[int]) -> None:
     ax.tick_params(which="minor", length=0)
 
 
-def row(*cells: object) -> str:
-    """A line of a table; messages of tools may hold what would end a cell."""
-    kept = (" ".join(str(cell).replace("|", "\\|").split()) for cell in cells)
-    return "| " + " | ".join(kept) + " |"
-
-
 def table(result: dict[str, Any]) -> str:
     """What is wanted beside what was measured; of curves only the points that have a goal."""
     from run import WANTED, reached
 
-    lines = [row("figure", "median", "least .. most", "wanted"), "|---|---|---|---|"]
+    lines: list[tuple[str, ...]] = []
     for name, figure in result["figures"].items():
         if "@" in name and name not in WANTED:
             continue
@@ -153,21 +147,22 @@ def table(result: dict[str, Any]) -> str:
         goal = "" if said is None else "{} {:g}".format(*WANTED[name])
         goal += "" if said is None or said else " (not reached)"
         title = re.sub(r"@(\d+)$", r", \1", name)
-        lines.append(row(title, f"{figure['median']:.3g}", f"{low:.3g} .. {high:.3g}", goal))
-    lines += [row(name, f"not measured: {why}", "", "") for name, why in result["missing"].items()]
-    return "\n".join(lines)
+        lines.append((title, f"{figure['median']:.3g}", f"{low:.3g} .. {high:.3g}", goal))
+    lines += [(name, f"not measured: {why}", "", "") for name, why in result["missing"].items()]
+    return harness.table(("figure", "median", "least .. most", "wanted"), lines)
 
 
 def growth(result: dict[str, Any]) -> str:
     """All curves as numbers, and their slopes."""
-    lines = [row("growth", "size: median", "slope over the largest three"), "|---|---|---|"]
+    lines = []
     for _, over, names in shown(result["figures"]).values():
         for name in names:
             sizes, values = curve(result["figures"], name)
             power = exponent(sizes, values)
             points = ", ".join(f"{s}: {v:.3g}" for s, v in zip(sizes, values, strict=True))
-            lines.append(row(f"{name} over {over}", points, f"{power:.2f}" if power else ""))
-    return "\n".join(lines) if len(lines) > 2 else ""
+            lines.append((f"{name} over {over}", points, f"{power:.2f}" if power else ""))
+    heads = ("growth", "size: median", "slope over the largest three")
+    return harness.table(heads, lines) if lines else ""
 
 
 def peers(result: dict[str, Any]) -> str:
@@ -181,13 +176,13 @@ def peers(result: dict[str, Any]) -> str:
         heads = list(
             dict.fromkeys(h for said in found.values() if isinstance(said, dict) for h in said)
         )
-        lines = [row(task, *heads), "|---" * (1 + len(heads)) + "|"]
+        lines: list[list[str]] = []
         for tool, said in found.items():
             if isinstance(said, str):
-                lines.append(row(tool, said, *[""] * (len(heads) - 1)))
+                lines.append([tool, said, *[""] * (len(heads) - 1)])
             else:
-                lines.append(row(tool, *(f"{said[h]:.5g}" if h in said else "" for h in heads)))
-        text.append("\n".join(lines))
+                lines.append([tool, *(f"{said[h]:.5g}" if h in said else "" for h in heads)])
+        text.append(harness.table((task, *heads), lines))
         if "base" in tools:
             seconds = ", ".join(f"{k} {v:g} s" for k, v in tools["base"].items())
             text.append(f"1 is {seconds} of the first line's tool.")
@@ -252,7 +247,7 @@ def write_page(
         with rc_context({"svg.hashsalt": "growth"}):  # the same figures, the same file
             plot(result["figures"], look).savefig(drawn, format="svg", metadata={"Date": None})
         lines = (line.rstrip() for line in drawn.getvalue().splitlines())
-        write(written[-1], "\n".join(lines) + "\n")
-    write(figures, goals(result))
-    write(page, before + section(result) + after)
+        harness.write(written[-1], "\n".join(lines) + "\n")
+    harness.write(figures, goals(result))
+    harness.write(page, before + section(result) + after)
     return written

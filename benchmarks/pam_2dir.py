@@ -1,5 +1,5 @@
-"""The plants of PAM-2DIR, (a) and (b); nothing else is imported, so that what a whole process takes
-is the library's.
+"""PAM-2DIR, (a) and (b): the plants and what is asked of them. Nothing else is imported, so that
+what a whole process takes is the library's.
 """
 
 from __future__ import annotations
@@ -10,6 +10,17 @@ from typing import Any
 import pam_ocp as pam
 
 BAR = 1e5
+COMMANDS = ("muscle1.command", "muscle2.command")
+STOPS = [{"x": -0.015}, {"x": 0.015}]
+WISHES: dict[str, dict[str, Any]] = {
+    "a": {"cyclic": "mirrored"},
+    "b": {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}},
+}
+
+
+def plant(case: str) -> pam.Plant:
+    """Of case "a" or "b"."""
+    return slide() if case == "a" else commanded()
 
 
 def slide() -> pam.Plant:

@@ -15,15 +15,15 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-import time
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import balance as books
 import casadi as ca
+import harness
 import numpy as np
 
 import pam_ocp as pam
@@ -367,24 +367,20 @@ def fit(name: str, draw: np.random.Generator) -> str:
 VERBS = {"balance": balance, "fmu": fmu, "plan": plan, "fit": fit}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--only", nargs="*", default=COMPONENTS)
-    parser.add_argument("--verbs", nargs="*", default=list(VERBS))
-    chosen = parser.parse_args()
-    print(f"seed {chosen.seed}")
-    warnings.simplefilter("ignore")
-    for name in chosen.only:
-        for verb in chosen.verbs:
-            draw = np.random.default_rng([chosen.seed, sum(map(ord, name))])
-            before = time.process_time()
-            try:
-                said = VERBS[verb](name, draw)
-            except pam.PamError as error:
-                said = f"FAILED: {error}"
-            print(f"{name:26} {verb:4} {time.process_time() - before:6.1f} s  {said}", flush=True)
+def one(name: str, verb: str, seed: int) -> harness.Row:
+    draw = np.random.default_rng([seed, sum(map(ord, name))])
+    return {"text": VERBS[verb](name, draw)}
+
+
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+    for name in COMPONENTS:
+        for verb in given.verbs:
+            yield f"{name}: {verb}", partial(one, name, verb, given.seed)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--verbs", nargs="+", choices=VERBS, default=list(VERBS))
 
 
 if __name__ == "__main__":
-    main()
+    harness.main(__doc__, cases, options=options)

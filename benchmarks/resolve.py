@@ -1,37 +1,30 @@
-"""Planning again for other numbers: PAM-2DIR with another load or other stops, from a solved
-neighbour.
+"""Planning again for other numbers: PAM-2DIR with another load or stroke, from a solved neighbour.
 
-Two references, both of plain CasADi and IPOPT, started cold: ``Opti`` as its users write it
-(unscaled; case (a) alone, see plan.py), and the usual careful way: the scaled program with mapped
-stage functions, CasADi's own derivatives and IPOPT's defaults. Each figure is the best of
-``REPEATS`` in this one process; ratios are those of the solver's time to the careful way's, and to
-Opti's in brackets. "call" is the whole call of the planner, with its independent replay.
+    python benchmarks/resolve.py [--only WORD ...]
 
-Run:  python benchmarks/resolve.py
+The reference is plain CasADi and IPOPT, started cold, the usual careful way: the scaled program
+with mapped stage functions, CasADi's own derivatives and IPOPT's defaults. Each figure is the best
+of REPEATS in this one process, as a ratio to the reference: of the solver's time, and of the whole
+call of the planner with its independent replay.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+import argparse
+from collections.abc import Iterator
+from functools import cache, partial
 from time import perf_counter
 from typing import Any
 
 import casadi as ca
+import harness
 import numpy as np
+import pam_2dir
 
 import pam_ocp as pam
-
-sys.path.insert(0, str(Path(__file__).parent))
-from pam_2dir import commanded, slide
-from plan import N, opti
-
 from pam_ocp.planning.transcription.guess import by_stops
 
-REPEATS = 5
-STOPS = [{"x": -0.015}, {"x": 0.015}]
+N, REPEATS = 50, 5
 CHANGES: dict[str, dict[str, Any]] = {
     "load +1 %": {"values": {"mass": 2.02}},
     "load +10 %": {"values": {"mass": 2.2}},
@@ -40,103 +33,67 @@ CHANGES: dict[str, dict[str, Any]] = {
     "stroke -10 %": {"stops": [{"x": -0.0135}, {"x": 0.0135}]},
     "stroke -50 %": {"stops": [{"x": -0.0075}, {"x": 0.0075}]},
 }
-METHODS = {
-    "Radau 50 x 3": {"method": pam.Collocation(N, 3)},
-    "Radau 50 x 3, compiled": {"method": pam.Collocation(N, 3), "compiled": True},
-    "Radau 6 x 9": {"method": pam.Collocation(6, 9, "polynomial", guarded=False)},
-    "Radau 6 x 9, compiled": {
-        "method": pam.Collocation(6, 9, "polynomial", guarded=False),
-        "compiled": True,
-    },
-    "shooting 50 x 2": {"method": pam.planning.Shooting(N, 2)},
-    "shooting 50 x 2, compiled": {"method": pam.planning.Shooting(N, 2), "compiled": True},
+RADAU, SHOOTING = pam.Collocation(N, 3), pam.planning.Shooting(N, 2)
+FEW = pam.Collocation(6, 9, "polynomial", guarded=False)
+METHODS: dict[str, dict[str, Any]] = {
+    "Radau 50 x 3": {"method": RADAU},
+    "Radau 50 x 3, compiled": {"method": RADAU, "compiled": True},
+    "Radau 6 x 9": {"method": FEW},
+    "Radau 6 x 9, compiled": {"method": FEW, "compiled": True},
+    "shooting 50 x 2": {"method": SHOOTING},
+    "shooting 50 x 2, compiled": {"method": SHOOTING, "compiled": True},
 }
 
 
-@dataclass
-class Case:
-    name: str
-    plant: pam.Plant
-    wish: dict[str, Any]
-    opti: float | None
-    """Seconds of Opti's solve; None where it is not stated."""
+def planner(case: str, **arguments: Any) -> pam.Planner:
+    return pam.Planner(pam_2dir.plant(case), pam_2dir.STOPS, **arguments, **pam_2dir.WISHES[case])
 
 
-def best(run: Callable[[], float]) -> float:
-    return min(run() for _ in range(REPEATS))
-
-
-def careful(case: Case) -> tuple[float, int]:
-    """(seconds, iterations) of the scaled program, differentiated by CasADi, IPOPT's defaults,
-    cold.
-    """
-    planner = pam.Planner(case.plant, STOPS, method=pam.Collocation(N, 3), **case.wish)
-    program = planner._program
-    solver = ca.nlpsol(
-        "careful",
-        "ipopt",
-        program.nlp,
-        {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}},
-    )
+@cache
+def reference(case: str) -> float:
+    """Seconds of the careful way, cold."""
+    program = planner(case, method=RADAU)._program
+    options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+    solver = ca.nlpsol("careful", "ipopt", program.nlp, options)
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
     guess = np.clip(by_stops(program.problem, program.mesh), lbx, ubx)
-
-    def run() -> float:
+    bounds = {"lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
+    seconds = []
+    for _ in range(REPEATS):
         begin = perf_counter()
-        solver(x0=guess, p=program.parameters(), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
-        return perf_counter() - begin
+        solver(x0=guess, p=program.parameters(), **bounds)
+        seconds.append(perf_counter() - begin)
+    return min(seconds)
 
-    return best(run), int(solver.stats()["iter_count"])
 
-
-def again(case: Case, arguments: Mapping[str, Any], reference: float) -> None:
-    """One line per change: a neighbour's plan, then this one, warm."""
-    planner = pam.Planner(case.plant, STOPS, **arguments, **case.wish)
-    first = planner()
+def again(case: str, method: str) -> harness.Row:
+    """All changes by one method: a neighbour's plan, then this one, warm and cold."""
+    again, base = planner(case, **METHODS[method]), reference(case)
+    first, changes = again(), []
     for name, change in CHANGES.items():
-        calls = []
-
-        def run(change: Mapping[str, Any] = change, calls: list[float] = calls) -> float:
+        calls, solves = [], []
+        for _ in range(REPEATS):
             begin = perf_counter()
-            plan = planner(guess=first, **change)
+            plan = again(guess=first, **change)
             calls.append(perf_counter() - begin)
-            run.plan = plan  # type: ignore[attr-defined]
-            return float(plan.statistics["solve_seconds"])
-
-        seconds = best(run)
-        plan = run.plan  # type: ignore[attr-defined]
-        cold = planner(**change)
-        beside = f"({seconds / case.opti:.3f})" if case.opti else ""
-        print(
-            f"    {name:<14}{seconds / reference:>7.3f} {beside:<8}"
-            f"{min(calls) / reference:>9.3f}{plan.statistics['iterations']:>6} warm"
-            f"{cold.statistics['iterations']:>5} cold{plan.objective / cold.objective - 1:>11.1e}"
-            f"  {plan.statistics['solver']}"
-        )
-
-
-def main() -> None:
-    plain = min(opti(slide()).solve for _ in range(2))
-    cases = [
-        Case("(a) minimum time", slide(), {"cyclic": "mirrored"}, plain),
-        Case(
-            "(b) least rate of command",
-            commanded(),
-            {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}},
-            None,
-        ),
+            solves.append(plan.statistics["solve_seconds"])
+        cold = again(**change)
+        iterations = [each.statistics["iterations"] for each in (plan, cold)]
+        off = plan.objective / cold.objective - 1
+        changes.append([name, min(solves) / base, min(calls) / base, *iterations, off])
+    lines = [
+        f"{name:<14}solve {solve:.3f}, call {call:.3f}; {warm} iterations warm, {cold} cold; "
+        f"objective {off:+.1e}"
+        for name, solve, call, warm, cold, off in changes
     ]
-    print(f"{'':<18}{'solve':>7} (Opti){'call':>8}{'iterations':>16}{'objective':>13}")
-    for case in cases:
-        reference, iterations = careful(case)
-        print(
-            f"{case.name}: plain CasADi, scaled, cold: {reference:.3f} s, {iterations} iterations"
-            + (f" (Opti: {case.opti:.3f} s)" if case.opti else "")
-        )
-        for name, arguments in METHODS.items():
-            print(f"  {name}")
-            again(case, arguments, reference)
+    return {"verdict": plan.statistics["solver"], "why": lines, "changes": changes}
+
+
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+    for case in pam_2dir.WISHES:
+        for method in METHODS:
+            yield f"({case}) {method}", partial(again, case, method)
 
 
 if __name__ == "__main__":
-    main()
+    harness.main(__doc__, cases)

@@ -6,16 +6,21 @@ their range under which all muscles are taut. Each is asked for by position, by 
 stiffness, or by pressures; for a memory that is virgin, from above, from below, or given. What is
 found must balance by hand-written equations, and ``simulate`` must stay there for 1 s.
 
-Run:  python benchmarks/rest_study.py [cases] [seed] [controlled cases]
+    python benchmarks/rest_study.py [cases] [seed] [--controlled 10]
+
+--controlled: for so many cases more, how far from the set point LQR with integral action and a
+Kalman filter, and an Mpc, end, and whether a motion is planned from there.
 """
 
 from __future__ import annotations
 
-import sys
-import time
+import argparse
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
+import harness
 import numpy as np
 from scipy.optimize import brentq
 
@@ -43,6 +48,8 @@ LOSSES = {
     ),
 }
 MEMORIES = ("virgin", "above", "below", "given")
+KINDS = ("hanging", "spring", "series", "slide", "joint")
+FIGURES = ("missed", "moved")
 TAUT = 15.0
 """Least tension [N] of a muscle of a well-posed case, and least distance from the largest pressure
 [%].
@@ -277,14 +284,11 @@ class Answer:
     moved: float = np.nan
     """Largest way in 1 s [m, rad] beyond what giving up the last 2 % of friction explains."""
     words: str = ""
-    point: Any = None
 
 
-def asked(case: Case, losses: tuple[Any, ...], memory: str, rng: np.random.Generator) -> Answer:
+def asked(case: Case, losses: tuple[Any, ...], memory: str, values: dict[str, float]) -> Answer:
     """The point of rest, its balance by hand, and how far it moves in 1 s."""
     plant = case.plant(losses)
-    held = [v.name for v in plant.states if v.memory == "held"]
-    values = {n: float(rng.uniform(-1, 1)) for n in held}
     friction = case.friction(memory, losses, values)
     pressures = case.pressures(friction)
     assert pressures is not None
@@ -299,7 +303,7 @@ def asked(case: Case, losses: tuple[Any, ...], memory: str, rng: np.random.Gener
     at = [point[f"{n}.pressure"] for n in names]
     missed = case.pull(s, at, friction) - case.load(s)
     size = max(abs(case.load(s)), 50.0 * max(case.arms))
-    answer = Answer(True, abs(missed) / size, point=point)
+    answer = Answer(True, abs(missed) / size)
     if point.stability == "unstable":
         return answer
     run = pam.simulate(
@@ -392,55 +396,66 @@ def planned(case: Case, losses: tuple[Any, ...], memory: str) -> str:
     return f"{words} {plan.duration:.3f} s, memory {'as asked' if same else 'OTHER'}"
 
 
-def study(count: int, seed: int) -> dict[str, list[Answer]]:
-    """``count`` cases, each with every loss; memories in turn."""
-    rng = np.random.default_rng(seed)
-    kinds = ("hanging", "spring", "series", "slide", "joint")
-    answers: dict[str, list[Answer]] = {name: [] for name in LOSSES}
-    for i in range(count):
-        case = random_case(rng, kinds[i % len(kinds)], list(FEEDS)[(i // len(kinds)) % len(FEEDS)])
+def found(case: Case, name: str, memory: str, values: dict[str, float]) -> harness.Row:
+    """The row of a case with one of the losses."""
+    answer = asked(case, LOSSES[name], memory, values)
+    good = answer.found and answer.missed <= 1e-6 and not answer.moved > 1e-5
+    return {
+        "verdict": "at rest" if good else "NOT AT REST",
+        "losses": name,
+        "found": answer.found,
+        "missed": answer.missed,
+        "moved": answer.moved,
+        "text": f"{case.kind}, {case.feed}, {memory}, by {case.way}: missed {answer.missed:.1e}, "
+        f"moved {answer.moved:.1e}",
+        "why": [answer.words] if answer.words else [],
+    }
+
+
+def closed(case: Case, name: str, memory: str) -> harness.Row:
+    """The row of a case that is controlled, and planned from."""
+    left, last, failed = controlled(case, LOSSES[name], memory)
+    text = f"{name}, {memory}: LQR {100 * left:.3f} %, Mpc {100 * last:.3f} % of the stroke away"
+    text += f", {failed} failures of Mpc; plan {planned(case, LOSSES[name], memory)}"
+    return {"left": left, "last": last, "text": text}
+
+
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+    """``count`` cases, each with every loss, memories in turn; then those that are controlled."""
+    rng = np.random.default_rng(given.seed)
+    for i in range(given.count):
+        feed = list(FEEDS)[(i // len(KINDS)) % len(FEEDS)]
+        case = random_case(rng, KINDS[i % len(KINDS)], feed)
+        memory = MEMORIES[(i // 2) % len(MEMORIES)]
         for name, losses in LOSSES.items():
-            memory = MEMORIES[(i // 2) % len(MEMORIES)]
-            answer = asked(case, losses, memory, rng)
-            answers[name].append(answer)
-            if not answer.found or answer.missed > 1e-6 or answer.moved > 1e-5:
-                print(
-                    f"case {i} {case.kind}, {case.feed}, {name}, {memory}, {case.way}: "
-                    f"missed {answer.missed:.1e}, moved {answer.moved:.1e} {answer.words}"
-                )
-    return answers
-
-
-def main(count: int = 60, seed: int = 1, controls: int = 10) -> None:
-    begun = time.process_time()
-    answers = study(count, seed)
-    print(f"{'losses':<16}{'cases':>7}{'found':>7}{'out of balance':>16}{'moves in 1 s':>14}")
-    for name, rows in answers.items():
-        found = [a for a in rows if a.found]
-        print(
-            f"{name:<16}{len(rows):>7}{len(found):>7}"
-            f"{max((a.missed for a in found), default=np.nan):>16.1e}"
-            f"{np.nanmax([a.moved for a in found] or [np.nan]):>14.1e}"
-        )
-    print(f"{time.process_time() - begun:.0f} s of processor time, seed {seed}\n")
-    rng = np.random.default_rng(seed + 1000)
-    print("distance from the set point, % of the stroke (lqr with integral, Mpc), and a plan")
-    kinds = ("hanging", "spring", "series", "slide", "joint")
-    for i in range(controls):
+            held = [v.name for v in case.plant(losses).states if v.memory == "held"]
+            values = {n: float(rng.uniform(-1, 1)) for n in held}
+            yield f"{i} {name}", partial(found, case, name, memory, values)
+    rng = np.random.default_rng(given.seed + 1000)
+    for i in range(given.controlled):
         name = ("bouc-wen", "maxwell-slip", "all memories")[i % 3]
-        case = random_case(rng, kinds[i % len(kinds)], "regulator")
-        memory = MEMORIES[i % 3]
-        try:
-            left, last, failed = controlled(case, LOSSES[name], memory)
-            plan = planned(case, LOSSES[name], memory)
-            print(
-                f"{case.kind:<9}{name:<14}{memory:<8}{100 * left:8.3f}{100 * last:8.3f}   "
-                f"Mpc failures {failed}, plan {plan}",
-                flush=True,
-            )
-        except pam.PamError as error:
-            print(f"{case.kind:<9}{name:<14}{memory:<8} {error}")
+        case = random_case(rng, KINDS[i % len(KINDS)], "regulator")
+        yield f"controlled {i} {case.kind}", partial(closed, case, name, MEMORIES[i % 3])
+
+
+def summary(rows: list[harness.Row]) -> str:
+    lines = []
+    for name in LOSSES:
+        some = [r for r in rows if r.get("losses") == name]
+        if some:
+            worst = [max((r[k] for r in some if r[k] == r[k]), default=np.nan) for k in FIGURES]
+            lines.append([name, len(some), sum(r["found"] for r in some), *worst])
+    text = harness.table(("losses", "cases", "found", "out of balance", "moves in 1 s"), lines)
+    loops = [r for r in rows if "left" in r]
+    if loops:
+        away = [100 * max(r[k] for r in loops) for k in ("left", "last")]
+        text += f"\nat most away, % of the stroke: LQR {away[0]:.3f}, Mpc {away[1]:.3f}"
+    return text
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--controlled", type=int, default=10, help="cases of closed loops")
 
 
 if __name__ == "__main__":
-    main(*(int(a) for a in sys.argv[1:]))
+    harness.main(__doc__, cases, summary, count=60, seed=1, options=options)

@@ -1,33 +1,33 @@
 """What the guard, the drivers and learning of rigs do over many twins and long bad lines.
 
-    python benchmarks/rig_study.py faults [COUNT]     # each kind of fault COUNT times (default 50)
-    python benchmarks/rig_study.py lines [SECONDS] [DRIVER ...]  # bad lines (default 3600, all)
+    python benchmarks/rig_study.py [faults] [COUNT]   # each kind of fault COUNT times (default 50)
+    python benchmarks/rig_study.py lines [SECONDS] [--only DRIVER ...]  # bad lines (default 3600)
     python benchmarks/rig_study.py realtime [SECONDS] # the loop in C at 1 kHz (default 600)
     python benchmarks/rig_study.py learning [COUNT]   # twins at random (default 10)
     python benchmarks/rig_study.py tracking [COUNT]   # from home() to unseen motions
 
-Faults and learning run on a simulated clock; lines and realtime in real time. Figures are printed,
-a line each.
+Faults and learning run on a simulated clock; lines and realtime in real time. Drivers take turns;
+side by side they are run by one command each.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import subprocess
 import sys
 import tempfile
-import time
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 
 import pam_ocp as pam
-
-TESTS = Path(__file__).parents[1] / "tests" / "rig"
 
 
 def kinds_of_faults() -> dict[str, pam.rig.Fault | str]:
@@ -103,35 +103,20 @@ def one_fault(plant, kind, at: float, folder: Path, seed: int) -> tuple[float, b
     return math.inf, False
 
 
-def faults(count: int) -> None:
+def faults(name: str, count: int, seed: int) -> harness.Row:
     """Time from a fault to the air being let out, what is left running, and the record."""
     plant = pam.HangingLoad("DMSP-20-300", mass=10.0, damping=100.0)
-    seed = time.time_ns() % 2**32
-    rng, kinds = np.random.default_rng(seed), kinds_of_faults()
-    print(f"{len(kinds)} kinds, {count} each, seed {seed}")
-    for name, kind in kinds.items():
-        found = []
-        for k in range(count):
-            with tempfile.TemporaryDirectory() as place:
-                at = float(rng.uniform(0.5, 1.5))
-                found.append(one_fault(plant, kind, at, Path(place), k))
-        inside, good = sum(t <= 50 for t, _ in found), sum(w for _, w in found)
-        worst = max(t for t, _ in found)
-        print(
-            f"{name:<28} {inside}/{count} within 50 ms, worst {worst:.1f} ms; {good}/{count} "
-            "stopped with a whole record",
-            flush=True,
-        )
-
-
-def lines(seconds: float, *drivers: str) -> None:
-    """Answers, missing answers and the longest call over lines that are bad all the time: one
-    process a driver, side by side.
-    """
-    kinds = drivers or tuple(WAYS)
-    with ProcessPoolExecutor(len(kinds)) as pool:
-        for found in pool.map(line, kinds, [seconds] * len(kinds)):
-            print(found, flush=True)
+    kinds, found = kinds_of_faults(), []
+    rng = np.random.default_rng([seed, list(kinds).index(name)])
+    for k in range(count):
+        with tempfile.TemporaryDirectory() as place:
+            at = float(rng.uniform(0.5, 1.5))
+            found.append(one_fault(plant, kinds[name], at, Path(place), k))
+    inside, good = sum(t <= 50 for t, _ in found), sum(w for _, w in found)
+    worst = max(t for t, _ in found)
+    text = f"{inside}/{count} within 50 ms, worst {worst:.1f} ms; {good}/{count} stopped with a "
+    verdict = "vented" if inside == good == count else "NOT VENTED"
+    return {"verdict": verdict, "worst": worst, "text": text + "whole record"}
 
 
 WAYS = {"udp": "BadUdp", "serial": "BadSerial", "modbus": "BadTcp", "opcua": "BadTcp"}
@@ -142,9 +127,11 @@ connection at each, and connecting takes a dozen messages.
 """
 
 
-def line(kind: str, seconds: float) -> str:
-    """One driver on its bad line, in words."""
-    sys.path.insert(0, str(TESTS))
+def line(kind: str, seconds: float) -> harness.Row:
+    """Answers, missing answers and the longest call of a driver over a line that is bad all the
+    time.
+    """
+    harness.importable("rig")
     import rig_tools
     from test_drivers import opened, talk
 
@@ -160,10 +147,11 @@ def line(kind: str, seconds: float) -> str:
             driver.arm()
         good, failed, longest = talk(driver, device, seconds, doubled=kind == "opcua")
         driver.close()
-    return f"{kind}: {good} answers, {failed} missing, longest {longest:.3f} s, {bad.done}"
+    text = f"{good} answers, {failed} missing, longest {longest:.3f} s, {bad.done}"
+    return {"longest": longest, "text": text}
 
 
-def realtime(seconds: float) -> None:
+def realtime(seconds: float) -> harness.Row:
     """Deadlines of the loop in C at 1 kHz behind a UDP twin in another process; then how long it
     takes from a fault to the air being let out.
     """
@@ -171,8 +159,8 @@ def realtime(seconds: float) -> None:
     run = _in_c(seconds)
     print(run.report(), flush=True)
     idle, stolen, total = (b - a for a, b in zip(before, _processors(), strict=True))
-    print(f"processors: {100 * idle / total:.0f} % idle, {100 * stolen / total:.2g} % stolen")
-    print(f"missed {run.missed} of {run.samples}: {run.missed / run.samples:.2g}")
+    machine = f"processors: {100 * idle / total:.0f} % idle, {100 * stolen / total:.2g} % stolen"
+    text, lines = f"missed {run.missed} of {run.samples}: {run.missed / run.samples:.2g}", [machine]
     run.plot().savefig("realtime.png", dpi=120)
     rng = np.random.default_rng(0)
     for kind in (
@@ -183,12 +171,9 @@ def realtime(seconds: float) -> None:
     ):
         found = [_reaction(replace(kind, at=float(rng.uniform(1.5, 2.0)))) for _ in range(10)]
         after = [t for t in found if t >= 0]  # the others were vented before, for another reason
-        label = f"{kind.kind} {kind.channel}".strip()
-        print(
-            f"{label:<10} {len(after)} of {len(found)}: worst {1e3 * max(after, default=0):.1f} ms "
-            "from fault to air",
-            flush=True,
-        )
+        label, worst = f"{kind.kind} {kind.channel}".strip(), 1e3 * max(after, default=0)
+        lines.append(f"{label}: {len(after)} of {len(found)}: worst {worst:.1f} ms to air")
+    return {"missed": run.missed / run.samples, "text": text, "why": lines}
 
 
 def _processors() -> tuple[int, int, int]:
@@ -255,23 +240,18 @@ def _reaction(fault: pam.rig.Fault) -> float:
     return math.inf
 
 
-def learning(count: int) -> None:
-    """Gain of ten runs of a sine of 1 Hz, and the worst run, over twins at random."""
-    sys.path.insert(0, str(TESTS))
+def learning(seed: int) -> harness.Row:
+    """Gain of ten runs of a sine of 1 Hz, and the worst run, of a twin at random."""
+    harness.importable("rig")
     from rig_tools import twin_at_random, wanted_sine
 
-    first = time.time_ns() % 2**31
-    for seed in range(first, first + count):
-        rig, _, model = twin_at_random(seed)
-        wanted, position = wanted_sine(model)
-        rig.arm()
-        found = rig.learn(wanted, position, runs=10)
-        worst = max(found.errors) / found.errors[0]
-        print(
-            f"{model.name} (seed {seed}): {found.gain:.1f} times better in ten runs, worst run "
-            f"{worst:.2f} of the first",
-            flush=True,
-        )
+    rig, _, model = twin_at_random(seed)
+    wanted, position = wanted_sine(model)
+    rig.arm()
+    found = rig.learn(wanted, position, runs=10)
+    worst = max(found.errors) / found.errors[0]
+    text = f"{model.name}: {found.gain:.1f} times better in ten runs, worst run {worst:.2f} of the "
+    return {"gain": found.gain, "worst": worst, "text": text + "first"}
 
 
 def unseen(rng: np.random.Generator, low: float, high: float, wild: bool):
@@ -287,48 +267,68 @@ def unseen(rng: np.random.Generator, low: float, high: float, wild: bool):
     return lambda t: middle + size * float(parts @ np.sin(2 * math.pi * f * t + phases))
 
 
-def tracking(count: int) -> None:
-    """RMSE of 20 unseen motions after home() and tune(), in parts of the stroke, on new twins:
-    widely drawn ones, small muscles and lightly damped loads among them.
+def tracking(seed: int, way: str) -> harness.Row:
+    """RMSE of 20 unseen motions after home() and tune(), in parts of the stroke, on a new twin:
+    widely drawn, small muscles and lightly damped loads among them.
     """
-    sys.path.insert(0, str(TESTS))
+    harness.importable("rig")
     from rig_tools import twin_at_random
 
-    first, reached = time.time_ns() % 2**31, 0
-    for k, seed in enumerate(range(first, first + count)):
-        way = ("twin", "modbus", "serial")[k % 3]
-        rig, twin, model = twin_at_random(seed, way=way, wide=True)
-        rig.arm()
-        rig.home()
-        tuned = rig.tune()
-        spent, (low, high) = twin.now(), tuned.range
-        position, rng = tuned.law.position, np.random.default_rng(seed + 1)
-        errors, whole_runs = [], []
-        for n in range(20):
-            motion = unseen(rng, low, high, wild=n % 5 > 2)
-            start = tuned.start(motion(0.0))
-            loop = pam.closed_loop(tuned.law, rig, {position: motion}, duration=3.0, start=start)
-            missed = loop[position] - np.array([motion(t) for t in loop.t])
-            for found, part in ((errors, loop.t > 1.0), (whole_runs, loop.t >= 0.0)):
-                found.append(100 * float(np.sqrt(np.mean(missed[part] ** 2))) / (high - low))
-        limits, true = rig.readings[position], twin.motion()[position]
-        over = max(true.max() - limits.high, limits.low - true.min(), 0.0) / (high - low)
-        reached += max(errors) <= 0.5 and over <= 0.01
-        print(
-            f"{model.name} by {way} (seed {seed}, scale {twin.scale:.2f}): ready after "
-            f"{spent:.0f} s, stroke {high - low:.4g}; RMSE worst {max(errors):.2f} %, median "
-            f"{np.median(errors):.2f} % (with the first second {max(whole_runs):.2f} %), limits "
-            f"exceeded by {100 * over:.2f} %",
-            flush=True,
-        )
-        rig.close()
-        if way != "twin":
-            twin.served.close()
-    print(f"{reached} of {count} twins within 0.5 % in every motion")
+    rig, twin, model = twin_at_random(seed, way=way, wide=True)
+    rig.arm()
+    rig.home()
+    tuned = rig.tune()
+    spent, (low, high) = twin.now(), tuned.range
+    position, rng = tuned.law.position, np.random.default_rng(seed + 1)
+    errors, whole_runs = [], []
+    for n in range(20):
+        motion = unseen(rng, low, high, wild=n % 5 > 2)
+        start = tuned.start(motion(0.0))
+        loop = pam.closed_loop(tuned.law, rig, {position: motion}, duration=3.0, start=start)
+        missed = loop[position] - np.array([motion(t) for t in loop.t])
+        for found, part in ((errors, loop.t > 1.0), (whole_runs, loop.t >= 0.0)):
+            found.append(100 * float(np.sqrt(np.mean(missed[part] ** 2))) / (high - low))
+    limits, true = rig.readings[position], twin.motion()[position]
+    over = max(true.max() - limits.high, limits.low - true.min(), 0.0) / (high - low)
+    rig.close()
+    if way != "twin":
+        twin.served.close()
+    good = max(errors) <= 0.5 and over <= 0.01
+    return {
+        "verdict": "within 0.5 %" if good else "BEYOND 0.5 %",
+        "text": f"{model.name} by {way} (scale {twin.scale:.2f}): ready after {spent:.0f} s, "
+        f"stroke {high - low:.4g}; RMSE worst {max(errors):.2f} %, median {np.median(errors):.2f} "
+        f"% (with the first second {max(whole_runs):.2f} %), limits exceeded by {100 * over:.2f} %",
+    }
+
+
+USUAL = {"faults": 50, "lines": 3600, "realtime": 600, "learning": 10, "tracking": 10}
+"""Counts, or seconds of lines and realtime."""
+
+
+def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+    number = given.number or USUAL[given.what]
+    if given.what == "faults":
+        for name in kinds_of_faults():
+            yield name, partial(faults, name, int(number), given.seed)
+    elif given.what == "lines":
+        for kind in WAYS:
+            yield kind, partial(line, kind, number)
+    elif given.what == "realtime":
+        yield "realtime", partial(realtime, number)
+    for k in range(int(number)):
+        seed = given.seed + k
+        if given.what == "learning":
+            yield f"seed {seed}", partial(learning, seed)
+        if given.what == "tracking":
+            way = ("twin", "modbus", "serial")[k % 3]
+            yield f"seed {seed}", partial(tracking, seed, way)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("what", nargs="?", choices=USUAL, default="faults")
+    parser.add_argument("number", nargs="?", type=float, help="a count, or seconds")
 
 
 if __name__ == "__main__":
-    what = sys.argv[1] if len(sys.argv) > 1 else "faults"
-    usual = {"faults": 50, "lines": 3600, "realtime": 600, "learning": 10, "tracking": 10}
-    number = float(sys.argv[2]) if len(sys.argv) > 2 else usual[what]
-    globals()[what](number if what in ("lines", "realtime") else int(number), *sys.argv[3:])
+    harness.main(__doc__, cases, options=options)

@@ -36,8 +36,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from harness import write
 from measured import GROUPS, HERE
-from measuring import write
 
 LIMIT = {True: 120.0, False: 900.0}
 """Seconds that a process may take; quick, and in full."""

@@ -8,17 +8,20 @@ of 1.5 s (Mpc 1 s), as a part of the way, in percent. Wanted is 1 % of the strok
 (an error or a warning) that says why not: such cases show "said", and the sentence below; "SILENT"
 and "TWICE" are what must not be.
 
-Run:  python benchmarks/valve_study.py [cases] [seed]
+    python benchmarks/valve_study.py [cases] [seed]
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import warnings
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import casadi as ca
+import harness
 import numpy as np
 
 import pam_ocp as pam
@@ -26,6 +29,7 @@ from pam_ocp.control import closed_loop
 from pam_ocp.plants.kinds import FEEDS
 
 KINDS = ("hanging", "spring", "slide", "joint")
+LOOPS = ("lqr", "tvlqr", "Mpc")
 STEP = 4e-3
 """Sample time of state feedback [s]; of Mpc 0.01."""
 WANTED = 0.01
@@ -202,33 +206,43 @@ def runs(plant: pam.Plant, x: str, start: Any, goal: Any) -> list[tuple[float, l
     return [*found, answered(led)[1:]]
 
 
-def main(cases: int = 24, seed: int = 1) -> dict[str, dict[str, int]]:
-    rng = np.random.default_rng(seed)
-    counts = {n: {"within": 0, "said": 0, "SILENT": 0, "TWICE": 0} for n in ("lqr", "tvlqr", "Mpc")}
-    for case in range(cases):
-        try:
-            words, plant, x, start, goal = drawn(rng, case)
-        except pam.PamError as refused:
-            print(f"{case:3d} no rest: {refused}", flush=True)
+def one(words: str, plant: pam.Plant, x: str, start: Any, goal: Any) -> harness.Row:
+    """How each controller ends: within, said, SILENT or TWICE, and the part of the way missed."""
+    kinds, shown, sentences = {}, [], []
+    for name, (miss, said) in zip(LOOPS, runs(plant, x, start, goal), strict=True):
+        if np.isnan(miss):
             continue
-        shown, sentences = [], []
-        for (name, count), (miss, said) in zip(
-            counts.items(), runs(plant, x, start, goal), strict=True
-        ):
-            if np.isnan(miss):
-                shown.append("       -")
-                continue
-            arrived = miss < WANTED
-            kind = "within" if arrived else {0: "SILENT", 1: "said"}.get(len(said), "TWICE")
-            count[kind] += 1
-            shown.append(f"{100 * miss:8.3f}" if arrived else f"{kind:>8s}")
-            sentences += [f"      {name}: {s}" for s in said]
-        print(f"{case:3d} {' '.join(shown)}  {start[x]:.4g} to {goal[x]:.4g}  {words}")
-        print(*sentences, sep="\n", end="\n" if sentences else "", flush=True)
-    for name, count in counts.items():
-        print(f"{name:6s} {', '.join(f'{n} {kind}' for kind, n in count.items())}")
-    return counts
+        sentences += [f"{name}: {s}" for s in said]
+        within = miss < WANTED
+        kinds[name] = "within" if within else {0: "SILENT", 1: "said"}.get(len(said), "TWICE")
+        shown.append(f"{name} {100 * miss:.3f} %" if within else f"{name} {kinds[name]}")
+    text = f"{', '.join(shown)}; {start[x]:.4g} to {goal[x]:.4g}, {words}"
+    return {"kinds": kinds, "text": text, "why": sentences}
+
+
+def no_rest(error: pam.PamError) -> harness.Row:
+    return {"verdict": "no rest", "why": [str(error)]}
+
+
+def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+    rng = np.random.default_rng(given.seed)
+    for case in range(given.count):
+        try:
+            yield case, partial(one, *drawn(rng, case))
+        except pam.PamError as error:
+            yield case, partial(no_rest, error)
+
+
+def counted(rows: list[harness.Row]) -> dict[str, Counter[str]]:
+    """By controller: how many ended in which way."""
+    return {n: Counter(r["kinds"][n] for r in rows if n in r.get("kinds", {})) for n in LOOPS}
+
+
+def summary(rows: list[harness.Row]) -> str:
+    ways = ("within", "said", "SILENT", "TWICE")
+    lines = [[name, *(counts[w] for w in ways)] for name, counts in counted(rows).items()]
+    return harness.table(("controller", *ways), lines)
 
 
 if __name__ == "__main__":
-    main(*(int(a) for a in sys.argv[1:]))
+    harness.main(__doc__, cases, summary, count=24, seed=1)

@@ -1,14 +1,14 @@
 """Random plants in every world, against pam.simulate.
 
-    python benchmarks/worlds_study.py [--plants 40] [--seed N] [--minutes M] [--worlds jax onnx ...]
+    python benchmarks/worlds_study.py [40] [--seed N] [--minutes M] [--worlds jax onnx ...]
 
 Each plant is drawn from everything that there is (``random_tasks.py``) and moves for 1 s, its
 inputs held for 0.2 s each. JAX integrates by itself (``simulate``); the slopes of ONNX, PyTorch and
 the Modelica source, which a reader of this file's own takes in, are integrated by SciPy's LSODA.
 MuJoCo has masses of its own: there a muscle with a feed and losses, drawn alike, lifts a weight.
 Errors are the largest over states and times, scaled by nominal values; slopes backwards (JAX,
-PyTorch) stand against central differences of CasADi's function, away from kinks. The seed is drawn
-from the clock. What a world refuses is counted by its sentence.
+PyTorch) stand against central differences of CasADi's function, away from kinks. What a world
+refuses is counted by its sentence.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import re
 import signal
 import tempfile
 import time
-import traceback
-import warnings
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 import random_tasks
 from scipy.integrate import solve_ivp
@@ -48,16 +48,6 @@ LONGEST = 90
 NOT_SIMULATED: Counter[str] = Counter()
 """Draws that have no start or that ``pam.simulate`` refuses, by kind of error."""
 Slope = Callable[[Any, Any], Any]
-
-
-@dataclass
-class Row:
-    """What came of one world."""
-
-    errors: dict[int, float] = field(default_factory=dict)
-    refused: Counter[str] = field(default_factory=Counter)
-    failed: list[str] = field(default_factory=list)
-    late: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -340,102 +330,99 @@ WORLDS = {"jax": in_jax, "torch": in_torch, "onnx": in_onnx, "onnx single": in_s
 WORLDS |= {"modelica": in_modelica}
 
 
-def entered(row: Row, number: int, words: str, computed: Callable[[], float], limit: float) -> None:
-    """The error of a plant, or why there is none."""
+def compared(computed: Callable[[], float], limit: float) -> harness.Row:
+    """The error of a plant in a world, or why there is none."""
     signal.alarm(LONGEST)
     try:
         error = computed()
     except TimeoutError:
-        row.late.append(f"{number}: {words}")
-        return
+        return {"outcome": "too slow"}
     except pam.PamError as refusal:
-        row.refused[re.sub(r"'[^']*'|\d[\d.e+-]*", "_", str(refusal))] += 1
-        return
+        return {"outcome": "refused", "why": re.sub(r"'[^']*'|\d[\d.e+-]*", "_", str(refusal))}
     except Exception as failure:
-        row.failed.append(f"{number}: {words}: {traceback.format_exception_only(failure)[-1]}")
-        return
+        return {"outcome": "failed", "why": f"{type(failure).__name__}: {failure}"}
     finally:
         signal.alarm(0)
-    row.errors[number] = error
-    if not error <= limit:
-        row.failed.append(f"{number}: {words}: {error:.1e}")
+    return {"outcome": "compared" if error <= limit else "above", "error": error}
 
 
-def studied(number: int, seed: int, rows: dict[str, Row]) -> None:
-    """One plant through all worlds that are asked for."""
+def comparisons(
+    number: int, seed: int, worlds: list[str]
+) -> Iterator[tuple[str, str, Callable[[], float]]]:
+    """(world, words of the plant, what computes the error) of one plant."""
     rng = np.random.default_rng([seed, number])
     made = any_plant(rng)
-    with tempfile.TemporaryDirectory() as folder:
-        for world in set(WORLDS) & set(rows):
 
-            def far(world: str = world) -> float:
-                found = WORLDS[world](made, Path(folder))
-                return float(np.max(np.abs(found - made.truth) / made.nominal))
+    def far(world: str) -> float:
+        with tempfile.TemporaryDirectory() as folder:
+            found = WORLDS[world](made, Path(folder))
+        return float(np.max(np.abs(found - made.truth) / made.nominal))
 
-            entered(rows[world], number, made.words, far, LIMITS[world])
+    for world in WORLDS:
+        if world in worlds:
+            yield world, made.words, partial(far, world)
     for world in ("jax", "torch"):
-        name = f"gradients of {world}"
-        if name in rows:
-            entered(
-                rows[name],
-                number,
-                made.words,
-                lambda world=world: gradient_error(made, world, rng),
-                LIMITS[name],
-            )
-    if "mujoco" in rows:
-        weight, one, mass = lifted(rng)
-        first = [[v.name for v in weight.plant.states].index(n) for n in ("x", "v")]
+        if f"gradients of {world}" in worlds:
+            yield f"gradients of {world}", made.words, partial(gradient_error, made, world, rng)
+    if "mujoco" not in worlds:
+        return
+    weight, one, mass = lifted(rng)
+    first = [[v.name for v in weight.plant.states].index(n) for n in ("x", "v")]
 
-        def off() -> float:
-            wrong = np.abs(in_mujoco(weight, one, mass) - weight.truth[:, first])
-            return float(np.max(wrong / weight.nominal[first]))
+    def off() -> float:
+        wrong = np.abs(in_mujoco(weight, one, mass) - weight.truth[:, first])
+        return float(np.max(wrong / weight.nominal[first]))
 
-        entered(rows["mujoco"], number, weight.words, off, LIMITS["mujoco"])
+    yield "mujoco", weight.words, off
+
+
+def one(number: int, seed: int, worlds: list[str]) -> harness.Row:
+    """A plant through the worlds."""
+    found, why, draws = {}, [], NOT_SIMULATED.copy()
+    for world, words, computed in comparisons(number, seed, worlds):
+        row = found[world] = compared(computed, LIMITS[world])
+        if row["outcome"] != "compared":
+            why.append(f"{world}: {row['outcome']} {row.get('why', row.get('error'))}: {words}")
+    text = ", ".join(f"{w} {r['error']:.1e}" for w, r in found.items() if "error" in r)
+    return {"text": text, "why": why, "worlds": found, "again": dict(NOT_SIMULATED - draws)}
 
 
 def _over(signum: int, frame: Any) -> None:
     raise TimeoutError
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--plants", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=None)
+def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+    absent = {w for w in given.worlds for n, m in NEEDS.items() if n in w and not find_spec(m)}
+    print(f"not installed: {', '.join(sorted(absent)) or 'none'}")
+    signal.signal(signal.SIGALRM, _over)
+    begin = time.monotonic()
+    for number in harness.numbers(given):
+        if time.monotonic() - begin > 60 * given.minutes:
+            return
+        yield number, partial(one, number, given.seed, [w for w in given.worlds if w not in absent])
+
+
+def summary(rows: list[harness.Row]) -> str:
+    plants = [r for r in rows if "worlds" in r]
+    lines, refused = [], Counter[str]()
+    for world, limit in LIMITS.items():
+        found = [r["worlds"][world] for r in plants if world in r["worlds"]]
+        errors = [f["error"] for f in found if not math.isnan(f.get("error", math.nan))]
+        ways = Counter(f["outcome"] for f in found)
+        bad = [ways["above"] + ways["failed"], ways["refused"], ways["too slow"]]
+        if found:
+            lines.append([world, len(errors), max(errors, default=math.nan), limit, *bad])
+        refused.update(f"{world}: {f['why']}" for f in found if f["outcome"] == "refused")
+    again = sum((Counter(r["again"]) for r in plants), Counter[str]())
+    heads = ("world", "compared", "worst error", "limit", "above or failed", "refused", "too slow")
+    parts = [f"drawn again: {dict(again)}", harness.table(heads, lines)]
+    return "\n".join([*parts, *(f"refused {n} times by {s}" for s, n in refused.items())])
+
+
+def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=math.inf, help="no plant is begun later")
     parser.add_argument("--worlds", nargs="*", default=list(LIMITS), choices=list(LIMITS))
-    given = parser.parse_args()
-    seed = time.time_ns() % 2**32 if given.seed is None else given.seed
-    print(f"seed {seed}", flush=True)
-    warnings.simplefilter("ignore")
-    signal.signal(signal.SIGALRM, _over)
-    absent = {w for w in given.worlds for n, m in NEEDS.items() if n in w and not find_spec(m)}
-    rows = {w: Row() for w in given.worlds if w not in absent}
-    begin, count = time.monotonic(), 0
-    for number in range(given.plants):
-        if time.monotonic() - begin > 60 * given.minutes:
-            break
-        studied(number, seed, rows)
-        count += 1
-        told = {w: f"{r.errors.get(number, math.nan):.1e}" for w, r in rows.items()}
-        print(number, told, flush=True)
-    print(f"\nseed {seed}, {count} plants; not installed: {', '.join(sorted(absent)) or 'none'}\n")
-    print(f"drawn again: {dict(NOT_SIMULATED)}\n")
-    print("| world | compared | worst error | limit | above it or failed | refused | too slow |")
-    print("|---|---|---|---|---|---|---|")
-    for world, row in rows.items():
-        errors = [e for e in row.errors.values() if not math.isnan(e)]
-        worst = f"{max(errors):.1e}" if errors else ""
-        told = f"{LIMITS[world]:.0e} | {len(row.failed)} | {row.refused.total()} | {len(row.late)}"
-        print(f"| {world} | {len(errors)} | {worst} | {told} |")
-    for world, row in rows.items():
-        for sentence, times in row.refused.items():
-            print(f"refused by {world}, {times} times: {sentence}")
-        for words in row.late:
-            print(f"{world}, over {LONGEST} s: {words}")
-        for failure in row.failed:
-            print(f"{world}: {failure.strip()}")
 
 
 if __name__ == "__main__":
-    main()
+    harness.main(__doc__, cases, summary, count=40, options=options)

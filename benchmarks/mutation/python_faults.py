@@ -120,9 +120,6 @@ class _Finder(ast.NodeVisitor):
         self._negated(node.test)
         self.generic_visit(node)
 
-    def visit_While(self, node: ast.While) -> None:
-        self.generic_visit(node)
-
     def visit_IfExp(self, node: ast.IfExp) -> None:
         self._negated(node.test)
         self.generic_visit(node)
@@ -172,7 +169,7 @@ class _Finder(ast.NodeVisitor):
             mark = sign[type(node.op)]
             ahead, _, behind = between.partition(mark)
             self.add(node, f"{left}{ahead}{other}{behind}{right}", "operator")
-            outer = self._whole(node)
+            outer = self.span(node)
             word = {ast.Mult: "factor", ast.Div: "factor", ast.Pow: "power"}
             name = word.get(type(node.op), "term")
             self._replaced(node, outer, left, f"{name} dropped")
@@ -180,9 +177,6 @@ class _Finder(ast.NodeVisitor):
                 new = right if isinstance(node.op, (ast.Mult, ast.Add)) else f"(-({right}))"
                 self._replaced(node, outer, new, f"{name} dropped")
         self.generic_visit(node)
-
-    def _whole(self, node: ast.expr) -> tuple[int, int]:
-        return self.span(node)
 
     def _replaced(self, node: ast.expr, span: tuple[int, int], new: str, kind: str) -> None:
         start, end = span
@@ -251,10 +245,6 @@ class _Finder(ast.NodeVisitor):
         for keyword in node.keywords:
             if keyword.arg not in QUIET:
                 self.visit(keyword.value)
-
-    def visit_Subscript(self, node: ast.Subscript) -> None:
-        self.visit(node.value)
-        self.visit(node.slice)
 
     def visit_Constant(self, node: ast.Constant) -> None:
         value = node.value

@@ -29,7 +29,7 @@ TOOLS: dict[str, tuple[list[str], ...]] = {
     "control": (["control"],),
 }
 """Peer: what is installed from the package index, one step after another."""
-OWN = ("casadi_opti", "pam_ocp", "pam_ocp_fit", "pam_ocp_simulation")
+OWN = ("casadi_opti", "pam_ocp")
 """Run by this interpreter."""
 LIMIT = 600.0
 """Seconds after which a process is given up."""

@@ -58,6 +58,22 @@ def slopes(x, v, p1, p2, u1, u2, exp=math.exp):
     return v, (f1 - f2 - DAMPING * v) / MASS, (u1 - p1) / LAG, (u2 - p2) / LAG
 
 
+def repeated(work, begin, times=3):
+    """(first, best, result) of some calls.
+
+    first : processor seconds to the first result, since the process began and since ``begin``, the
+    clock after the imports. best : the least seconds of a call. result : that of the last.
+    """
+    seconds, first = [], None
+    for _ in range(times):
+        ready = clock()
+        result = work()
+        done = clock()
+        seconds.append(done - ready)
+        first = first or (done, done - begin)
+    return first, min(seconds), result
+
+
 def report(name, first, solve, iterations, duration, states, inputs, breaks=None, points=(0.0,)):
     """Print a plan for run.py.
 

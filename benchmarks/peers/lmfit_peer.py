@@ -19,21 +19,19 @@ def force(p, kappa, a1, a2, a3, a4, a5, a6):
 
 def main():
     cells = json.loads(Path(sys.argv[1]).read_text("utf-8"))
-    begin, seconds = e.clock(), []
+    begin = e.clock()
     p, kappa, measured = (np.array(cells[n]) for n in ("p", "kappa", "force"))
-    for again in range(4):
-        ready = e.clock()
+
+    def fitted():
         model = lmfit.Model(force, independent_vars=["p", "kappa"])
         fit = model.fit(measured, model.make_params(**START), p=p, kappa=kappa)
-        found = fit.conf_interval(sigmas=[0.95])
-        done = e.clock()
-        seconds.append(done - ready)
-        if not again:
-            first = done, done - begin
+        return fit, fit.conf_interval(sigmas=[0.95])
+
+    first, best, (fit, found) = e.repeated(fitted, begin, 4)
     e.say(
         "lmfit: Model.fit, conf_interval",
         first,
-        min(seconds),
+        best,
         coefficients=[float(fit.params[n].value) for n in START],
         intervals=[[float(found[n][0][1]), float(found[n][2][1])] for n in START],
     )

@@ -60,9 +60,9 @@ def planning() -> Task:
     """PAM-2DIR (a)."""
     ways = (
         ("casadi_opti",),
-        ("pam_ocp", "held"),
-        ("pam_ocp", "fine"),
-        ("pam_ocp", "high"),
+        ("pam_ocp", "plan", "held"),
+        ("pam_ocp", "plan", "fine"),
+        ("pam_ocp", "plan", "high"),
         ("rockit", "collocation"),
         ("rockit", "shooting"),
         ("yapss", "low"),
@@ -91,7 +91,7 @@ def fitting(cells: int, folder: Path) -> Task:
     measurements.write(file)
     return Task(
         f"fitting, {cells} cells",
-        (("pam_ocp_fit", str(file)), ("lmfit", str(file))),
+        (("pam_ocp", "fit", str(file)), ("lmfit", str(file))),
         lambda found: {
             "excess": measurements.excess(found["coefficients"]),
             "ends": measurements.ends(found["intervals"]),
@@ -102,8 +102,8 @@ def fitting(cells: int, folder: Path) -> Task:
 def simulation() -> Task:
     """One second of the slide."""
     ways = (
-        ("pam_ocp_simulation",),
-        ("pam_ocp_simulation", "compiled"),
+        ("pam_ocp", "simulate"),
+        ("pam_ocp", "simulate", "compiled"),
         ("control", "LSODA"),
         ("control", "RK45"),
     )

@@ -274,8 +274,10 @@ def test_an_estimate_is_one_of_the_plants_own_states():
 @pytest.mark.slow
 def test_on_a_sample_of_all_feeds_nothing_is_silent(monkeypatch, capsys):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+    import harness
     import valve_study
 
-    counts = valve_study.main(8, 31)
+    rows = harness.run(valve_study.cases, harness.asked(8, 31))
+    counts = valve_study.counted(rows)
     assert sum(c["SILENT"] + c["TWICE"] for c in counts.values()) == 0, capsys.readouterr().out
     assert counts["Mpc"]["within"] >= 6

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import t as student
 
-import pam_ocp as pam
 from pam_ocp.core.errors import InputError, PamError
 from pam_ocp.fitting import ForceTable, fit_force
 from pam_ocp.fitting.static.campaign import fit_forces
@@ -224,11 +222,10 @@ def test_a_flat_optimum_is_accepted_with_a_doubt(monkeypatch: pytest.MonkeyPatch
 def test_random_tables_of_all_laws_are_fitted_and_cover() -> None:
     """A small part of ``benchmarks/fit_study.py``; the study itself has 500."""
     import fit_study
+    import harness
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pam.muscles.ValidityWarning)
-        results = fit_study.study(20, seed=11)
-    assert not [r["error"] for r in results if "error" in r]
+    results = [harness.judged(lambda n=n: fit_study.one(n, seed=11)) for n in range(20)]
+    assert not [r["why"] for r in results if "verdict" in r]
     for key in ("coefficients", "band"):
         hits, count = np.sum([r[key] for r in results], axis=0)
         assert hits / count > 0.85

@@ -43,9 +43,9 @@ def test_a_file_of_every_shape_is_read_right_and_none_wrong(tmp_path: Path) -> N
         pytest.importorskip(library)
     import files_study
 
-    found = files_study.study(len(files_study.SHAPES), 11, tmp_path)
-    outcomes = [outcome for _, outcome, _ in found]
-    assert not [name for name, outcome, _ in found if "wrong" in outcome.lower()]
+    found = [files_study.one(n, 11, tmp_path) for n in range(len(files_study.SHAPES))]
+    outcomes = [row["verdict"] for row in found]
+    assert not [row["text"] for row in found if "wrong" in row["verdict"].lower()]
     assert sum(o.startswith("right") for o in outcomes) >= 0.9 * len(outcomes)
 
 

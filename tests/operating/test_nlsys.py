@@ -1,10 +1,8 @@
 """A plant as python-control's NonlinearIOSystem."""
 
 import copy
-import importlib.util
 import pickle
 import threading
-from pathlib import Path
 
 import control
 import numpy as np
@@ -264,38 +262,3 @@ def test_the_static_force_of_a_muscle_has_a_describing_function(long_muscle):
     gains = control.describing_function(force, [1e-5, 0.02], zero_check=False)
     assert np.real(gains[0]) == pytest.approx(long_muscle.stiffness(p, middle), rel=1e-4)
     assert np.real(gains[1]) != pytest.approx(np.real(gains[0]), rel=1e-3)
-
-
-@pytest.fixture(scope="module")
-def benchmark():
-    path = Path(__file__).parents[2] / "benchmarks" / "nlsys.py"
-    spec = importlib.util.spec_from_file_location("benchmark_nlsys", path)
-    module = importlib.util.module_from_spec(spec)
-    import sys
-
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_benchmarks_numpy_right_hand_sides_are_the_plants(benchmark):
-    rng = np.random.default_rng(0)
-    for case in benchmark.cases():
-        system = as_nlsys(case.plant.in_commands(), outputs=case.outputs)
-        for _ in range(5):
-            x = np.array([*rng.uniform(-0.01, 0.01, 2), *rng.uniform(1e5, 5e5, 2)])
-            u = case.u[:, rng.integers(len(case.t))]
-            for ours, theirs in (
-                (system._rhs, case.by_hand.update),
-                (system._out, case.by_hand.output),
-            ):
-                assert ours(0.0, x, u) == pytest.approx(theirs(0.0, x, u, {}), rel=1e-9, abs=1e-12)
-
-
-@pytest.mark.slow
-def test_the_benchmarks_responses_agree_with_simulate(benchmark):
-    """Whole responses within 1e-6 of nominal of simulate, continuous and with held inputs."""
-    for case, solver in zip(benchmark.cases(), ("RK45", "LSODA"), strict=True):
-        once = {"loosest": 1e-8, "repeats": 1}  # nobody looks at the time
-        assert benchmark.same_accuracy(case, solver, **once)["difference"] < 1e-6
-        assert benchmark.sampled(case, "LSODA", **once)["difference"] < 1e-6

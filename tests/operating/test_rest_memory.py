@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
 
 import control
@@ -43,23 +41,17 @@ def rest_by_hand(pressure, friction):
 # ---- found ---------------------------------------------------------------------------------------
 
 
-def study(monkeypatch):
-    path = Path(__file__).parents[2] / "benchmarks" / "rest_study.py"
-    spec = importlib.util.spec_from_file_location("rest_study", path)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "rest_study", module)  # its dataclasses look there
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.slow
 def test_rest_is_found_in_balance_and_stays_for_all_arrangements_feeds_and_losses(monkeypatch):
-    module = study(monkeypatch)
-    answers = [a for rows in module.study(10, seed=20261122).values() for a in rows]
-    assert len(answers) == 60
-    assert all(a.found for a in answers), [a.words for a in answers if not a.found]
-    assert max(a.missed for a in answers) < 1e-9
-    assert np.nanmax([a.moved for a in answers]) < 1e-6
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+    import harness
+    import rest_study
+
+    rows = harness.run(rest_study.cases, harness.asked(10, 20261122, controlled=0))
+    assert len(rows) == 60
+    assert all(r["found"] for r in rows), [r["why"] for r in rows if not r["found"]]
+    assert max(r["missed"] for r in rows) < 1e-9
+    assert np.nanmax([r["moved"] for r in rows]) < 1e-6
 
 
 @pytest.mark.parametrize(("memory", "share"), [("virgin", 0), ("above", -1), ("below", 1)])

@@ -230,7 +230,7 @@ def test_a_page_without_curves_has_no_plots(page, tmp_path):
 
 def test_every_curve_that_is_drawn_is_measured(page):
     """Names of figures stand in two places: in page.py and where they are measured."""
-    sources = "".join((FOLDER / f).read_text("utf-8") for f in ("growth.py", "many.py"))
+    sources = "".join((FOLDER / f).read_text("utf-8") for f in ("measured.py", "many.py"))
     for _, _, names in page.CURVES.values():
         for name in names:
             family = name.replace("Mpc compiled, converged", "{how}, {name}")

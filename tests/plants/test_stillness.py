@@ -1,14 +1,12 @@
 """What stands still in a plant, read off its equations, against coordinates chosen by hand."""
 
-import importlib.util
-import sys
 from itertools import islice
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 from conftest import flat
+from rest_rows import catalogue, found_rows, own_plant
 
 import pam_ocp as pam
 from pam_ocp.plants.stillness import Position, rate_of, rest_rows, settled_names, totals
@@ -166,29 +164,17 @@ def test_what_a_disturbance_keeps_moving_does_not_rest():
 
 
 # ---- over the region of operation, not at one point ---------------------------------------------
-@pytest.fixture(scope="module")
-def study():
-    """Plants whose rows of rest are known by construction."""
-    path = Path(__file__).parents[2] / "benchmarks" / "rest_rows_study.py"
-    spec = importlib.util.spec_from_file_location("rest_rows_study", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["rest_rows_study"] = module  # its dataclasses look there
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules["rest_rows_study"]
+def test_muscles_of_the_catalogue_lose_no_row():
+    """Every 29th of 572."""
+    for words, make, expected in islice(catalogue(), 0, None, 29):
+        assert found_rows(make()) == expected, words
 
 
-def test_muscles_of_the_catalogue_lose_no_row(study):
-    """Every 29th of 572; the study itself has them all."""
-    for words, make, expected in islice(study.catalogue(), 0, None, 29):
-        assert study.found_rows(make()) == expected, words
-
-
-def test_own_plants_lose_no_row_and_repeat_none(study):
+def test_own_plants_lose_no_row_and_repeat_none():
     rng = np.random.default_rng(7)
     for number in range(25):
-        plant, expected, _ = study.own_plant(rng, number)
-        assert study.found_rows(plant) == expected, plant.name
+        plant, expected, _ = own_plant(rng, number)
+        assert found_rows(plant) == expected, plant.name
 
 
 @pytest.mark.parametrize("band", [0.05, 0.5, 0.9, 2.0])

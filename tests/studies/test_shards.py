@@ -8,15 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from job_array import array, drawn, loads, written
 
 from pam_ocp import InputError
 from pam_ocp.cli.main import main
 from pam_ocp.studies import run_study
 from pam_ocp.studies.shards import Shard, shard_of
 from pam_ocp.studies.study_file import read_study
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from scheduler import array, drawn, loads, written
 
 
 @pytest.fixture
@@ -119,7 +117,7 @@ def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(tmp_pat
 
 @pytest.mark.slow
 def test_a_job_array_with_a_tenth_of_its_jobs_killed_is_the_same_bits(study, tmp_path):
-    """Six jobs of benchmarks/scheduler.py, which has 50 by itself."""
+    """Six jobs; ``benchmarks/many.py --array`` has 50."""
     count, out = 6, tmp_path / "out"
     doomed = drawn(count, random.Random(1))
     said = [study, "--out", out, "--cache", tmp_path / "kept"]

@@ -8,18 +8,10 @@ two actuators that can only push beyond a dead band, behind pressures or not; ve
 units, momenta, sums of two, functions; wheels and cams that count a motion; chains of masses;
 positions that an input drives; a load on a driven base; spools with overlap; sensors; totals;
 states whose rate is a constant. States are declared in random order.
-
-Run:  python benchmarks/rest_rows_study.py [own plants] [seed] [plans] [catalogue: 1 or 0]
-
-plans : how many of the own plants are planned through two stops, too; rates and accelerations at
-the ends are then taken from the equations along the replay.
 """
 
 from __future__ import annotations
 
-import sys
-import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -258,69 +250,3 @@ def own_plant(rng: np.random.Generator, number: int) -> tuple[pam.Plant, Rows, D
 # ---- what is found --------------------------------------------------------------------------
 def found_rows(plant: pam.Plant) -> Rows:
     return [(position.name, order) for position, order, _ in rest_rows(plant, plant.resting())]
-
-
-def compared(words: str, plant: pam.Plant, expected: Rows) -> tuple[int, int]:
-    """(rows lost, rows too many); what differs is printed."""
-    found = found_rows(plant)
-    lost, more = set(expected) - set(found), set(found) - set(expected)
-    if lost or more:
-        print(f"  {words}: lost {sorted(lost)}, too many {sorted(more)}")
-    return len(lost), len(more)
-
-
-def at_ends(plan: pam.planning.Plan, expected: Rows) -> float:
-    """Largest rate [m/s, rad/s] and acceleration at the ends of the replay, from the equations.
-
-    Where an input sets an acceleration at once, others than the plan's own may hold it there.
-    """
-    plant, run = plan.plant, plan.replay.trajectory
-    xdot = plant.function(plant.x, plant.u, plant.p)[0]
-    names = [v.name for v in plant.states]
-    rows = []
-    for name, order in expected:
-        rate = xdot[names.index(name)]
-        row = rate if order == 1 else ca.jtimes(rate, plant.x, xdot)
-        if order == 1 or not ca.depends_on(row, plant.u):
-            rows.append(row)
-    values = ca.Function("rows", [plant.x, plant.u, plant.p], [ca.vertcat(*rows)])
-    x, u = run.array(names), run.array([v.name for v in plant.inputs])
-    found = [np.asarray(values(x[i], u[i], plant.vector("parameter"))) for i in (0, -1)]
-    return float(np.abs(found).max(initial=0.0))
-
-
-def planned(plant: pam.Plant, expected: Rows, draft: Draft) -> str:
-    """A motion through two stops in the least time; how it ended."""
-    stops = [{n: ends[i] for n, ends in draft.stops.items()} for i in range(2)]
-    begin = time.process_time()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            plan = pam.plan(plant, stops, starts=1, time_limit=60.0)
-        except pam.PamError as error:
-            return f"{type(error).__name__}: {str(error)[:150]}"
-    spent, words = time.process_time() - begin, "verified" if plan.verified else "NOT VERIFIED"
-    ends = at_ends(plan, expected)
-    return f"{words} {plan.duration:.3f} s, at the ends {ends:.1e}; {spent:.1f} s of processor"
-
-
-def main(count: int = 100, seed: int = 1, plans: int = 0, catalogued: int = 1) -> None:
-    begin, lost, more, total = time.process_time(), 0, 0, 0
-    for words, make, expected in catalogue() if catalogued else ():
-        one, other = compared(words, make(), expected)
-        lost, more, total = lost + bool(one), more + bool(other), total + 1
-    print(f"catalogue: {total} plants, {lost} with rows lost, {more} with rows too many")
-    rng = np.random.default_rng(seed)
-    lost = more = 0
-    for number in range(count):
-        plant, expected, draft = own_plant(rng, number)
-        one, other = compared(plant.name, plant, expected)
-        lost, more = lost + bool(one), more + bool(other)
-        if number < plans:
-            print(f"  {plant.name}: {planned(plant, expected, draft)}", flush=True)
-    print(f"own: {count} plants, {lost} with rows lost, {more} with rows too many")
-    print(f"{time.process_time() - begin:.0f} s of processor time, seed {seed}")
-
-
-if __name__ == "__main__":
-    main(*(int(a) for a in sys.argv[1:]))
