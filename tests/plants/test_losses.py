@@ -327,10 +327,7 @@ def test_held_muscle_relaxes_with_the_time_of_the_creep_element():
 
 def test_creep_against_a_linear_law_is_that_of_a_kelvin_voigt_element():
     slope, stiffness, tau, weight = 4000.0, 1000.0, 2.0, 5 * 9.80665
-    described = {
-        "area": coefficient("N/Pa", 1e-3, "area"),
-        "slope": coefficient("N", 1e3, "slope"),
-    }
+    described = {"area": coefficient("N/Pa", 1e-3, "area"), "slope": coefficient("N", 1e3, "slope")}
     linear = own_law("linear", lambda p, kappa, area, slope: area * p - slope * kappa, described)
     plant = HangingLoad(
         Muscle(linear(area=1e-3, slope=slope), rest_length=LENGTH),
