@@ -148,8 +148,7 @@ def test_a_name_that_was_made_to_lead_here_is_refused(guard, inner, host):
 
 
 @pytest.mark.parametrize(
-    "origin",
-    ["http://evil.example", "null", "https://127.0.0.1:8300", "http://127.0.0.1:8888", ""],
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:8300", "http://127.0.0.1:8888", ""]
 )
 def test_another_origin_gets_nothing_even_with_the_cookie(guard, inner, origin):
     known = {**entered(guard), "origin": origin}

@@ -97,6 +97,7 @@ def test_data_what_is_damaged_or_a_bomb_is_refused_in_words(hand, server, tmp_pa
     assert server.state(hand.session)["data"] == [] if _saved(server, hand) else True
 
 
+@pytest.mark.slow  # what the button asks for, pam_ocp.studies.quick, has quick tests of its own
 def test_data_one_button_makes_one_page_with_all_its_files(hand, server):
     bundled(hand)
     hand.press("Make one page")

@@ -85,10 +85,7 @@ def test_script_and_study_build_for_the_platforms_that_were_chosen(key, tmp_path
 
 @pytest.mark.slow
 def test_an_fmu_held_against_rest_a_system_and_c_code(tmp_path, monkeypatch):
-    exports = [
-        unit("exports1"),
-        unit("exports2", kind="c", controller="controllers1"),
-    ]
+    exports = [unit("exports1"), unit("exports2", kind="c", controller="controllers1")]
     state = {**SLIDE, "controllers": LAWS[:1], "exports": exports}
     result = ran(state, tmp_path)
     assert result.ok, result

@@ -25,11 +25,11 @@ MOTION = pam.simulate(pam.HangingLoad(MUSCLE), {"muscle.command": 3 * BAR}, dura
 REFUSALS = {"InputError", "UnknownNameError", "EquilibriumError", "WriteError"}
 
 
-@pytest.mark.parametrize("label", absurd.CALLS)
-def test_a_sloppy_call_works_or_is_answered_in_one_sentence(label: str) -> None:
-    call, expected = absurd.CALLS[label]
+@pytest.mark.parametrize("call", absurd.CALLS)
+def test_a_sloppy_call_works_or_is_answered_in_one_sentence(call: str) -> None:
+    expected = absurd.CALLS[call]
     kind, said = absurd.answer(call)
-    if expected == absurd.WORKS:
+    if expected == "works":
         assert (kind, said) == ("works", "")
     elif expected.startswith(absurd.WARNS):
         assert kind == "warns", (kind, said)

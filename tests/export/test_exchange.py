@@ -106,7 +106,7 @@ def mpc_law(delay: int) -> tuple[Any, Any]:
     plant, _ = slide()
     rate = dict.fromkeys(COMMANDS, 0.1)
     mpc = pam.Mpc(
-        plant, horizon=10, sample_time=H, track={"x": 1.0}, rate=rate, iterations=1, delay=delay
+        plant, horizon=4, sample_time=H, track={"x": 1.0}, rate=rate, iterations=1, delay=delay
     )
     return plant, block(mpc, plant=plant)
 
@@ -118,7 +118,9 @@ def wanted(t: float) -> float:
     return min(t / 0.08, 1.0) * 3e-3
 
 
-def system(plant: pam.Plant, law: Any, path: Path, **options: Any) -> Path:
+def system(
+    plant: pam.Plant, law: Any, path: Path, platforms: str = "native", **options: Any
+) -> Path:
     t = np.array([0.0, 0.08, 1.0])
     columns = {"x": [wanted(s) for s in t], "one": np.ones(3)}
     variables = [plant.variable("x"), pam.Variable("one", "output")]
@@ -128,7 +130,7 @@ def system(plant: pam.Plant, law: Any, path: Path, **options: Any) -> Path:
         of = "goal.x" if v.name == "wanted.x" else f"plant.{v.name}"
         wires[f"law.{v.name}"] = "goal.one" if v.name == "enable" else of
     parts = {"goal": goal, "law": law, "plant": plant}
-    return export_ssp(parts, wires, path, platforms="native", tolerance=1e-11, **options)
+    return export_ssp(parts, wires, path, platforms=platforms, tolerance=1e-11, **options)
 
 
 @pytest.mark.parametrize("kind", LAWS)
@@ -191,18 +193,18 @@ def first_lqi_command() -> float:
 
 
 def test_a_system_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Path) -> None:
-    for kind, options in (("mpc", {}), ("lqi", {}), ("pid", {"step_size": H / 2})):
-        plant, law = LAWS[kind](0)
-        with pytest.warns(
-            UserWarning, match=r"commands of law act one step .* is designed for no del"
-        ):
-            system(plant, law, tmp_path / "late.ssp", **options)
+    path, late = tmp_path / "loop.ssp", r"commands of law act one step .* is designed for no del"
+    for kind, delay, options, words in (
+        ("mpc", 0, {}, late),
+        ("lqi", 0, {}, late),
+        ("pid", 0, {"step_size": H / 2}, late),
+        ("mpc", 1, {"step_size": H / 2}, r"\(1 ms\) .* is designed for 2 ms"),
+    ):
+        with pytest.warns(UserWarning, match=words):
+            system(*LAWS[kind](delay), path, "source", **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        system(*lqi_law(0), tmp_path / "small.ssp", step_size=H / 20)
-    plant, law = mpc_law(1)
-    with pytest.warns(UserWarning, match=r"\(1 ms\) .* is designed for 2 ms"):
-        system(plant, law, tmp_path / "early.ssp", step_size=H / 2)
+        system(*lqi_law(0), path, "source", step_size=H / 20)
 
 
 def test_a_system_warns_of_blocks_in_a_row(tmp_path: Path) -> None:
@@ -223,7 +225,7 @@ def test_a_system_warns_of_blocks_in_a_row(tmp_path: Path) -> None:
     with pytest.warns(
         UserWarning, match=r"law gets what filter gives one step \(2 ms\) later"
     ) as w:
-        export_ssp(parts, wires, tmp_path / "two.ssp", platforms="native")
+        export_ssp(parts, wires, tmp_path / "two.ssp", platforms="source")
     assert len(w) == 1  # what the filter is told was sent is of the sample before anyway
 
 

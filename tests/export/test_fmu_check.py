@@ -17,10 +17,39 @@ from numpy.polynomial import chebyshev, polynomial
 import pam_ocp as pam
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.export import check_fmu, export_fmu, source
-from pam_ocp.export.runner import UnpackedFmu
+from pam_ocp.export.check import check_fmus
 
 
-def test_a_wrong_trajectory_is_found_out(fmus: dict[str, UnpackedFmu], tmp_path: Path) -> None:
+def copied(path: Path, changes: Any) -> Any:
+    """The checks of copies of a unit, in one process: changes(name, content) makes each."""
+    others = []
+    for number, change in enumerate(changes):
+        others.append(path.with_name(f"{number}.fmu"))
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(others[-1], "w") as new:
+            for name in old.namelist():
+                content = change(name, old.read(name))
+                if content is not None:
+                    new.writestr(name, content)
+    return check_fmus(others)
+
+
+def described(path: Path, changes: Any) -> Any:
+    """The checks of copies with other descriptions: changes(root) makes each."""
+
+    def described_so(change: Any) -> Any:
+        def changed(name: str, content: bytes) -> bytes:
+            if name != "modelDescription.xml":
+                return content
+            root = ElementTree.fromstring(content)
+            change(root)
+            return ElementTree.tostring(root)
+
+        return changed
+
+    return copied(path, map(described_so, changes))
+
+
+def test_a_wrong_trajectory_is_found_out(tmp_path: Path) -> None:
     plant = benchmark_slide()
     path = export_fmu(plant, tmp_path / "slide.fmu", platforms="native")
     t = np.linspace(0, 0.1, 11)
@@ -34,28 +63,20 @@ def test_a_wrong_trajectory_is_found_out(fmus: dict[str, UnpackedFmu], tmp_path:
 
 
 def test_damaged_fmus_are_found_out(tmp_path: Path) -> None:
-    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", platforms="native")
-
-    def changed(change: Any) -> Any:
-        other = tmp_path / "other.fmu"
-        with zipfile.ZipFile(path) as old, zipfile.ZipFile(other, "w") as new:
-            for name in old.namelist():
-                content = change(name, old.read(name))
-                if content is not None:
-                    new.writestr(name, content)
-        return check_fmu(other)
-
     binary = lambda name: name.startswith("binaries/")  # noqa: E731
-    assert "no binary" in str(changed(lambda n, c: None if binary(n) else c))
-    assert "no shared library" in str(changed(lambda n, c: b"nonsense" if binary(n) else c))
-    old_token = changed(
-        lambda n, c: c.replace(b'guid="{', b'guid="{1') if n.endswith(".xml") else c
-    )
-    assert any("belong together" in finding for finding in old_token.findings)
-    foreign = changed(
-        lambda n, c: c.replace(b"fmi2Terminate", b"foreign__name") if binary(n) else c
-    )
-    assert any("foreign__name" in finding for finding in foreign.findings)
+    wrong = {
+        "no binary": lambda n, c: None if binary(n) else c,
+        "no shared library": lambda n, c: b"nonsense" if binary(n) else c,
+        "belong together": lambda n, c: (
+            c.replace(b'guid="{', b'guid="{1') if n.endswith(".xml") else c
+        ),
+        "foreign__name": lambda n, c: (
+            c.replace(b"fmi2Terminate", b"foreign__name") if binary(n) else c
+        ),
+    }
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", platforms="native")
+    for words, found in zip(wrong, copied(path, wrong.values()), strict=True):
+        assert any(words in finding for finding in found.findings), words
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)
@@ -106,20 +127,6 @@ def test_curved_inputs_that_jump_are_played_in_every_mode(fmi: Any, tmp_path: Pa
 # ---- the binary against its description ---------------------------------------------------------
 
 
-def described(path: Path, change: Any) -> Any:
-    """The check of a copy with another description."""
-    other = path.with_name("other.fmu")
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(other, "w") as new:
-        for name in old.namelist():
-            content = old.read(name)
-            if name == "modelDescription.xml":
-                root = ElementTree.fromstring(content)
-                change(root)
-                content = ElementTree.tostring(root)
-            new.writestr(name, content)
-    return check_fmu(other)
-
-
 def attributes(root: Any, name: str, fmi: str) -> Any:
     variable = next(v for v in root.find("ModelVariables") if v.get("name") == name)
     return variable if fmi == "3.0" else variable[0]
@@ -128,19 +135,29 @@ def attributes(root: Any, name: str, fmi: str) -> Any:
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_a_description_that_is_not_the_binarys_is_found_out(fmi: Any, tmp_path: Path) -> None:
     path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
-    assert check_fmu(path).ok
 
     def says(name: str, **changed: str) -> Any:
-        return described(path, lambda root: attributes(root, name, fmi).attrib.update(changed))
+        return lambda root: attributes(root, name, fmi).attrib.update(changed)
 
-    found = says("mass", start="3.0").findings
-    assert "mass is 2 at the start in CoSimulation, 3 in the description" in found
-    found = says("muscle1.command", start="200000.0").findings
-    assert "muscle1.command is 300000 at the start in ModelExchange, 200000 in the d" in str(found)
-    found = says("mass", max="2.5").findings
-    assert found == ("mass = 5 is taken, beyond its max 2.5 in the description",)
-    found = says("mass", min="-1.0").findings
-    assert found == ("mass = -1 is refused, its min in the description",)
+    right, other, command, most, least = (
+        found.findings
+        for found in described(
+            path,
+            [
+                says("mass"),
+                says("mass", start="3.0"),
+                says("muscle1.command", start="200000.0"),
+                says("mass", max="2.5"),
+                says("mass", min="-1.0"),
+            ],
+        )
+    )
+    assert right == ()
+    assert "mass is 2 at the start in CoSimulation, 3 in the description" in other
+    words = "muscle1.command is 300000 at the start in ModelExchange, 200000 in the d"
+    assert words in str(command)
+    assert most == ("mass = 5 is taken, beyond its max 2.5 in the description",)
+    assert least == ("mass = -1 is refused, its min in the description",)
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)
@@ -170,13 +187,15 @@ def test_dependencies_that_are_not_told_are_found_out(fmi: Any, tmp_path: Path) 
             entry.set("dependencies", " ".join(d for d, _ in kept))
             entry.set("dependenciesKind", " ".join(k for _, k in kept))
 
-        return described(path, change).findings
+        return change
 
-    told = "depends on {} which the description does not tell"
-    found = forgotten("Output", "muscle1.force", "x")
-    assert found == ("muscle1.force " + told.format("x,"),)
-    found = forgotten("InitialUnknown", "muscle2.force", "muscle2.a5")
-    assert found == ("muscle2.force " + told.format("muscle2.a5 at the start,"),)
+    told = "{} depends on {} which the description does not tell"
     group = "Derivative" if fmi == "2.0" else "ContinuousStateDerivative"
-    found = forgotten(group, "der(muscle1.pressure)", "muscle1.command")
-    assert found == ("der(muscle1.pressure) " + told.format("muscle1.command,"),)
+    cases = (
+        ("Output", "muscle1.force", "x", "x,"),
+        ("InitialUnknown", "muscle2.force", "muscle2.a5", "muscle2.a5 at the start,"),
+        (group, "der(muscle1.pressure)", "muscle1.command", "muscle1.command,"),
+    )
+    checks = described(path, [forgotten(*case[:3]) for case in cases])
+    for (_, unknown, _, words), found in zip(cases, checks, strict=True):
+        assert found.findings == (told.format(unknown, words),)

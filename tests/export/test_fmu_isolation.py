@@ -43,11 +43,6 @@ def only_finding(path: Path, time_limit: float = 60.0) -> str:
     return finding
 
 
-def test_the_unit_is_well_as_long_as_it_is_not_told_to_harm(units: dict[str, Path]) -> None:
-    assert check_fmu(units["2.0"]).ok
-    assert check_fmu(units["3.0"]).ok
-
-
 # ---- what a unit may do
 # ---------------------------------------------------------------------------
 
@@ -56,7 +51,6 @@ def test_the_unit_is_well_as_long_as_it_is_not_told_to_harm(units: dict[str, Pat
 @pytest.mark.parametrize(
     ("harm", "fmi", "sentence"),
     [
-        ("segfault DoStep", "2.0", "crashed (segmentation fault) in fmi2DoStep (CoSimulation)"),
         ("segfault DoStep", "3.0", "crashed (segmentation fault) in fmi3DoStep (CoSimulation)"),
         ("stack DoStep", "2.0", "crashed (segmentation fault) in fmi2DoStep"),
         ("abort FreeInstance", "2.0", "aborted in fmi2FreeInstance"),
@@ -86,12 +80,11 @@ def test_a_unit_that_dies_leaves_the_checks_beside_it(
     monkeypatch.setenv("HOSTILE", "segfault DoStep")
     with pytest.raises(pam.InputError, match=r"well\.fmu' is one file; give a list"):
         check_fmus(well)  # type: ignore[arg-type]
-    first, dead, last = check_fmus([well, units["2.0"], well])
-    assert first.ok
-    assert last.ok
+    one, dead, other = check_fmus([well, units["2.0"], well], against=motion)
+    assert one.ok
+    assert other.ok
     (finding,) = dead.findings
     assert "crashed (segmentation fault) in fmi2DoStep (CoSimulation)" in finding
-    one, other = check_fmus([well, well], against=motion)
     assert one.deviations == other.deviations == check_fmu(well, against=motion).deviations
     for kind, played in one.trajectories.items():
         assert np.array_equal(played["x"], other.trajectories[kind]["x"])
@@ -183,7 +176,7 @@ def test_the_command_answers_with_an_exit_code_of_its_own(
     assert "NOT well" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+@pytest.mark.parametrize("share", [0.02, 0.99])
 def test_a_library_that_is_cut_is_a_finding(
     units: dict[str, Path], tmp_path: Path, share: float
 ) -> None:
@@ -197,7 +190,7 @@ def test_damage_anywhere_in_the_library_leaves_the_caller_alive(
     units: dict[str, Path], tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(15)
-    for _ in range(4):
+    for _ in range(2):
         content = contents(units["3.0"])
         (binary,) = (n for n in content if n.startswith("binaries/"))
         damaged = bytearray(content[binary])
@@ -257,8 +250,9 @@ def test_names_of_modules_beside_the_caller_are_not_taken(
 
 
 def test_checks_from_several_threads_do_not_disturb_each_other(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+    units: dict[str, Path],
 ) -> None:
+    """And the hostile units are well as long as they are not told to harm."""
     seen: list[bool] = []
     threads = [
         threading.Thread(target=lambda p=path: seen.append(check_fmu(p).ok))  # type: ignore[misc]
@@ -277,7 +271,7 @@ def test_a_worker_that_cannot_be_loaded_is_said_so(tmp_path: Path) -> None:
 
 
 @linux
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
 def test_the_process_of_a_hanging_unit_ends_with_the_caller(
     units: dict[str, Path], tmp_path: Path, end: signal.Signals
 ) -> None:

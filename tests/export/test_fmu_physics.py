@@ -1,6 +1,7 @@
 """Each force law, loss and feed goes through an FMU and moves there as it does in Python."""
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
 pytestmark = pytest.mark.slow
 
 
+@cache
 def laws():
     """A muscle of every law of the library and of every way to make one's own, taut at 5-15 %."""
     by_law = {}

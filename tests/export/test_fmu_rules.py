@@ -51,7 +51,7 @@ def lqi() -> Any:
 def predictive() -> Any:
     plant = benchmark_slide()
     rate = dict.fromkeys(COMMANDS, 0.1)
-    mpc = pam.Mpc(plant, horizon=4, sample_time=5e-3, track={"x": 1.0}, rate=rate, iterations=1)
+    mpc = pam.Mpc(plant, horizon=2, sample_time=5e-3, track={"x": 1.0}, rate=rate, iterations=1)
     kalman = KalmanFilter(plant, sample_time=5e-3, measured={"x": 1e-5})
     return block(chain([kalman, mpc_block(mpc)]), plant=plant)
 

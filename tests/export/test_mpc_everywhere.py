@@ -89,11 +89,7 @@ def test_an_mpc_with_its_estimator_is_the_same_in_python_in_fmus_and_in_c(
     on = Variable("on", "output", description="the controller acts")
     goal = Variable("place", "output", unit=place.unit, nominal=place.nominal)
     columns = {"place": np.full(2, GOALS[kind]), "on": np.ones(2)}
-    parts = {
-        "law": law,
-        "plant": plant,
-        "goal": pam.Trajectory([0.0, 1.0], columns, [goal, on]),
-    }
+    parts = {"law": law, "plant": plant, "goal": pam.Trajectory([0.0, 1.0], columns, [goal, on])}
     system = pam.export_ssp(parts, wires, tmp_path / "system.ssp", platforms=["native"])
     with zipfile.ZipFile(system) as archive:
         archive.extractall(tmp_path / "parts")

@@ -346,13 +346,7 @@ def test_what_is_no_formula_is_refused_in_one_sentence(jnp):
     memory, u, p = ca.MX.sym("m", 0), ca.MX.sym("u", 1), ca.MX.sym("p", 0)
     step = ca.Function("step", [memory, u, p], [memory, table(u)])
     block = Block(
-        "look",
-        1e-3,
-        (Variable("u", "input", start=0.0),),
-        (Variable("y", "output"),),
-        (),
-        (),
-        step,
+        "look", 1e-3, (Variable("u", "input", start=0.0),), (Variable("y", "output"),), (), (), step
     )
     with pytest.raises(pam.ExportError, match="block 'look' holds what is no formula") as caught:
         pam.export.to_jax(block)

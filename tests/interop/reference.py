@@ -70,12 +70,7 @@ class Motion:
         return [float(self.columns[n][k]) for n in self.inputs]
 
     def check(
-        self,
-        tool: str,
-        mode: str,
-        rows: Any,
-        names: list[str] | None = None,
-        limit: float = LIMIT,
+        self, tool: str, mode: str, rows: Any, names: list[str] | None = None, limit: float = LIMIT
     ) -> None:
         """Note the largest deviation of ``rows`` (behind each step), and fail beyond ``limit``.
 

@@ -156,10 +156,7 @@ def test_a_sampled_system_moves_as_simulate_does_under_held_inputs(slide, wave):
     names = [v.name for v in (*slide.states, *slide.outputs)]
     nominal = np.array([slide.variable(n).nominal for n in names])
     assert np.ptp(motion["x"]) > 1e-3
-    for response in (
-        control.input_output_response(system, t, u, system.x0),
-        system.response(t, u),
-    ):
+    for response in (control.input_output_response(system, t, u, system.x0), system.response(t, u)):
         difference = np.abs(np.asarray(response.outputs).T - motion.array(names)) / nominal
         assert difference.max() < 1e-6
 

@@ -44,10 +44,7 @@ def unpacked(guess, problem, mesh):
     t, states, when, inputs, begin = [0.0], [guess[:2] * x_nominal], [], [], 0.0
     for interval in mesh.intervals:
         h = durations[interval.leg] * interval.fraction
-        taus, own = (
-            mesh.form.state_taus(interval.degree),
-            mesh.form.input_taus(interval.degree),
-        )
+        taus, own = (mesh.form.state_taus(interval.degree), mesh.form.input_taus(interval.degree))
         for tau in taus:
             t.append(begin + h * tau)
             states.append(guess[at : at + 2] * x_nominal)

@@ -55,7 +55,8 @@ def least_work_of_the_block(distance, duration, force=50.0, mass=2.0):
 
 
 def test_the_least_work_of_a_block_is_that_of_the_slowest_trapezoid():
-    plan = pam.plan(slider(), [{"x": 0.0}, {"x": 0.1}], rest=True, duration=0.4, minimise="work")
+    wanted = {"duration": 0.4, "minimise": "work", "starts": 1}
+    plan = pam.plan(slider(), [{"x": 0.0}, {"x": 0.1}], rest=True, **wanted)
     assert plan.verified
     assert plan.objective == pytest.approx(least_work_of_the_block(0.1, 0.4), rel=1e-3)
 
@@ -173,7 +174,7 @@ def test_a_mesh_too_coarse_to_lead_anywhere_is_not_all_that_is_searched():
 def test_a_lapped_valve_lives_on_no_air_that_it_gives_back():
     """With rounded openings the optimum lets air out through the supply."""
     feeds = pam.feeds.SpoolValve(overlap=0.0), pam.feeds.OnOffValves()
-    stops, wanted = [{"x": 0.01}, {"x": 0.03}], {"duration": 0.4, "minimise": "air"}
+    stops, wanted = [{"x": 0.01}, {"x": 0.03}], {"duration": 0.4, "minimise": "air", "starts": 1}
     lapped, two = (
         pam.plan(pam.HangingLoad(MUSCLE, 8.0, feed=feed), stops, **wanted) for feed in feeds
     )
@@ -198,7 +199,9 @@ def test_openings_are_sought_for_the_stops_that_were_asked_for(monkeypatch):
     plan = planner(stops=other, starts=1)
     assert stated
     assert all(stops == other for stops in stated)
-    assert plan.objective == pytest.approx(pam.plan(plant, other, **wanted).objective, rel=1e-4)
+    assert plan.objective == pytest.approx(
+        pam.plan(plant, other, **wanted, starts=1).objective, rel=1e-4
+    )
 
 
 @pytest.mark.parametrize(("minimise", "most"), [("work", 0.15), ("air", 0.05)])
@@ -207,7 +210,7 @@ def test_bounds_of_commands_hold_where_openings_are_sought(minimise, most):
     wanted = {"duration": 0.4, "minimise": minimise, "method": pam.Collocation(20)}
     stops = [{"x": 0.01}, {"x": 0.03}]
     plan, free = (
-        pam.plan(plant, stops, **wanted, bounds=bounds)
+        pam.plan(plant, stops, **wanted, bounds=bounds, starts=1)
         for bounds in ({"muscle.command": (-0.05, most)}, None)
     )
     assert plan.verified
@@ -282,13 +285,14 @@ def test_an_input_that_stays_on_its_bound_keeps_nothing_back(sign):
 
 def test_a_mesh_split_where_inputs_cost_gains_more_than_as_many_equal_intervals():
     plant, stops = pam.AntagonisticSlide(MUSCLE, 2.0), [{"x": -0.01}, {"x": 0.01}]
-    wanted = {"duration": 0.3, "minimise": "work", "tolerance": None}
-    planner = pam.Planner(plant, stops, duration=0.3, minimise="work")
+    wanted = {"duration": 0.3, "minimise": "work"}
+    planner = pam.Planner(plant, stops, **wanted)
     coarse = planner(tolerance=None)._solved
     for _ in range(2):
         mesh = MeshSequence.split(coarse.program.mesh, gains(coarse), SETTINGS)
         coarse = searches.refined(planner, coarse, mesh)
-    equal = pam.plan(plant, stops, **wanted, method=pam.Collocation(len(mesh.intervals), 3))
+    as_many = pam.Collocation(len(mesh.intervals), 3)
+    equal = pam.plan(plant, stops, **wanted, method=as_many, tolerance=None)
     assert coarse.outcome.success
     assert coarse.outcome.objective < equal.objective * (1 - 1e-3)
 

@@ -47,10 +47,7 @@ PROBLEMS = {
         MOVE,
         ONE | {"minimise": {"peak(v)": 1.0, "effort": 1e-3}, "method": Collocation(5, 3)},
     ),
-    "design": (
-        MOVE,
-        ONE | {"design": {"stiffness": (0.1, 5.0)}, "method": Collocation(5, 3)},
-    ),
+    "design": (MOVE, ONE | {"design": {"stiffness": (0.1, 5.0)}, "method": Collocation(5, 3)}),
     "profiles": (
         MOVE,
         ONE
@@ -244,10 +241,7 @@ def test_starts_near_an_optimum_keep_constraints_and_the_residual_they_promise(
 def test_more_starts_keep_the_best(slide):
     """Valves: many local optima. The first of the objectives is that of the planner's own start."""
     plant = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-400N"),
-        8.5,
-        0.10,
-        feed=pam.feeds.SpoolValve(),
+        pam.muscle("DMSP-20-400N"), 8.5, 0.10, feed=pam.feeds.SpoolValve()
     )
     task = {"stops": [{"x": -0.01}, {"x": 0.012}], "method": pam.Collocation(20, 3)}
     own = pam.plan(plant, **task, starts=1)

@@ -301,12 +301,7 @@ def test_a_verdict_names_each_figure_that_failed():
 @pytest.mark.parametrize("points", ["radau", "gauss"])
 def test_a_bound_on_a_state_holds_between_the_points_too(points):
     """Bryson and Denham's limit, which a coarse mesh keeps at its points only."""
-    asked = {
-        "duration": 1.0,
-        "minimise": "effort",
-        "rest": False,
-        "bounds": {"x": (None, 1 / 9)},
-    }
+    asked = {"duration": 1.0, "minimise": "effort", "rest": False, "bounds": {"x": (None, 1 / 9)}}
     stops = [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}]
     method = Collocation(4, 3, "linear", points)
     with warnings.catch_warnings():

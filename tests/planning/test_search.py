@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -49,6 +50,12 @@ def planner(relaxed: float = 0.0, widest: float = 0.3, **wish: Any) -> Planner:
     return Planner(rubbing(widest, relaxed), [{"x": 0.0}, {"x": 0.1}], **wish)
 
 
+@cache
+def usual(widest: float = 0.3) -> pam.planning.Plan:
+    """The plan that nothing has disturbed."""
+    return planner(widest=widest)()
+
+
 def places(plan: pam.planning.Plan) -> list[float]:
     """Of the path that led on, in their order."""
     found = []
@@ -75,7 +82,7 @@ def ends_at(plan: pam.planning.Plan) -> np.ndarray:
 
 
 def test_the_path_leads_from_the_widest_smoothing_to_the_plants_own() -> None:
-    plan = planner()()
+    plan = usual()
     assert plan.verified
     path = places(plan)
     assert path == sorted(path)
@@ -92,11 +99,11 @@ def test_what_is_relaxed_is_led_along_and_left_where_nothing_is_found_with_it(
     relaxed: float,
 ) -> None:
     """50 times the mass would take 4 m s / t^2 = 111 N, and there are 20."""
-    plan, plain = planner(relaxed)(), planner()()
+    plan = planner(relaxed)()
     assert plan.verified
     assert places(plan)[-1] == 1.0
     assert plan._solved.program.problem.plant.variable("heavier").start == 1.0
-    assert plan.objective == pytest.approx(plain.objective, rel=1e-4)
+    assert plan.objective == pytest.approx(usual().objective, rel=1e-4)
     starts = [s for s in plan.statistics["stages"] if s["name"] == "starts"]
     assert starts[0]["solved"] is (relaxed < 1.0)
     assert starts[-1]["solved"]
@@ -106,17 +113,17 @@ def test_what_is_relaxed_is_led_along_and_left_where_nothing_is_found_with_it(
 def test_a_smooth_plant_is_relaxed_where_its_own_program_is_not_solved(
     solved: bool, monkeypatch: Any
 ) -> None:
-    usual = Search._solved
+    search = Search._solved
 
     def own_only(self: Search, *starts: Any) -> list[Any]:
-        return usual(self, *starts) if solved or self.place < 1.0 else []
+        return search(self, *starts) if solved or self.place < 1.0 else []
 
     monkeypatch.setattr(Search, "_solved", own_only)
-    plan, plain = planner(0.25, widest=0.0)(), planner(widest=0.0)
+    plan = planner(0.25, widest=0.0)()
     assert plan.verified
     assert places(plan)[-1:] == ([] if solved else [1.0])
     monkeypatch.undo()
-    assert plan.objective == pytest.approx(plain().objective, rel=1e-4)
+    assert plan.objective == pytest.approx(usual(0.0).objective, rel=1e-4)
 
 
 def test_relaxed_values_go_to_their_own_evenly_in_their_logarithms() -> None:
@@ -209,7 +216,7 @@ def test_where_the_path_is_not_led_to_its_end_there_is_a_plan_by_shooting(monkey
     assert max(places(plan)) < 1.0
     scale = np.array([0.1, 0.5, 10.0])
     assert np.abs((ends_at(plan) - [0.1, 0.0, 0.0]) / scale).max() < 1.1e-3
-    best = planner()().objective
+    best = usual().objective
     assert best * (1 - 1e-4) < plan.objective < 1.2 * best
 
 
@@ -222,7 +229,7 @@ def test_a_plan_by_shooting_gives_way_to_the_cheaper_one_at_the_end_of_the_path(
     assert ("shooting", True) in stages
     assert places(plan)[-1] == 1.0
     monkeypatch.undo()
-    assert plan.objective == pytest.approx(planner()().objective, rel=1e-4)
+    assert plan.objective == pytest.approx(usual().objective, rel=1e-4)
 
 
 def test_a_path_whose_work_is_spent_says_so(monkeypatch: Any) -> None:

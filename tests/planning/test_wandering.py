@@ -19,10 +19,7 @@ from pam_ocp.planning.transcription.transcription import smoothed_at
 def load(losses=()):
     """Lifted and let down; that takes no work, so when it goes down is free."""
     return pam.HangingLoad(
-        "DMSP-20-400N",
-        3.5,
-        feed=pam.feeds.Regulator(0.05, max_pressure=6e5),
-        losses=losses,
+        "DMSP-20-400N", 3.5, feed=pam.feeds.Regulator(0.05, max_pressure=6e5), losses=losses
     )
 
 

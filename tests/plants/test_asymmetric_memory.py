@@ -271,11 +271,9 @@ def test_rest_takes_the_envelope_of_the_side_from_which_the_load_came(memory):
     point = plant.equilibrium({"muscle.command": 3e5}, memory=memory)
 
     def left(kappa):
-        held = {
-            "virgin": 0.0,
-            "below": 18.0 * (1 + 2 * kappa),
-            "above": -11.0 * (1 - 0.5 * kappa),
-        }[memory]
+        held = {"virgin": 0.0, "below": 18.0 * (1 + 2 * kappa), "above": -11.0 * (1 - 0.5 * kappa)}[
+            memory
+        ]
         return float(muscle.tension(3e5, kappa)) - held - 20 * 9.80665
 
     assert point["muscle.contraction"] == pytest.approx(brentq(left, 0.0, 0.27), rel=1e-9)

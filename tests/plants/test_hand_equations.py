@@ -89,10 +89,7 @@ ARMS = (  # s and r = s': unequal, neither even nor constant
     ),
     (lambda a: 0.022 * a - 0.006 * math.cos(a) + 0.006, lambda a: 0.022 + 0.006 * math.sin(a)),
 )
-PULLEYS = (
-    (lambda a: 0.035 * a, lambda a: 0.035),
-    (lambda a: 0.024 * a, lambda a: 0.024),
-)
+PULLEYS = ((lambda a: 0.035 * a, lambda a: 0.035), (lambda a: 0.024 * a, lambda a: 0.024))
 
 
 def one(fibre, feed, losses):
@@ -142,10 +139,7 @@ def joint(arms, hand_arms, wall, f, h, ls, hl, d, hd):
 
 
 def bent(*parts):
-    arms = (
-        lambda a: 0.03 + 0.008 * ca.cos(a) + 0.008 * a,
-        lambda a: 0.022 + 0.006 * ca.sin(a),
-    )
+    arms = (lambda a: 0.03 + 0.008 * ca.cos(a) + 0.008 * a, lambda a: 0.022 + 0.006 * ca.sin(a))
     return joint(arms, ARMS, (0.3, 5e3, 40.0, 1), *parts)
 
 

@@ -271,10 +271,7 @@ HINGE = joint("a", "base", "bar")
     ("elements", "said"),
     [
         ([*OK, HINGE.replace("revolute", "floating")], "joint 'a' is of type 'floating'"),
-        (
-            [*OK, joint("a", "base", "bar", rest='<mimic joint="b"/>')],
-            "joint 'a' is a mimic joint",
-        ),
+        ([*OK, joint("a", "base", "bar", rest='<mimic joint="b"/>')], "joint 'a' is a mimic joint"),
         ([link("base"), link("bar"), HINGE], "joint 'a' moves no mass"),
         ([*OK, joint("a", "base", "foot")], "joint 'a' names link 'foot'"),
         ([*OK, link("other", 1.0, "0 0 0", 1, 1, 1), HINGE], "2 links without a parent"),
@@ -298,10 +295,7 @@ def pulling(path, **options):
 @pytest.mark.parametrize(
     ("path", "said"),
     [
-        (
-            [("base", (0, 0, 0)), ("bra", (0, 0, 0.1))],
-            "unknown link of limb 'limb' 'bra'",
-        ),
+        ([("base", (0, 0, 0)), ("bra", (0, 0, 0.1))], "unknown link of limb 'limb' 'bra'"),
         ([("knee", 0.03)], "unknown joint of limb 'limb' 'knee'"),
         ([("bar", (0, 0, 0)), ("bar", (0, 0, 0.1))], "muscle 'm' crosses no joint"),
         ([("base", (0, 0, 0.2)), ("a", 0.03), ("base", (0, 0, 0.1))], "via points"),

@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq, least_squares
 
+import pam_ocp as pam
 from pam_ocp.core.errors import InputError
 from pam_ocp.muscles.catalogue import muscle
 from pam_ocp.muscles.law import coefficient
@@ -162,16 +163,15 @@ HYSTERESES = [BoucWen(), BoucWen(beta=0.8, order=1.0), MaxwellSlip()]
 def test_hysteresis_does_not_depend_on_the_rate(loss):
     turns = [0.0, 0.06, 0.02, 0.05, 0.0]
     _, slow = drawn_along(loss, turns, 0.01)
-    for rate in (0.1, 1.0):
-        _, fast = drawn_along(loss, turns, rate)
-        assert np.max(np.abs(fast - slow)) < 0.01 * np.max(np.abs(slow))
+    _, fast = drawn_along(loss, turns, 1.0)
+    assert np.max(np.abs(fast - slow)) < 0.01 * np.max(np.abs(slow))
 
 
 @pytest.mark.parametrize("loss", HYSTERESES, ids=["bouc-wen", "bouc-wen-1", "maxwell-slip"])
 def test_every_closed_loop_dissipates(loss):
     rng = np.random.default_rng(6)
     sticking = 2 * np.min(loss.yield_contraction)  # smaller Maxwell-slip loops are elastic
-    for _ in range(4):
+    for _ in range(2):
         low, width = rng.uniform(0.0, 0.04), rng.uniform(1.05 * sticking, 0.04)
         high = low + width
         kappa, force = drawn_along(loss, [low, *[high, low] * 3], 0.2)
@@ -285,23 +285,12 @@ def test_creep_of_a_fifth_of_the_stroke_is_found_back_from_a_record():
         damping=ConstantDamping(DAMPER),
         losses=(Creep(),),
     )
-    names = [v.name for v in plant.parameters]
-    u = plant.vector("input", {"muscle.pressure": 4e5})
-    x0 = plant.vector("state", {"x": before * 0.4, "muscle.creep1": before})
+    told = {"start": {"x": before * 0.4, "muscle.creep1": before}, "t": t, "rtol": 1e-9}
 
     def residual(z):
-        p = plant.vector("parameter")
-        p[names.index("muscle.creep1_stiffness")], p[names.index("muscle.creep1_time")] = z
-        run = solve_ivp(
-            lambda t, x: np.asarray(plant.function(x, u, p)[0]).ravel(),
-            (0, 3.5),
-            x0,
-            method="LSODA",
-            rtol=1e-8,
-            atol=1e-10,
-            t_eval=t,
-        )
-        return (run.y[0] / 0.4 - measured) / noise
+        creep = {"muscle.creep1_stiffness": z[0], "muscle.creep1_time": z[1]}
+        run = pam.simulate(plant, {"muscle.pressure": 4e5}, parameters=creep, **told)
+        return (run["x"] / 0.4 - measured) / noise
 
     bounds = ([10.0, 0.1], [5000.0, 10.0])
     fit = least_squares(residual, [500.0, 2.0], bounds=bounds, x_scale=[500.0, 1.0], diff_step=1e-4)
@@ -327,10 +316,7 @@ def test_held_muscle_relaxes_with_the_time_of_the_creep_element():
 
 def test_creep_against_a_linear_law_is_that_of_a_kelvin_voigt_element():
     slope, stiffness, tau, weight = 4000.0, 1000.0, 2.0, 5 * 9.80665
-    described = {
-        "area": coefficient("N/Pa", 1e-3, "area"),
-        "slope": coefficient("N", 1e3, "slope"),
-    }
+    described = {"area": coefficient("N/Pa", 1e-3, "area"), "slope": coefficient("N", 1e3, "slope")}
     linear = own_law("linear", lambda p, kappa, area, slope: area * p - slope * kappa, described)
     plant = HangingLoad(
         Muscle(linear(area=1e-3, slope=slope), rest_length=LENGTH),

@@ -64,10 +64,7 @@ def test_a_slope_stands_in_for_a_velocity_that_nothing_measures(made, plant):
 def test_what_a_rig_has_not_is_refused_in_a_sentence(made, plant):
     rig, _ = made()
     rig.arm()
-    for options, words in (
-        ({"parameters": {"mass": 2.0}}, "parameters"),
-        ({"parts": 3}, "parts"),
-    ):
+    for options, words in (({"parameters": {"mass": 2.0}}, "parameters"), ({"parts": 3}, "parts")):
         with pytest.raises(pam.InputError, match=words):
             pam.closed_loop(lambda t, s: {}, rig, duration=0.1, **options)
     with pytest.raises(pam.InputError, match="supply"):

@@ -77,22 +77,20 @@ def test_a_load_in_place_of_a_second_muscle_and_what_the_user_says(tmp_path: Pat
 
 
 @pytest.mark.usefixtures("plain_pictures")
-def test_what_cannot_be_done_is_in_doubt_and_the_rest_goes_on(tmp_path: Path) -> None:
-    made = quick(TABLE, tmp_path, rest_length=LENGTH, law="six-parameter", stops=[-0.5, 0.5])
-    assert made.plan is None
-    assert any(said.startswith("motion") and "outside the stroke" in said for said in made.doubts)
-    assert set(made.files) == {"muscle", "fmu", "workbook", "page"}
-    assert "In doubt" in made.files["page"].read_text()
-
-
-@pytest.mark.usefixtures("plain_pictures")
-def test_wrong_cells_and_the_zero_of_a_load_cell_are_doubted(tmp_path: Path) -> None:
+def test_what_is_wrong_and_what_cannot_be_done_is_in_doubt_and_the_rest_goes_on(
+    tmp_path: Path,
+) -> None:
+    """Stops outside the stroke, a cell of twice its force, and the zero of the load cell."""
     table = pam.read_table(TABLE, rest_length=LENGTH)
     force = np.where(table.slack, 0.0, table.force) - 40.0
     force[np.argmax(force)] *= 2.0
     columns = {"pressure": table.pressure, "contraction": table.contraction, "force": force}
-    options: Any = {"law": "six-parameter", "stops": [-0.5, 0.5]}  # outside the stroke: no motion
+    options: Any = {"law": "six-parameter", "stops": [-0.5, 0.5]}
     made = quick(columns, tmp_path, rest_length=LENGTH, **options)
+    assert made.plan is None
+    assert any(said.startswith("motion") and "outside the stroke" in said for said in made.doubts)
+    assert set(made.files) == {"muscle", "fmu", "workbook", "page"}
+    assert "In doubt" in made.files["page"].read_text()
     assert any("stand apart from the law" in said for said in made.doubts)
     assert any("zero of the load cell" in said for said in made.doubts)
 
@@ -140,7 +138,7 @@ def test_the_command_says_what_it_assumed(tmp_path: Path, capsys: Any) -> None:
         "--law",
         "six-parameter",
         "--out",
-        str(tmp_path / "o"),
+        f"{tmp_path / 'o'}",
     ]
     assert main(["quick", *given, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

@@ -500,6 +500,7 @@ def test_cells_that_are_not_there_cannot_be_left_out_and_some_cell_stays(fresh, 
 def test_what_is_called_as_a_step_beside_the_study_is_no_part_of_it(fresh):
     """Nor does it matter that files come while a study runs."""
     place = fresh
+    (place / "study.toml").write_text(STUDY[: STUDY.index("[steps.linear]")])
     (place / "load").mkdir()
     (place / "load" / "notes.txt").write_text("mine")
     seen = []
