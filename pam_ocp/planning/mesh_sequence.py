@@ -107,7 +107,9 @@ class MeshSequence:
         """
         if self.is_coarse(c.mesh):
             following = self.ladder[self.ladder.index(c.mesh) + 1]
-            return [(following, "towards the mesh asked for"), (doubled(c.mesh), "between")]
+            between = doubled(c.mesh)
+            others = [(between, "between")] if between != following else []
+            return [(following, "towards the mesh asked for"), *others]
         if not np.isfinite(self.wanted):
             return []
         finds = (self._unresolved, self._dear, self._inexact) if costs else (self._inexact,)
