@@ -88,7 +88,7 @@ STRICTER, NEARLY, LEAST = 2, 30.0, 1e-6
 """Times that a plan is refined beyond its tolerance where the judge misses that, by so many
 tolerances at most; and to which at least.
 """
-SPENT = "the work that a search may take, about two minutes, was spent; time_limit= allows more"
+SPENT = "the work that a search may take, a few minutes, was spent; time_limit= allows more"
 GRACE = 10.0
 """Seconds, at most, for the verdict on a plan that was found when the time was up."""
 
@@ -178,7 +178,7 @@ def plan(
     time_limit : [s] of the whole search, refinement and replay included (the building of the
         program is not broken off). The best so far is returned, not verified: its verdict says that
         the time was up. PlanError when there is nothing yet. None: iterations are counted instead,
-        to about two minutes of the processor, so that an answer does not depend on the machine; the
+        to a few minutes of the processor, so that an answer does not depend on the machine; the
         best verified motion by then is returned, or the best with its verdict.
 
     Raises InputError for an invalid problem, PlanError when no solution was found: the
