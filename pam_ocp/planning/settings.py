@@ -74,7 +74,8 @@ class Settings:
     tolerance is all that goes on to fall. A ``time_limit`` takes its place, and that of the next.
     """
     most_work: float = 160.0
-    """At which a search ends in any case: with building, replays and verdict three to five minutes (measured: with a third of it 4 of 14 random tasks are lost)."""
+    """At which a search ends in any case: with building, replays and verdict three to five minutes
+    (measured: with half of it random tasks with many states are lost)."""
     regularisation: float = 1e-3
     """Cost of the squared inputs, in nominals and times the weight of the time, that leads to the
     quickest motion of an over-actuated plant (measured: an arm with four muscles takes 130
