@@ -22,7 +22,7 @@ from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.executors import placed
 from ...muscles.law import ForceLaw
 from ..estimates import Estimates, at_edge, correlation_lines
-from ..statistics import Array, Linearisation, SerialErrors, SolverStatistics
+from ..statistics import Array, Linearisation, SerialErrors, SolverStatistics, even, spanned
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
 from .force_fit import ForceFit
@@ -97,14 +97,9 @@ def marginal_root(jacobian: Array, place: Any) -> Array:
 
     The columns of the others are projected out of theirs (what is left of a QR decomposition).
     """
-    norms = np.linalg.norm(jacobian, axis=0)
-    scaled = jacobian / np.where(norms > 0, norms, 1.0)
-    others = np.delete(scaled, place, axis=1)
-    rest = scaled[:, place]
-    if others.shape[1]:
-        u, s, _ = np.linalg.svd(others, full_matrices=False)
-        u = u[:, s > 1e-12 * max(float(s[0]), 1e-300)]
-        rest = rest - u @ (u.T @ rest)
+    scaled, norms = even(jacobian)
+    others, rest = spanned(np.delete(scaled, place, axis=1), 1e-12), scaled[:, place]
+    rest = rest - others @ (others.T @ rest)
     return np.asarray(np.linalg.qr(rest, mode="r") * norms[place])
 
 
