@@ -25,7 +25,6 @@ from .fleet import FleetFit as FleetFit
 from .fleet import FleetMuscle as FleetMuscle
 from .fleet import Population as Population
 from .fleet import fit_fleet as fit_fleet
-from .static.bootstrap import Bootstrap as Bootstrap
 from .static.branches import Hysteresis as Hysteresis
 from .static.branches import LackOfFit as LackOfFit
 from .static.branches import hysteresis as hysteresis
@@ -33,6 +32,7 @@ from .static.branches import lack_of_fit as lack_of_fit
 from .static.campaign import fit_campaign as fit_campaign
 from .static.campaign import fit_forces as fit_forces
 from .static.campaign_result import Campaign as Campaign
+from .static.force_fit import Bootstrap as Bootstrap
 from .static.force_fit import ForceFit as ForceFit
 from .static.holds import HoldsFit as HoldsFit
 from .static.holds import fit_holds as fit_holds
@@ -46,12 +46,12 @@ from .statistics import Coefficient as Coefficient
 from .statistics import Prediction as Prediction
 from .statistics import SolverStatistics as SolverStatistics
 from .tables.floor import Floor as Floor
-from .tables.folder import FolderRead as FolderRead
-from .tables.folder import read_folder as read_folder
 from .tables.force_table import ForceTable as ForceTable
 from .tables.force_table import read_table as read_table
+from .tables.preview import FolderRead as FolderRead
 from .tables.preview import Preview as Preview
 from .tables.preview import look as look
+from .tables.preview import read_folder as read_folder
 from .tables.raw import ReadingWarning as ReadingWarning
 from .tables.record_catalogue import Catalogue as Catalogue
 from .tables.record_catalogue import Record as Record

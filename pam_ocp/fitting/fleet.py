@@ -29,9 +29,9 @@ from ..core.stop import verb
 from ..core.units import significant
 from ..muscles.law import ForceLaw
 from .estimates import Estimates, Tabled
-from .mixed_effects import Scatter, between, effects, inverse, marginal, shrunken_variances, summed
+from .mixed_effects import Scatter, between, effects, marginal, shrunken_variances, summed
 from .static.static import cell_weights, fit_force, held_coefficients, law_class
-from .statistics import Array, Coefficient, Prediction, elementwise, student_t
+from .statistics import Array, Coefficient, Prediction, elementwise, inverse, student_t
 from .tables.force_table import joined_tables
 from .tables.record_catalogue import Catalogue, Record, require_catalogue
 

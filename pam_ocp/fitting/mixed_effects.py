@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .statistics import Array, student_t
+from .statistics import Array, inverse, student_t
 
-__all__ = ["Scatter", "between", "effects", "inverse", "marginal", "shrunken_variances", "summed"]
+__all__ = ["Scatter", "between", "effects", "marginal", "shrunken_variances", "summed"]
 
 STEPS = 400
 SETTLED = 1e-5
@@ -131,14 +131,6 @@ def effects(a: Array, x: Array, b: Array, means: Array) -> Array:
     """Of each unit, about the mean that holds for it: B (I + A B)^-1 (x - A mean)."""
     rest = x[:, :, None] - a @ means[:, :, None]
     return np.asarray((b @ np.linalg.inv(np.eye(len(b)) + a @ b) @ rest)[:, :, 0])
-
-
-def inverse(a: Array) -> Array:
-    """Inverses (n, k, k) of symmetric matrices >= 0; of what they determine, and no more."""
-    d = np.sqrt(np.maximum(np.diagonal(a, axis1=1, axis2=2), 0.0))
-    d = np.where(d > 0, d, 1.0)
-    both = d[:, :, None] * d[:, None, :]
-    return np.asarray(np.linalg.pinv(a / both, rcond=1e-13, hermitian=True) / both)
 
 
 def _variances(a: Array) -> Array:

@@ -33,11 +33,14 @@ __all__ = [
     "SolverStatistics",
     "coefficient_frame",
     "elementwise",
+    "even",
     "f_test",
     "forces",
     "forces_and_slopes",
     "in_blocks",
+    "inverse",
     "second_places",
+    "spanned",
     "student_t",
 ]
 
@@ -115,6 +118,33 @@ def in_blocks(
         for i, value in enumerate(function(p[None, part], kappa[None, part], *columns)):
             found[:, i] = value
         yield part, found
+
+
+def even(columns: Array) -> tuple[Array, Array]:
+    """Columns (n, k) of unit length, and the lengths (k,) that they had; 1 for columns of zeros."""
+    norms = np.linalg.norm(columns, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    return columns / norms, norms
+
+
+def spanned(columns: Array, tolerance: float = RANK_TOLERANCE) -> Array:
+    """Orthonormal columns that span the given ones (n, k), whatever lengths these have.
+
+    tolerance : singular values below this times the largest count as zero.
+    """
+    u, s, _ = np.linalg.svd(even(columns)[0], full_matrices=False)
+    return np.asarray(u[:, s > tolerance * s.max(initial=1e-300)])
+
+
+def inverse(squares: Array, tolerance: float = 1e-13) -> Array:
+    """Inverses of symmetric matrices >= 0 (..., k, k); of what they determine, and no more.
+
+    tolerance : eigenvalues below this times the largest count as zero (diagonals scaled to 1).
+    """
+    d = np.sqrt(np.maximum(np.diagonal(squares, axis1=-2, axis2=-1), 0.0))
+    d = np.where(d > 0, d, 1.0)
+    both = d[..., :, None] * d[..., None, :]
+    return np.asarray(np.linalg.pinv(squares / both, rcond=tolerance, hermitian=True) / both)
 
 
 def student_t(level: float, dof: int) -> float:
@@ -295,9 +325,8 @@ class Linearisation:
     @cached_property
     def decomposition(self) -> tuple[Array, Array, Array]:
         """Lengths of the columns; singular values and right vectors with columns of unit length."""
-        norms = np.linalg.norm(self.jacobian, axis=0)
-        norms = np.where(norms > 0, norms, 1.0)
-        scaled = np.linalg.qr(self.jacobian / norms, mode="r")  # all that its SVD is wanted for
+        columns, norms = even(self.jacobian)
+        scaled = np.linalg.qr(columns, mode="r")  # all that its SVD is wanted for
         if self.active is None or not len(self.active):
             _, s, vt = np.linalg.svd(scaled, full_matrices=False)
             return norms, s, vt

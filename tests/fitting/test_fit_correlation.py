@@ -58,13 +58,14 @@ def test_the_restricted_likelihood_is_that_of_error_contrasts() -> None:
     """Of K^T y with K^T X = 0, a normal density, its variance maximised (Patterson,
     Thompson 1971).
     """
-    from pam_ocp.fitting.static.correlation import RHO, _basis, _likelihood
+    from pam_ocp.fitting.static.correlation import RHO, _likelihood
+    from pam_ocp.fitting.statistics import spanned
 
     random = np.random.default_rng(1)
     x, y = random.standard_normal((15, 3)), random.standard_normal(15)
     y -= x @ np.linalg.lstsq(x, y, rcond=None)[0]
     order = Order("rows", np.arange(15), np.arange(15) % 5 > 0)
-    values, _ = _likelihood(_basis(x), y, order)
+    values, _ = _likelihood(spanned(x), y, order)
     contrasts = np.linalg.svd(x)[0][:, 3:]
     lag = np.abs(np.subtract.outer(np.arange(15), np.arange(15)))
     block = np.arange(15)[:, None] // 5 == np.arange(15) // 5

@@ -12,8 +12,7 @@ from pam_ocp.core.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fitting import ForceTable, fit_force, read_table
 from pam_ocp.fitting.static.campaign import fit_forces
 from pam_ocp.fitting.static.search import minimise
-from pam_ocp.fitting.static.shared import JointForceFit
-from pam_ocp.fitting.static.shared_problem import JointProblem
+from pam_ocp.fitting.static.shared import JointForceFit, JointProblem
 from pam_ocp.muscles.law import SixParameterLaw
 from pam_ocp.muscles.laws.empirical import LengthScaledLaw
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..static.correlation import neighbours
-from ..statistics import Array, f_test
+from ..statistics import Array, even, f_test, inverse
 from .evidence import Evidence, Motion, projected, roots, solved
 from .suspects import CAUSES, Suspect, sensor_suspects
 
@@ -389,9 +389,9 @@ class _Case:
         error, columns = projected(motions, np.ones(1), lambda m: m.values)
         found = solved(columns, error)
         left = error - columns @ found
-        rank = int(np.linalg.matrix_rank(_even(columns), tol=1e-6)) if columns.size else 0
+        rank = int(np.linalg.matrix_rank(even(columns)[0], tol=1e-6)) if columns.size else 0
         starts = sum(
-            int(np.linalg.matrix_rank(_even(m.start.reshape(-1, m.start.shape[2])), tol=1e-6))
+            int(np.linalg.matrix_rank(even(m.start.reshape(-1, m.start.shape[2]))[0], tol=1e-6))
             for m in motions
         )
         dof = error.size - rank - starts
@@ -417,11 +417,6 @@ class _Case:
             noise_of([r[:, i] * self.weights[i] for r in fit.residuals], lost=lost)
             for i in range(len(self.weights))
         ]
-
-
-def _even(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    return np.asarray(columns / np.where(size > 0, size, 1.0))
 
 
 def _whitened(m: Motion, columns: Array, weights: Array, noises: Sequence[Noise] | None) -> Motion:
@@ -595,15 +590,13 @@ def _covariance(case: _Case, noises: Sequence[Noise], weights: Array) -> Array:
         one = [Motion(m.error, m.start, m.values, m.suspects)]
         _, columns = projected(one, weights, lambda x: x.values)
         projections.append(columns.reshape(*m.error.shape, k))
-    every = np.concatenate([p.reshape(-1, k) for p in projections])
-    size = np.linalg.norm(every, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    inverse = np.linalg.pinv((every / size).T @ (every / size), rcond=1e-13, hermitian=True)
+    every, size = even(np.concatenate([p.reshape(-1, k) for p in projections]))
+    usual = inverse(every.T @ every)
     meat = np.zeros((k, k))
     for p in projections:
         for j, noise in enumerate(noises):
             meat += noise.meat(p[:, j] * weights[j] / case.weights[j] / size)
-    return np.asarray(inverse @ meat @ inverse / np.outer(size, size))
+    return np.asarray(usual @ meat @ usual / np.outer(size, size))
 
 
 def _subject(case: _Case, cause: _Cause) -> tuple[str, float, str]:

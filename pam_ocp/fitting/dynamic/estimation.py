@@ -14,16 +14,16 @@ from ...core.errors import FitError, InputError, require_count, require_positive
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
-from ..statistics import Array, Linearisation
+from ..statistics import Array, Linearisation, even
 from .experiment import Experiment, ParameterGroup, measured_names, prepare, recorded
-from .gauss_newton import GaussNewtonResult, Report, reduced_jacobian, solve
+from .gauss_newton import GaussNewtonResult, Report, solve
 from .plant_fit import PlantFit
 from .rig import Rig
 from .transcribe import (
     METHODS,
     FitMethod,
     FitProblem,
-    FitProgram,
+    Program,
     SimulatedProgram,
     sensed,
     transcribe,
@@ -145,9 +145,7 @@ class FitTask:
         spread = measured.std(axis=0) / self.problem.nominal
         return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
 
-    def program(
-        self, delay: float, bounds: tuple[float, float] | None = None
-    ) -> FitProgram | SimulatedProgram:
+    def program(self, delay: float, bounds: tuple[float, float] | None = None) -> Program:
         """The program at a delay, or with one that is free within bounds."""
         problem, u = self.problem, self.problem.unknowns
         if u.of("delays"):
@@ -187,7 +185,7 @@ class FitTask:
 
     def solved(
         self,
-        program: FitProgram | SimulatedProgram,
+        program: Program,
         weights: Array,
         guess: Array,
         stage: str,
@@ -207,7 +205,7 @@ class PlantEstimate:
     """A solution with the program and the weights that it belongs to."""
 
     solution: GaussNewtonResult
-    program: FitProgram | SimulatedProgram
+    program: Program
     sigma: Array
     delay: float
 
@@ -243,9 +241,9 @@ def estimate(task: FitTask, sigma: Array, start: float | None = None) -> PlantEs
 
 
 # ---- is there anything to learn ------------------------------------------------------------------
-def require_influence(task: FitTask, program: FitProgram | SimulatedProgram, sigma: Array) -> None:
+def require_influence(task: FitTask, program: Program, sigma: Array) -> None:
     """Refuse parameters that nothing measured depends on, and inputs that do not move."""
-    jacobian = reduced_jacobian(program, 1 / sigma, program.guess)
+    jacobian = program.jacobian(1 / sigma, program.guess)
     problem = task.problem
     names = [g.name for g in problem.unknowns.groups]
     lengths = np.linalg.norm(jacobian, axis=0)
@@ -262,7 +260,7 @@ def require_influence(task: FitTask, program: FitProgram | SimulatedProgram, sig
         )
     if not still or not names:
         return
-    _, s, vt = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+    _, s, vt = np.linalg.svd(even(jacobian)[0], full_matrices=False)
     lost = vt[s <= 1e-6 * s[0]]
     mixed = [n for j, n in enumerate(names) if lost.size and np.abs(lost[:, j]).max() > 1e-3]
     unknown = [n for n in names if n in blind or n in mixed]
@@ -288,7 +286,7 @@ def _around(task: FitTask, delay: float) -> tuple[float, float] | None:
 
 def _seek_delay(
     task: FitTask, sigma: Array, start: float | None
-) -> tuple[GaussNewtonResult, FitProgram | SimulatedProgram, float]:
+) -> tuple[GaussNewtonResult, Program, float]:
     """Solve at a few fixed delays, then let the best one move until it stays within an interval."""
     low, high = task.asked.delays
     if low == high:
@@ -397,7 +395,7 @@ def _linearised(
     """The unknowns with their statistics, and which of them ended at a bound."""
     solution, program, sigma = estimate.solution, estimate.program, estimate.sigma
     u = problem.unknowns
-    jacobian = reduced_jacobian(program, 1 / sigma, solution.w)
+    jacobian = program.jacobian(1 / sigma, solution.w)
     w, low, high = (a[: program.head] for a in (solution.w, program.low, program.high))
     tight = (w - low < 1e-6) | (high - w < 1e-6)
     tight[len(u.groups) : u.shared] = False

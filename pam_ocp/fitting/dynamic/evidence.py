@@ -17,7 +17,7 @@ import numpy as np
 from ...core.errors import FitError, PamError
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
-from ..statistics import Array
+from ..statistics import Array, spanned
 from .experiment import ParameterGroup, with_inputs
 from .rig import Rig, RunUnknowns, Unknown
 from .rollout import Rollout
@@ -237,12 +237,7 @@ def projected(
 
 def _basis(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
-    seen = size > UNSEEN * size.max(initial=0.0)
-    even = columns[:, seen] / size[seen]
-    if not even.size:
-        return np.zeros((len(columns), 0))
-    u, s, _ = np.linalg.svd(even, full_matrices=False)
-    return np.asarray(u[:, s > NEGLIGIBLE * s[0]])
+    return spanned(columns[:, size > UNSEEN * size.max(initial=0.0)], NEGLIGIBLE)
 
 
 def solved(matrix: Array, right: Array, damping: float = 0.0) -> Array:

@@ -23,11 +23,19 @@ from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .disturbances import Disturbances, disturbed
 from .experiment import decided, groups, measured_names, recorded
 from .free_run_result import FreeRunFit, fine_runs, fineness, ran, spread_of
 from .gauss_newton import GRACE, Descent, Progress, descend, from_fewer, reporter
-from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
+from .rig import (
+    Delay,
+    Disturbances,
+    Rig,
+    RunUnknowns,
+    disturbed,
+    given_starts,
+    known_rig,
+    unknowns_of,
+)
 from .rollout import Rollout, followed, require_followed
 from .runs import LEAST_STEPS, MOST_STEPS, FreeRun, Runs, hidden_states, runs_of, settled_starts
 

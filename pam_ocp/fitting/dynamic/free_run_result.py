@@ -28,7 +28,7 @@ from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..estimates import coefficient_line
-from ..statistics import Array, Coefficient
+from ..statistics import Array, Coefficient, inverse
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .coverage import FittedPlant
 from .evidence import evidence_of
@@ -87,9 +87,9 @@ def spread_of(
     samples *= len(runs.names)
     free = ~edge & (np.diag(square) > UNSEEN * np.diag(square).max(initial=0.0))
     covariance = np.full((len(z), len(z)), np.nan)
-    inverse, lost = _inverse(square[np.ix_(free, free)])
+    usual, lost = _inverse(square[np.ix_(free, free)])
     noise = cost / max(samples - free.sum(), 1.0)
-    inner, ratio = widened(inverse, scores[:, free], noise)
+    inner, ratio = widened(usual, scores[:, free], noise)
     covariance[np.ix_(free, free)] = inner * np.outer(u.scale[free], u.scale[free])
     errors_ = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     errors_[np.nonzero(free)[0][lost]] = np.inf
@@ -121,24 +121,24 @@ def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
     size = np.sqrt(np.diag(square))
     values, vectors = np.linalg.eigh(square / np.outer(size, size))
     seen = values > UNSEEN * values.max(initial=0.0)
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
-    return np.asarray(inverse), (np.abs(vectors[:, ~seen]) > 1e-3).any(axis=1)
+    found = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
+    return np.asarray(found), (np.abs(vectors[:, ~seen]) > 1e-3).any(axis=1)
 
 
-def widened(inverse: Array, scores: Array, noise: float) -> tuple[Array, float]:
+def widened(usual: Array, scores: Array, noise: float) -> tuple[Array, float]:
     """(covariance (k, k) of least squares with serially correlated errors, its mean widening, a
     variance ratio).
 
-    inverse : of the normal matrix J^T J. scores : J^T r of each block (blocks, k). noise : mean
-    square of the errors r. Where there are few
-    blocks to an unknown, only their mean widening counts, and no narrowing.
+    usual : inverse of the normal matrix J^T J. scores : J^T r of each block (blocks, k). noise :
+    mean square of the errors r. Where there are few blocks to an unknown, only their mean widening
+    counts, and no narrowing.
     """
-    blocks, k = len(scores), max(len(inverse), 1)
+    blocks, k = len(scores), max(len(usual), 1)
     meat = scores.T @ scores * blocks / max(blocks - 1, 1)
-    ratio = float(np.trace(meat @ inverse)) / k / max(noise, 1e-300)
+    ratio = float(np.trace(meat @ usual)) / k / max(noise, 1e-300)
     if blocks >= ENOUGH * k:
-        return np.asarray(inverse @ meat @ inverse), ratio
-    return np.asarray(inverse * noise * max(ratio, 1.0)), ratio
+        return np.asarray(usual @ meat @ usual), ratio
+    return np.asarray(usual * noise * max(ratio, 1.0)), ratio
 
 
 def _blocks(runs: Runs) -> NDArray[np.intp]:
@@ -207,9 +207,7 @@ def fineness(rollout: Rollout, z: Array, free: NDArray[np.bool_], stderr: Array)
 
 def shift(square: Array, right: Array) -> Array:
     """What a change of the residuals does to least squares: square = J^T J, right = J^T change."""
-    size = np.sqrt(np.maximum(np.diag(square), 1e-300))
-    inverse = np.linalg.pinv(square / np.outer(size, size), rcond=1e-13, hermitian=True)
-    return np.asarray(-(inverse @ (right / size)) / size)
+    return np.asarray(-inverse(square) @ right)
 
 
 def unmoved(shifts: Array, stderr: Array, z: Array) -> bool:

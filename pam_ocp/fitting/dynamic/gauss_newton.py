@@ -18,10 +18,10 @@ import casadi as ca
 import numpy as np
 
 from ...core.errors import FitError, InputError
-from ...core.stop import TimeIsUp, check, native, spared
+from ...core.stop import TimeIsUp, check, spared
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..statistics import Array
-from .transcribe import FitProgram, SimulatedProgram
+from .transcribe import FitProgram, Program
 
 __all__ = [
     "DONE",
@@ -34,7 +34,6 @@ __all__ = [
     "Report",
     "descend",
     "from_fewer",
-    "reduced_jacobian",
     "reporter",
     "solve",
 ]
@@ -222,6 +221,8 @@ CAREFUL = 1.0
 """Damping of the first step of a search through kinks, where long steps lead to other minima."""
 EXACT = 1e-9
 """Relative gain of a step below which a search without defects ends."""
+LOST = 1e6
+"""Stands for an error, in nominals, that is no number: a motion that diverged is a bad one."""
 DEFECT = 1e3
 """Weight of the largest defect (in nominals) against the cost, where iterates are compared."""
 
@@ -250,7 +251,7 @@ class GaussNewtonResult:
 
 
 def solve(
-    program: FitProgram | SimulatedProgram,
+    program: Program,
     weights: Array,
     guess: Array,
     iterations: int | None = None,
@@ -266,7 +267,7 @@ def solve(
     IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
     where that does not settle, with the exact Hessian.
     """
-    if isinstance(program, SimulatedProgram) or not program.defects.numel():
+    if not isinstance(program, FitProgram) or not program.defects.numel():
         return _descended(program, weights, guess, iterations or 300, report, stage)
     seen = _Seen(report, stage)
     first = _interior_point(program, weights, guess, False, iterations or 150, seen)
@@ -292,7 +293,7 @@ class _Seen:
         if self._report is not None:
             self._report(self._stage, self._count, value)
 
-    def kept(self, program: FitProgram | SimulatedProgram, weights: Array) -> GaussNewtonResult:
+    def kept(self, program: Program, weights: Array) -> GaussNewtonResult:
         """The best until a time limit; TimeIsUp where there is none."""
         if not self.w.size:
             raise TimeIsUp
@@ -350,38 +351,25 @@ def _ipopt(program: FitProgram, exact: bool, iterations: int) -> tuple[Any, list
 class _Squares:
     """The sum of squares of a program without defects, for :func:`descend`."""
 
-    def __init__(self, program: FitProgram | SimulatedProgram, weights: Array) -> None:
-        self._weights = weights
-        self._runs: SimulatedProgram | None = None
-        if isinstance(program, SimulatedProgram):
-            self._runs = program
-            return
-        w, given = program.w, program.weights
-        self._value = ca.Function("residuals", [w, given], [program.residuals])
-        self._slope = ca.Function("slope", [w, given], [program.slopes[0]])
+    def __init__(self, program: Program, weights: Array) -> None:
+        self._program, self._weights = program, weights
 
-    def residuals(self, z: Array) -> Array:
-        if self._runs is not None:
-            return (self._runs.residuals(z) * self._weights).ravel()
-        found = np.asarray(native(self._value, z, self._weights)).ravel()
-        return np.where(np.isfinite(found), found, 1e6)  # a motion that diverged is a bad one
+    def _errors(self, z: Array) -> Array:
+        found = self._program.errors(z)[0]
+        return np.where(np.isfinite(found), found, LOST)
 
     def cost(self, z: Array, /) -> float:
-        found = self.residuals(z)
-        return float(found @ found)
+        return float(np.sum((self._errors(z) * self._weights) ** 2))
 
     def normal(self, z: Array, /) -> tuple[float, Array, Array, int]:
-        r = self.residuals(z)
-        if self._runs is not None:
-            base = r.reshape(-1, len(self._weights)) / self._weights
-            slope = self._runs.jacobian(self._weights, z, base)
-        else:
-            slope = np.nan_to_num(np.asarray(native(self._slope, z, self._weights)))
+        errors = self._errors(z)
+        r = (errors * self._weights).ravel()
+        slope = np.nan_to_num(self._program.jacobian(self._weights, z, errors))
         return float(r @ r), slope.T @ r, slope.T @ slope, 0
 
 
 def _descended(
-    program: FitProgram | SimulatedProgram,
+    program: Program,
     weights: Array,
     guess: Array,
     evaluations: int,
@@ -410,59 +398,9 @@ def _descended(
 
 
 def _solution(
-    program: FitProgram | SimulatedProgram,
-    weights: Array,
-    found: Array,
-    status: str,
-    iterations: int,
+    program: Program, weights: Array, found: Array, status: str, iterations: int
 ) -> GaussNewtonResult:
     if not np.all(np.isfinite(found)):
         raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")
-    if isinstance(program, SimulatedProgram):
-        return GaussNewtonResult(found, program.residuals(found), status, iterations, np.empty(0))
-    function = ca.Function("residuals", [program.w, program.weights], [program.residuals])
-    value = np.asarray(function(found, weights)).ravel()
-    measured = value[: value.size - program.jumps].reshape(-1, weights.size)
-    jumps = value[value.size - program.jumps :]
-    return GaussNewtonResult(found, measured / weights, status, iterations, jumps)
-
-
-def reduced_jacobian(program: FitProgram | SimulatedProgram, weights: Array, w: Array) -> Array:
-    """d(weighted residuals)/d(head), the states following from the plant's equations.
-
-    Along solutions of defects(head, states) = 0: d(states) = -(d defects/d states)^-1 (d defects/
-    d head) d(head). The rest of the covariance is that of least squares in the head alone. Jumps of
-    disturbed states are unknown too: their columns are projected out of the head's.
-    """
-    if isinstance(program, SimulatedProgram):
-        return program.jacobian(weights, w)
-    from scipy.sparse import csc_matrix
-    from scipy.sparse.linalg import splu
-
-    r, g = (_sparse(csc_matrix, block) for block in native(program.derivatives, w, weights))
-    own = np.r_[: program.head, program.w.numel() - program.jumps : program.w.numel()]
-    inner = slice(program.head, program.w.numel() - program.jumps)
-    direct = np.asarray(r[:, own].todense())
-    if g.shape[0] == 0:
-        return direct
-    try:
-        states = splu(g[:, inner]).solve(np.asarray(g[:, own].todense()))
-    except RuntimeError:
-        raise FitError(
-            "the plant's equations do not determine its states along a record: one of them is "
-            "singular at the solution"
-        ) from None
-    every = np.asarray(direct - r[:, inner] @ states)
-    if not program.jumps:
-        return every
-    basis = np.linalg.qr(every[:, program.head :])[0]
-    rest = every[:, : program.head]
-    return np.asarray(rest - basis @ (basis.T @ rest))
-
-
-def _sparse(kind: Any, matrix: ca.DM) -> Any:
-    pattern = matrix.sparsity()
-    return kind(
-        (np.array(matrix.nonzeros()), np.array(pattern.row()), np.array(pattern.colind())),
-        shape=matrix.shape,
-    )
+    errors, jumps = program.errors(found)
+    return GaussNewtonResult(found, errors, status, iterations, jumps)

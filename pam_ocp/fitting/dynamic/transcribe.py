@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
 
-from ...core.errors import PamError
+from ...core.errors import FitError, PamError
 from ...core.signals import PiecewisePolynomial
+from ...core.stop import native
 from ...numerics.collocation import collocation_matrices, collocation_points, lagrange
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
@@ -35,6 +36,7 @@ __all__ = [
     "FitMethod",
     "FitProblem",
     "FitProgram",
+    "Program",
     "SimulatedProgram",
     "sensed",
     "transcribe",
@@ -74,6 +76,39 @@ class FitProblem:
         return np.array([self.plant.variable(n).nominal for n in self.measured])
 
 
+class Program(Protocol):
+    """Least squares in scaled unknowns w, of which the first ``head`` are those of the problem."""
+
+    @property
+    def head(self) -> int: ...
+
+    @property
+    def head_scale(self) -> Array: ...
+
+    @property
+    def guess(self) -> Array: ...
+
+    @property
+    def low(self) -> Array: ...
+
+    @property
+    def high(self) -> Array: ...
+
+    @property
+    def jumps(self) -> int: ...
+
+    def errors(self, w: Array, /) -> tuple[Array, Array]:
+        """Measured less modelled (K, ny), in nominals and without weights; and the jumps."""
+        ...
+
+    def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
+        """d(weighted residuals)/d(head), the states following from the plant's equations.
+
+        base : errors at w, where these are known.
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class FitProgram:
     """min |W residuals|^2 subject to ``defects`` = 0, in scaled unknowns w = (head, states, jumps).
@@ -107,6 +142,55 @@ class FitProgram:
     def derivatives(self) -> ca.Function:
         """(w, weights) -> :attr:`slopes`."""
         return ca.Function("derivatives", [self.w, self.weights], [*self.slopes])
+
+    @cached_property
+    def _values(self) -> ca.Function:
+        return ca.Function("residuals", [self.w, self.weights], [self.residuals])
+
+    def errors(self, w: Array) -> tuple[Array, Array]:
+        """See :class:`Program`."""
+        weights = np.ones(self.weights.numel())
+        value = np.asarray(native(self._values, w, weights)).ravel()
+        measured, jumps = np.split(value, [value.size - self.jumps])
+        return measured.reshape(-1, weights.size), jumps
+
+    def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
+        """See :class:`Program`: along solutions of defects(head, states) = 0,
+        d(states) = -(d defects/d states)^-1 (d defects/d head) d(head).
+
+        The rest of the covariance is that of least squares in the head alone. Jumps of disturbed
+        states are unknown too: their columns are projected out of the head's.
+        """
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        r, g = (_sparse(csc_matrix, block) for block in native(self.derivatives, w, weights))
+        inner = slice(self.head, w.size - self.jumps)
+        own = np.r_[: self.head, inner.stop : w.size]
+        direct = np.asarray(r[:, own].todense())
+        if g.shape[0] == 0:
+            return direct
+        try:
+            states = splu(g[:, inner]).solve(np.asarray(g[:, own].todense()))
+        except RuntimeError:
+            raise FitError(
+                "the plant's equations do not determine its states along a record: one of them is "
+                "singular at the solution"
+            ) from None
+        every = np.asarray(direct - r[:, inner] @ states)
+        if not self.jumps:
+            return every
+        basis = np.linalg.qr(every[:, self.head :])[0]
+        rest = every[:, : self.head]
+        return np.asarray(rest - basis @ (basis.T @ rest))
+
+
+def _sparse(kind: Any, matrix: ca.DM) -> Any:
+    pattern = matrix.sparsity()
+    return kind(
+        (np.array(matrix.nonzeros()), np.array(pattern.row()), np.array(pattern.colind())),
+        shape=matrix.shape,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,7 +502,7 @@ DIVERGED = 1e3
 
 
 class SimulatedProgram:
-    """What a search asks of a program, with nothing unknown but its head; see FitProgram."""
+    """By simulations, with nothing unknown but the head; see :class:`Program`."""
 
     jumps = 0
 
@@ -427,8 +511,8 @@ class SimulatedProgram:
         self.guess, self.low, self.high, self.head_scale = u.guess, u.low, u.high, u.scale
         self.head = self.guess.size
 
-    def residuals(self, w: Array) -> Array:
-        """Measured less simulated, (K, ny) in nominals."""
+    def errors(self, w: Array) -> tuple[Array, Array]:
+        """See :class:`Program`; there are no jumps."""
         problem = self._problem
         plant, u, names = problem.plant, problem.unknowns, problem.measured
         rig, late = u.rig(plant, names, Rig(), w), problem.delay(w)
@@ -440,12 +524,11 @@ class SimulatedProgram:
                 parts.append((e.measured - modelled) / problem.nominal)
             except PamError:
                 parts.append(np.full(e.measured.shape, DIVERGED))
-        return np.concatenate(parts)
+        return np.concatenate(parts), np.empty(0)
 
     def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """d(weighted residuals)/d(w), (K ny, head): central differences, one-sided at bounds.
-
-        base : residuals at w, from which differences to one side are enough for a search.
+        """See :class:`Program`: by central differences, one-sided at bounds, and from ``base``:
+        for a search these are enough.
         """
         columns = []
         for i in range(w.size):
@@ -456,7 +539,7 @@ class SimulatedProgram:
                 ends = np.sort(ends)
             moved = [np.where(np.arange(w.size) == i, end, w) for end in ends]
             below, above = (
-                self.residuals(z) if base is None or end != w[i] else base
+                self.errors(z)[0] if base is None or end != w[i] else base
                 for z, end in zip(moved, ends, strict=True)
             )
             width = ends[1] - ends[0]

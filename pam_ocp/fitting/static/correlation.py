@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statistics import Array, SerialErrors
+from ..statistics import Array, SerialErrors, inverse, spanned
 from ..tables.force_table import ForceTable
 
 __all__ = [
@@ -130,7 +130,7 @@ def serial_errors(
     (priors) may stand behind them in the Jacobian, whose errors follow nothing.
     """
     n = len(residuals)
-    basis = _basis(jacobian[:n])
+    basis = spanned(jacobian[:n])
     freedom = n - basis.shape[1]
     size = float(residuals @ residuals)
     if freedom < FEWEST or not np.isfinite(size) or size <= 0:
@@ -227,13 +227,6 @@ def _following(new: Array, rho: float, order: Order) -> Array:
     return result
 
 
-def _basis(jacobian: Array) -> Array:
-    """Orthonormal columns that span those of the Jacobian."""
-    norms = np.linalg.norm(jacobian, axis=0)
-    u, s, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * max(float(s[0]) if s.size else 0.0, 1e-300)])
-
-
 def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Array]:
     """Logarithm of the restricted likelihood, and the least squares of new errors,
     for each of RHO.
@@ -282,7 +275,5 @@ def _meats(jacobian: Array, order: Order, rho: Array) -> Array:
 
 
 def _relative(parts: Array, whole: Array) -> Array:
-    """trace(whole^-1 part)/k of each part, columns scaled."""
-    d = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    inverse = np.linalg.pinv(whole / np.outer(d, d), rcond=1e-10, hermitian=True)
-    return np.asarray(np.einsum("ij,gji->g", inverse, parts / np.outer(d, d)) / max(len(d), 1))
+    """trace(whole^-1 part)/k of each part."""
+    return np.asarray(np.einsum("ij,gji->g", inverse(whole, 1e-10), parts) / max(len(whole), 1))

@@ -24,7 +24,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, require_plant
 from ...plants.plant_data import carried
 from ..estimates import Estimates, at_edge, correlation_lines
-from ..statistics import Array, Coefficient, Linearisation
+from ..statistics import Array, Coefficient, Linearisation, even, spanned
 from ..tables.cells import named_branch
 from ..tables.records import read_record
 from ..tables.sources import load
@@ -80,9 +80,7 @@ class HoldsFit(Estimates):
     @cached_property
     def leverage(self) -> Array:
         """Part of each hold (n,), 0 to 1, in its own prediction: near 1, it decides alone."""
-        linear = self.linearisation
-        norms = np.linalg.norm(linear.jacobian, axis=0)
-        basis = np.linalg.qr(linear.jacobian / np.where(norms > 0, norms, 1.0))[0]
+        basis = spanned(self.linearisation.jacobian)
         rows = np.sum(basis**2, axis=1).reshape(self.n, -1)
         return np.asarray(np.max(rows, axis=1))
 
@@ -116,11 +114,9 @@ class HoldsFit(Estimates):
         linear = self.linearisation
         kept = np.ones(self.n, dtype=bool)
         kept[self._alone] = False
-        rows = linear.jacobian.reshape(self.n, -1, len(linear.names))
-        size = np.linalg.norm(linear.jacobian, axis=0)
-        size = np.where(size > 0, size, 1.0)
-        wide = _variances(rows[kept].reshape(-1, len(linear.names)) / size)
-        usual = _variances(linear.jacobian / size)
+        columns, _ = even(linear.jacobian)
+        rows = columns.reshape(self.n, -1, len(linear.names))
+        wide, usual = _variances(rows[kept].reshape(-1, len(linear.names))), _variances(columns)
         factor = np.sqrt(wide / usual)
         return {n: float(f) for n, f in zip(linear.names, factor, strict=True) if not f <= HANGING}
 

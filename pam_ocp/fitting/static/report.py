@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.units import significant
 from ..estimates import at_edge, correlation_lines, following
+from ..statistics import spanned
 from .branches import branch_lines
 from .correlation import FEWEST
 from .optimum import Optimum
@@ -126,9 +127,7 @@ def floor_doubts(fit: Optimum) -> list[str]:
 def _carried(fit: Optimum, floor: float) -> str:
     """Whether a constant force beside the law, in taut cells, is the floor (Wald test)."""
     w, rest = fit.root_weights, fit._influential
-    jacobian = w[:, None] * fit.jacobian
-    norms = np.linalg.norm(jacobian, axis=0)
-    basis = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)[0]
+    basis = spanned(w[:, None] * fit.jacobian)
     alone = w - basis @ (basis.T @ w)
     size = float(np.linalg.norm(alone))
     remedy = "floor='zero' (of read_table, or table.with_floor('zero')) takes it off"
