@@ -386,12 +386,12 @@ class Search:
         opened = ValveOpenings.of(self.problem.plant, self.statement, costly and self._of_air)
         if opened is None:
             return None
-        s, why = self.settings, "in place of commands, which have dead zones"
+        s, reason = self.settings, "in place of commands, which have dead zones"
         part = replace(s, all_work=SHARE * s.all_work, most_work=SHARE * s.most_work)
         engine = self.engine.of(opened.problem, settings=part)
         inner = Search(engine, self.statement, self.starts if costly else 1, self.tolerance)
         c = None
-        with stage("valve openings", why), limited(part.most_work), suppress(WorkIsSpent):
+        with stage("valve openings", reason), limited(part.most_work), suppress(WorkIsSpent):
             if costly:
                 c = inner.best().best
             else:
