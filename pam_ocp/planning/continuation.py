@@ -131,8 +131,6 @@ class Continuation:
         """
         on_path = c.place < 1.0 and not self.meshes.is_coarse(c.mesh)
         starts: tuple[Start, ...] = ("restored", "near") if on_path else ("near",)
-        if c.place == 1.0 and not (self.meshes.economical or self.meshes.is_coarse(c.mesh)):
-            starts = ("finer", "near")  # what is missed is the tolerance: costs may all but stay
         failed = []
         for mesh, why in meshes:
             for start in starts:
