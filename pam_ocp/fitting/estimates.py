@@ -76,6 +76,17 @@ class Tabled:
         ends = ((c, self._half(c, level)) for c in map(self._entry, self._free))
         return {c.name: (c.value - half, c.value + half) for c, half in ends}
 
+    def _row(self) -> dict[str, float]:
+        """Value, standard error and ends of the interval (95 %) of each estimate, for a table of
+        many fits: ``a3``, ``a3_stderr``, ``a3_low``, ``a3_high``; SI.
+        """
+        ends = self.intervals()
+        found: dict[str, float] = {}
+        for n, c in self.coefficients.items():
+            low, high = ends.get(n, (c.value, c.value))
+            found |= {n: c.value, f"{n}_stderr": c.stderr, f"{n}_low": low, f"{n}_high": high}
+        return found
+
     def to_pandas(self) -> pd.DataFrame:
         """The estimates as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
         return coefficient_frame(self.coefficients, self.intervals())

@@ -205,14 +205,7 @@ class FleetFit:
 
     def table(self) -> list[dict[str, Any]]:
         """A row for each muscle: coefficients with standard errors and intervals (95 %); SI."""
-        rows = []
-        for one in self:
-            row: dict[str, Any] = {"kind": one.kind, "muscle": one.name, "records": one.records}
-            for n, (low, high) in one.intervals().items():
-                c = one.coefficients[n]
-                row |= {n: c.value, f"{n}_stderr": c.stderr, f"{n}_low": low, f"{n}_high": high}
-            rows.append(row)
-        return rows
+        return [{"kind": m.kind, "muscle": m.name, "records": m.records, **m._row()} for m in self]
 
     def report(self, level: float = 0.95) -> str:
         """Of each kind: what muscles share, and by how much they and their records differ."""

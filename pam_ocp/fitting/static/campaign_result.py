@@ -115,28 +115,19 @@ class Campaign:
         """A row for each muscle and each of its branches: sizes, cells, RMSE [N], coefficients with
         standard errors and 95 % intervals [SI]. ``pandas.DataFrame(...)`` takes it.
         """
-        rows = []
-        for study in self.muscles.values():
-            for branch, fit in (("all", study.fit), *study.branches.items()):
-                row: dict[str, Any] = {
-                    "muscle": study.name,
-                    "diameter_m": study.diameter,
-                    "rest_length_m": study.rest_length,
-                    "branch": branch,
-                    "cells": fit.n,
-                    "rmse_N": fit.rmse,
-                }
-                intervals = fit.intervals()
-                for name, c in fit.coefficients.items():
-                    low, high = intervals.get(name, (c.value, c.value))
-                    row |= {
-                        name: c.value,
-                        f"{name}_stderr": c.stderr,
-                        f"{name}_low": low,
-                        f"{name}_high": high,
-                    }
-                rows.append(row)
-        return rows
+        return [
+            {
+                "muscle": study.name,
+                "diameter_m": study.diameter,
+                "rest_length_m": study.rest_length,
+                "branch": branch,
+                "cells": fit.n,
+                "rmse_N": fit.rmse,
+                **fit._row(),
+            }
+            for study in self.muscles.values()
+            for branch, fit in (("all", study.fit), *study.branches.items())
+        ]
 
     def plot_data(self) -> dict[str, dict[str, Array]]:
         """{muscle: {pressure, contraction, measured, fitted, residual, branch, run}} [SI] at the
