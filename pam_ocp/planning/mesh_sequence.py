@@ -170,10 +170,10 @@ class MeshSequence:
         """The error of the objective by its last change, which is e (1 - r) / r where r = e / e of
         the mesh before. With held inputs r is the ratio of the intervals (first order, as at
         switches), or its square (second, along smooth arcs): a change that is less than that lets
-        expect is luck.
+        expect is luck. Of what a mesh costs that does not resolve the dynamics nothing follows.
         """
         change = self.change(c)
-        if c.coarser is None or np.isnan(change):
+        if c.coarser is None or np.isnan(change) or sum(c.coarser.errors) > self.settings.resolved:
             return float("nan")
         ratio = min(len(c.coarser.mesh.intervals) / len(c.mesh.intervals), RATIO)
         row = change * ratio / (1 - ratio)

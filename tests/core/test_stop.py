@@ -19,7 +19,7 @@ import pam_ocp as pam
 from pam_ocp.core.errors import OutOfTime
 from pam_ocp.core.lazy import lazily
 from pam_ocp.core.stop import TimeIsUp, check, deadline, limited, native, spared, verb
-from pam_ocp.fitting.static import bootstrap as bootstrap_module
+from pam_ocp.fitting.static import force_fit
 from pam_ocp.numerics.continuation import Walk
 from pam_ocp.operating.rest_search import Search
 from pam_ocp.planning import Collocation
@@ -250,7 +250,7 @@ def test_a_limit_that_is_not_reached_changes_nothing():
 
 def test_a_bootstrap_keeps_the_samples_that_it_has(monkeypatch):
     table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
-    own, drawn = bootstrap_module._resampled, []
+    own, drawn = force_fit._resampled, []
 
     def resampled(*args):
         drawn.append(1)
@@ -258,7 +258,7 @@ def test_a_bootstrap_keeps_the_samples_that_it_has(monkeypatch):
             deadline().end = time.monotonic()
         return own(*args)
 
-    monkeypatch.setattr(bootstrap_module, "_resampled", resampled)
+    monkeypatch.setattr(force_fit, "_resampled", resampled)
     whole = pam.fit_force(table)
     found = whole.bootstrap(10**7, executor=0, time_limit=1000.0)
     assert 2 <= len(found.samples) < 10
