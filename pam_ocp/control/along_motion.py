@@ -99,8 +99,6 @@ class TrajectoryFeedback(ByBlock):
         self._states = [v.name for v in self.plant.states]
         self._x = self._inversion.inside(self.motion.array(self._states))
         self._y = self.motion.array(self.integrated)
-        chosen = [inner.variable(n) for n in self.inputs]
-        self._low, self._high = (np.array([getattr(v, a) for v in chosen]) for a in ("min", "max"))
 
     @property
     def inversion(self) -> Inversion:
@@ -413,8 +411,8 @@ def _enter_law(draft: Draft, c: TrajectoryFeedback, row: Symbol) -> None:
     ends = np.cumsum([0, nu, nx, ni, nu * nx, nu * ni]).tolist()
     u0, x0, y0, k, ki = ca.vertsplit(row, ends)
     gains, goals = (ca.reshape(k, nu, nx), ca.reshape(ki, nu, ni)), [y0[i] for i in range(ni)]
-    tracked, limits = (integrated, goals), (c._low, c._high)
-    feedback_law(draft, inversion, plant.states, chosen, gains, (x0, u0), tracked, limits)
+    tracked = integrated, goals
+    feedback_law(draft, inversion, plant.states, chosen, gains, (x0, u0), tracked)
 
 
 @BLOCKS.register("OpenLoop")

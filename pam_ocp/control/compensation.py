@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -18,8 +18,7 @@ from ..plants.inversion import Inversion
 from ..plants.plant import Plant
 from .blocks.draft import Draft, Symbol, clipped
 from .blocks.kinds import BLOCKS, law_of
-from .blocks.running import ByBlock, Running
-from .controller import Measured
+from .blocks.running import Running, SampledLaw
 from .inverse import (
     InverseDynamics,
     at_an_end,
@@ -35,9 +34,6 @@ from .references import Source, source
 __all__ = ["HysteresisCompensation"]
 
 Array: TypeAlias = NDArray[np.float64]
-Rates: TypeAlias = (
-    "Callable[[Mapping[str, float], Mapping[str, float], Measured], dict[str, float]]"
-)
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 BISECTIONS = 60
@@ -130,7 +126,7 @@ class HysteresisCompensation:
         return _Tracking(self, reference, preview)
 
 
-class _Tracking(ByBlock):
+class _Tracking(SampledLaw):
     """One run of a HysteresisCompensation."""
 
     def __init__(
@@ -147,24 +143,24 @@ class _Tracking(ByBlock):
 
     @turns
     def _running(self) -> Running:
+        return Running(law_of(self.owner), self._needed())
+
+    def _needed(self) -> set[str]:
         inverse = self.owner.inverse
-        pressures = (f"{m}.pressure" for m in inverse.muscles)
-        return Running(law_of(self.owner), {inverse.position, *pressures})
+        return {inverse.position, *(f"{m}.pressure" for m in inverse.muscles)}
 
     def wanted(self, t: float) -> dict[str, float]:
         """What is to be reached at a time [s]."""
         return {n: at(t) for n, at in self._raw.items()}
 
-    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
-        """See :class:`Controller`."""
-        law = self._law
-        law.measure(measured)
+    def _references(self, t: float) -> dict[str, float]:
+        references: dict[str, float] = {}
         for first, time in (("wanted", t), ("ahead", t + self.sample_time)):
             values = [*self._path(time)]
             if self._stiffness is not None:
                 values.append(self._stiffness(time))
-            law.tell({f"{first}.{n}": v for n, v in zip(self._names, values, strict=False)})
-        return law.commands()
+            references |= {f"{first}.{n}": v for n, v in zip(self._names, values, strict=False)}
+        return references
 
 
 class Rounded:

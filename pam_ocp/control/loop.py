@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -21,6 +21,7 @@ from ..core.errors import (
     require_positive,
     require_tolerance,
 )
+from ..core.files import read_npz, reading, require_format, write_npz
 from ..core.plausible import outside
 from ..core.shown import shown
 from ..core.stop import verb
@@ -31,17 +32,12 @@ from ..plants.plant import Given, Plant, Values
 from ..plants.plant_data import SYSTEM, carried, plant_of_data
 from ..simulation.instruments import Instrument
 from .controller import Controller, Estimate, Measured, Observer, Tracking
-from .mpc_statistics import MpcStatistics
+from .mpc_statistics import MpcStatistics, MpcStep
 from .references import Source, source
 from .sides import Actuators, HasSide, PlantSide, Sensors, Side, side_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-from dataclasses import asdict
-
-from ..core.files import read_npz, reading, require_format, write_npz
-from .mpc_statistics import MpcStep
 
 __all__ = ["ClosedLoop", "Controller", "Measured", "closed_loop"]
 
@@ -54,6 +50,9 @@ MOST_SAMPLES = 100_000_000
 """Of a run; a duration of more is a slip."""
 LOOKS = 10
 """Samples, evenly spread, whose prediction is compared with a finer integration."""
+FORMAT = "pam_ocp closed loop 1"
+PARTS = ("seen", "reference", "estimate")
+"""Trajectories in the file of a loop, besides its motion."""
 
 
 @shown
@@ -122,16 +121,48 @@ class ClosedLoop:
         """
         if Path(path).suffix.lower() != ".npz":
             return self.trajectory.save(path)
-        parts = {"seen": self.seen, "reference": self.reference, "estimate": self.estimate}
-        facts: dict[str, Any] = {"prediction_error": self.prediction_error}
-        facts |= {"verdict": self.verdict, "plant": self.plant}
-        facts |= {"delay": self.delay, "designed_delay": self.designed_delay}
-        return write_loop(path, self.trajectory, parts, self.statistics, facts)
+        content, arrays = self.trajectory._packed()  # so that it is a file of the motion, too
+        content |= {"format": FORMAT, "prediction_error": self.prediction_error, "parts": {}}
+        content |= carried(self.plant)
+        content["verdict"] = asdict(self.verdict)
+        content["late"] = [self.delay, self.designed_delay]
+        steps = None if self.statistics is None else [asdict(s) for s in self.statistics.steps]
+        content["steps"] = steps
+        for name in PARTS:
+            part: Trajectory | None = getattr(self, name)
+            if part is not None:
+                content["parts"][name], columns = part._packed()
+                arrays |= {f"{name}_{key}": array for key, array in columns.items()}
+        return write_npz(path, content, arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ClosedLoop:
         """Read what :meth:`save` wrote to ``.npz``. Raises InputError for any other file."""
-        return cls(**read_loop(path))
+        kind = "a closed loop"
+        content, arrays = read_npz(path, kind)
+        require_format(path, content, kind, FORMAT, "ClosedLoop.save() writes one")
+        with reading(path, kind, "give one that ClosedLoop.save() wrote"):
+            parts: dict[str, Any] = dict.fromkeys(PARTS)
+            for name, part in content["parts"].items():
+                data = arrays[f"{name}_t"], arrays[f"{name}_data"]
+                parts[name] = Trajectory._from_meta(part, *data)
+            steps = content["steps"]
+            delay, designed = content.get("late", (0, 0))
+            # files of 0.2 and before have no verdict
+            verdict: dict[str, Any] = {
+                n: tuple(v) if isinstance(v, list) else v
+                for n, v in content.get("verdict", {}).items()
+            }
+            return cls(
+                Trajectory._from_meta(content, arrays["t"], arrays["data"]),
+                **parts,
+                statistics=steps and MpcStatistics(tuple(MpcStep(**s) for s in steps)),
+                prediction_error=content["prediction_error"],
+                verdict=LoopVerdict(**verdict),
+                plant=plant_of_data(content[SYSTEM]) if SYSTEM in content else None,
+                delay=delay,
+                designed_delay=designed,
+            )
 
     def __str__(self) -> str:
         said = [f"closed loop over {self.trajectory.duration:g} s, {self.verdict}"]
@@ -475,52 +506,3 @@ def _seen(t: Array, rows: list[dict[str, float]], known: Mapping[str, Variable])
     variables = [known.get(n) or Variable(_plain(n), "output") for n in rows[0]]
     columns = {_plain(n): column for n, column in _columns(rows).items()}
     return Trajectory(t, columns, variables, "previous")
-
-
-# ---- in files: .npz, which are files of their motion too ---------------------------------------
-FORMAT = "pam_ocp closed loop 1"
-PARTS = ("seen", "reference", "estimate")
-
-
-def write_loop(
-    path: str | os.PathLike[str],
-    motion: Trajectory,
-    parts: dict[str, Trajectory | None],
-    statistics: MpcStatistics | None,
-    facts: dict[str, Any],
-) -> Path:
-    """Write a loop: :meth:`Trajectory.load` reads its motion, :func:`read_loop` all of it."""
-    content, arrays = motion._packed()
-    content |= {"format": FORMAT, "prediction_error": facts["prediction_error"], "parts": {}}
-    content |= carried(facts["plant"])
-    content["verdict"] = asdict(facts["verdict"])
-    content["late"] = [facts["delay"], facts["designed_delay"]]
-    content["steps"] = None if statistics is None else [asdict(s) for s in statistics.steps]
-    for name, part in parts.items():
-        if part is not None:
-            content["parts"][name], own = part._packed()
-            arrays |= {f"{name}_{key}": array for key, array in own.items()}
-    return write_npz(path, content, arrays)
-
-
-def read_loop(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The arguments of the ClosedLoop that was written. Raises InputError for any other file."""
-    kind = "a closed loop"
-    content, arrays = read_npz(path, kind)
-    require_format(path, content, kind, FORMAT, "ClosedLoop.save() writes one")
-    with reading(path, kind, "give one that ClosedLoop.save() wrote"):
-        found: dict[str, Any] = dict.fromkeys(PARTS)
-        found["trajectory"] = Trajectory._from_meta(content, arrays["t"], arrays["data"])
-        for name, part in content["parts"].items():
-            data = arrays[f"{name}_t"], arrays[f"{name}_data"]
-            found[name] = Trajectory._from_meta(part, *data)
-        steps = content["steps"]
-        found["statistics"] = steps and MpcStatistics(tuple(MpcStep(**s) for s in steps))
-        found["prediction_error"] = content["prediction_error"]
-        if "verdict" in content:  # files of 0.2 and before have none
-            told = content["verdict"]
-            lists = {n: tuple(v) for n, v in told.items() if isinstance(v, list)}
-            found["verdict"] = LoopVerdict(**{**told, **lists})
-        found["delay"], found["designed_delay"] = content.get("late", (0, 0))
-        found["plant"] = plant_of_data(content[SYSTEM]) if SYSTEM in content else None
-    return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TypeAlias
 
 import casadi as ca
@@ -18,7 +17,7 @@ from ..operating.linear import chosen_signals, linearize
 from .blocks.chain import chain
 from .blocks.draft import Draft, clipped
 from .blocks.kinds import BLOCKS
-from .blocks.running import Running
+from .blocks.running import ByBlock, Running
 from .controller import Measured
 from .estimators.stationary import StationaryFilter, stationary_filter
 from .state_feedback import StateFeedback
@@ -29,7 +28,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass
-class OffsetFree:
+class OffsetFree(ByBlock):
     """u = u0 + u_d - K (estimate - x0 - x_d): a Controller for :func:`closed_loop`.
 
     feedback : from ``lqr`` without integrals. filter : from ``kalman(..., disturbances=...)``.
@@ -71,9 +70,6 @@ class OffsetFree:
             for names in (self.feedback.inputs, self.filter.disturbances)
         )
         self._to_goal, self._to_disturbance = self._rest(unknown)
-        self._low, self._high = (
-            plant.vector("input", attribute=end)[self._chosen] for end in ("min", "max")
-        )
 
     def _check(self) -> None:
         require_instance("OffsetFree: feedback", self.feedback, StateFeedback, "give that of lqr()")
@@ -144,10 +140,6 @@ class OffsetFree:
         filter.predict(sent)
         return sent
 
-    @cached_property
-    def _law(self) -> Running:
-        return self._running()
-
     @turns
     def _running(self) -> Running:
         return Running(_feedback(self))
@@ -179,5 +171,6 @@ def _feedback(controller: OffsetFree) -> Block:
     x_rest, u_rest = ca.vertsplit(rest, [0, len(plant.states), rest.numel()])
     u = ca.DM(point.u[controller._chosen]) + u_rest
     u = u - ca.mtimes(k, estimate - ca.DM(point.x) - x_rest)
-    draft.send(feedback.inversion, chosen, clipped(u, controller._low, controller._high))
+    sent = clipped(u, [v.min for v in chosen], [v.max for v in chosen])
+    draft.send(feedback.inversion, chosen, sent)
     return draft.block()

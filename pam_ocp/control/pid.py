@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -18,8 +17,8 @@ from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
 from .blocks.draft import Draft, Symbol, as_output, compensated
-from .blocks.kinds import BLOCKS, law_of
-from .blocks.running import ByBlock, Running
+from .blocks.kinds import BLOCKS
+from .blocks.running import ByBlock, Running, SampledLaw
 from .controller import Measured
 from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
 from .references import Reference
@@ -32,7 +31,7 @@ Values: TypeAlias = Mapping[str, Any]
 
 
 @dataclass
-class PID:
+class PID(ByBlock):
     """u = kp e + ki integral(e) + kd d(e)/dt, the derivative filtered by ``filter_time`` [s].
 
     Sampled by backward differences. The integral is frozen while the caller says that the output
@@ -67,20 +66,12 @@ class PID:
         z = require_positive("damping", damping)
         return cls((1 + 2 * z) * w**2, w**3, (1 + 2 * z) * w, filter_time)
 
-    def reset(self) -> None:
-        """Forget the past."""
-        self._law.reset()
-
     def __call__(self, error: float, sample_time: float, saturated: bool = False) -> float:
         """The output for an error, ``sample_time`` seconds after the call before."""
         law = self._law
         law.parameters[:] = self.kp, self.ki, self.kd, self.filter_time
         law.tell({"error": error, "sample_time": sample_time, "saturated": saturated})
         return float(law.step()[0])
-
-    @cached_property
-    def _law(self) -> Running:
-        return self._running()
 
     @turns
     def _running(self) -> Running:
@@ -175,7 +166,7 @@ class PressureLoop:
         return self.inversion.commands(inputs, measured=measured)
 
 
-class PositionController(ByBlock):
+class PositionController(SampledLaw):
     """Position loop: PID plus feed-forward by the exact inverse of the plant's equations.
 
     The PID gives an acceleration, to which the reference's is added; the inverse at the reference
@@ -223,10 +214,8 @@ class PositionController(ByBlock):
         at = self.inverse.position, self.inverse.velocity, "acceleration"
         self._names = [f"wanted.{n}" for n in at]
 
-    @turns
-    def _running(self) -> Running:
-        pressures = (f"{m}.pressure" for m in self.inverse.muscles)
-        return Running(law_of(self), {self.inverse.position, *pressures})
+    def _needed(self) -> set[str]:
+        return {self.inverse.position, *(f"{m}.pressure" for m in self.inverse.muscles)}
 
     def wanted(self, t: float) -> dict[str, float]:
         """The position to be reached at a time [s]."""
@@ -238,14 +227,11 @@ class PositionController(ByBlock):
         stiffness = self.stiffness(t) if callable(self.stiffness) else self.stiffness
         return self.inverse(at[0], at[1], at[2] + acceleration, stiffness)
 
-    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
-        """See :class:`Controller`."""
-        law = self._law
-        law.measure(measured)
-        law.tell(dict(zip(self._names, self.reference(t), strict=False)))
+    def _references(self, t: float) -> dict[str, float]:
+        references = dict(zip(self._names, self.reference(t), strict=False))
         if callable(self.stiffness):
-            law.tell({"wanted.stiffness": self.stiffness(t)})
-        return law.commands()
+            references["wanted.stiffness"] = self.stiffness(t)
+        return references
 
 
 # ---- as blocks ----------------------------------------------------------------------------------

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError, kind_of, require_finite, require_positive
-from ..core.stop import turns
 from ..operating.linear import OperatingPoint, inside, linearize, no_influence
 from ..plants.plant import Plant, Values, require_plant
 from .blocks.draft import Draft, clipped
-from .blocks.kinds import BLOCKS, law_of
-from .blocks.running import ByBlock, Running
-from .controller import Measured
+from .blocks.kinds import BLOCKS
+from .blocks.running import SampledLaw
 from .kinds import CONTROLLERS
 from .pid import PID, pid_law, saturating
 from .references import Source
@@ -35,7 +33,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 @CONTROLLERS.register("pid", units={"filter_time": "s", "sample_time": "s"})
 @dataclass
-class PointPid(ByBlock):
+class PointPid(SampledLaw):
     """u = u0 + weight (P e + I + D), e = wanted - position: a Controller for :func:`closed_loop`.
 
     plant : the model. at : the equilibrium (an OperatingPoint, or conditions of one), at whose
@@ -155,16 +153,8 @@ class PointPid(ByBlock):
                 raise InputError(f"reference: {name} is not followed, only {self.position}")
         return replace(self, at=self.point, plant=self.plant, goal=reference.get(self.position))
 
-    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
-        """See :class:`Controller`."""
-        law = self._law
-        law.measure(measured)
-        law.tell({f"wanted.{n}": value for n, value in self.wanted(t).items()})
-        return law.commands()
-
-    @turns
-    def _running(self) -> Running:
-        return Running(law_of(self), {self.position})
+    def _needed(self) -> set[str]:
+        return {self.position}
 
 
 # ---- as a block ---------------------------------------------------------------------------------
@@ -185,7 +175,7 @@ def point_pid(controller: PointPid, name: str = "pid") -> Block:
     ]
     position = controller.plant.variable(controller.position)
     wanted = draft.wanted(position, controller.wanted(0.0)[position.name])
-    u0 = at_rest(draft, "u0", chosen, np.array([point[v.name] for v in chosen]))
+    u0 = at_rest(draft, "u0", chosen, [point[v.name] for v in chosen])
     w = ca.vertcat(
         *(
             draft.parameter(

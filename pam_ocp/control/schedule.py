@@ -18,8 +18,7 @@ from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .blocks.draft import Draft, Symbol, about
 from .blocks.kinds import BLOCKS
-from .blocks.running import ByBlock
-from .controller import Measured
+from .blocks.running import SampledLaw
 from .linear_quadratic import lqr
 from .state_feedback import feedback_law
 
@@ -29,7 +28,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass
-class ScheduledFeedback(ByBlock):
+class ScheduledFeedback(SampledLaw):
     """u = u0(s) - K(s) (x - x0(s)) - Ki(s) integral(y - y(s)): a Controller, s the place in the
     grid.
 
@@ -47,12 +46,8 @@ class ScheduledFeedback(ByBlock):
     inversion: Inversion | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        plant = self.family.plant
-        names = [v.name for v in plant.inputs]
+        names = [v.name for v in self.family.plant.inputs]
         self._columns = [names.index(n) for n in self.family.inputs]
-        self._low, self._high = (
-            plant.vector("input", attribute=a)[self._columns] for a in ("min", "max")
-        )
         self._goals = np.array(
             [[p[n] for n in self.integrated] for p in self.family.points.ravel()]
         ).reshape(*self.family.points.shape, len(self.integrated))
@@ -71,12 +66,8 @@ class ScheduledFeedback(ByBlock):
         positions = {p.name for p in self.family.plant.resting()}
         return {n: v for n, v in self.where(t).items() if n in positions}
 
-    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
-        """See :class:`Controller`."""
-        law = self._law
-        law.measure(measured)
-        law.tell({f"place.{n}": value for n, value in self.where(t).items()})
-        return law.commands()
+    def _references(self, t: float) -> dict[str, float]:
+        return {f"place.{n}": value for n, value in self.where(t).items()}
 
 
 @verb
@@ -161,16 +152,8 @@ def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -
     k = ca.reshape(table("gains", np.swapaxes(c.K, -1, -2)), nu, nx)
     ki = ca.reshape(table("integral_gains", np.swapaxes(c.Ki, -1, -2)), nu, ni)
     goals = ca.vertsplit(table("goals", c._goals)) if integrated else []
-    feedback_law(
-        draft,
-        c.inversion,
-        plant.states,
-        chosen,
-        (k, ki),
-        (x0, u0),
-        (integrated, goals),
-        (c._low, c._high),
-    )
+    tracked = integrated, goals
+    feedback_law(draft, c.inversion, plant.states, chosen, (k, ki), (x0, u0), tracked)
     return draft.block()
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError
@@ -17,7 +17,7 @@ from ..operating.resting_point import OperatingPoint
 from ..plants.inversion import Inversion
 from .blocks.draft import Draft, Symbol, about, compensated, least_norm, opened_by
 from .blocks.kinds import BLOCKS
-from .blocks.running import ByBlock
+from .blocks.running import SampledLaw
 from .controller import Measured
 from .references import Source
 
@@ -31,7 +31,7 @@ Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, floa
 
 
 @dataclass
-class StateFeedback(ByBlock):
+class StateFeedback(SampledLaw):
     """u = u0 - K (x - x0) - Ki integral(y - wanted): a Controller for :func:`closed_loop`.
 
     K : (inputs, states), Ki : (inputs, integrated outputs), SI units. ``closed`` : python-control's
@@ -51,12 +51,6 @@ class StateFeedback(ByBlock):
     inversion: Inversion | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        plant = self.point.plant
-        names = [v.name for v in plant.inputs]
-        self._columns = [names.index(n) for n in self.inputs]
-        self._low, self._high = (
-            plant.vector("input", attribute=a)[self._columns] for a in ("min", "max")
-        )
         self._at_point = {n: self.point[n] for n in self.integrated}
         if isinstance(self.setpoint, Mapping):
             self._check_setpoint(self.setpoint)
@@ -100,14 +94,9 @@ class StateFeedback(ByBlock):
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        law = self._law
-        gains = self.K.size
-        law.parameters[:gains] = self.K.ravel()  # they may have been changed since
-        law.measure(measured)
-        if self.integrated:
-            law.parameters[gains : gains + self.Ki.size] = self.Ki.ravel()
-            law.tell({f"wanted.{n}": value for n, value in self.wanted(t).items()})
-        return law.commands()
+        gains = np.concatenate([self.K.ravel(), self.Ki.ravel()])
+        self._law.parameters[: len(gains)] = gains  # they may have been changed since
+        return super().__call__(t, measured)
 
     def _augmented(self) -> tuple[Array, Array, Array]:
         """A, B with the integrals as last states, and all gains; continuous time, all states."""
@@ -177,13 +166,12 @@ def state_feedback(controller: StateFeedback, name: str = "state_feedback") -> B
     )
     about = (
         at_rest(draft, "x0", plant.states, point.x),
-        at_rest(draft, "u0", chosen, point.u[controller._columns]),
+        at_rest(draft, "u0", chosen, [point[n] for n in controller.inputs]),
     )
     goals = controller._at_point if callable(controller.setpoint) else controller.wanted(0.0)
     wanted = [draft.wanted(v, goals[v.name]) for v in integrated]
-    ends = controller._low, controller._high
     tracked = integrated, wanted
-    feedback_law(draft, controller.inversion, plant.states, chosen, gains, about, tracked, ends)
+    feedback_law(draft, controller.inversion, plant.states, chosen, gains, about, tracked)
     return draft.block()
 
 
@@ -195,12 +183,11 @@ def feedback_law(
     gains: tuple[Symbol, Symbol],
     about: tuple[Symbol, Symbol],
     tracked: tuple[list[Variable], Sequence[Symbol]],
-    ends: tuple[Array, Array],
 ) -> None:
     """Enter u = u0 - K (x - x0) - Ki integral(y - wanted), and its commands.
 
-    states, chosen : x and u. gains : K, Ki. about : x0, u0. tracked : what is integrated, and the
-    values wanted of it. ends : of u, beyond which the integrals are frozen.
+    states, chosen : x and u, beyond whose range the integrals are frozen. gains : K, Ki. about :
+    x0, u0. tracked : what is integrated, and the values wanted of it.
     """
     (k, ki), (x0, u0), (integrated, wanted) = gains, about, tracked
     u = v = u0 - ca.mtimes(k, draft.states(inversion, states) - x0)
@@ -209,7 +196,7 @@ def feedback_law(
         short = acting(draft, inversion, chosen) - v
         u = v - ca.mtimes(ki, integrals.values(ki, short))
     errors = [draft.like(w) - goal for w, goal in zip(integrated, wanted, strict=True)]
-    integrals.add(errors, u, *ends)
+    integrals.add(errors, u, chosen)
     draft.send(inversion, chosen, u)
 
 
@@ -253,13 +240,13 @@ class Integrating:
             self._now.append((here, ca.if_else(draft.active, left, 0)))
         return ca.vertcat(*(here for here, _ in self._now))
 
-    def add(self, errors: list[Symbol], u: Symbol, low: np.ndarray, high: np.ndarray) -> None:
+    def add(self, errors: list[Symbol], u: Symbol, chosen: Sequence[Variable]) -> None:
         """Leave the errors, and the inputs as they were asked for, to the next step."""
         if not self.names:
             return
         beyond = self.draft.kind(0)
-        for i in range(len(low)):
-            beyond = ca.fmax(beyond, ca.logic_or(u[i] < float(low[i]), u[i] > float(high[i])))
+        for i, v in enumerate(chosen):
+            beyond = ca.fmax(beyond, ca.logic_or(u[i] < v.min, u[i] > v.max))
         self.draft.next("frozen", beyond)
         for name, (here, left), error in zip(self.names, self._now, errors, strict=True):
             self.draft.next(f"integral.{name}", here)
@@ -275,15 +262,13 @@ def acting(draft: Draft, inversion: Inversion | None, chosen: list[Variable]) ->
     return ca.vertcat(*(acted[v.name] for v in chosen))
 
 
-def at_rest(
-    draft: Draft, name: str, variables: tuple[Variable, ...] | list[Variable], values: np.ndarray
-) -> Symbol:
+def at_rest(draft: Draft, name: str, variables: Sequence[Variable], values: ArrayLike) -> Symbol:
     """Values at an equilibrium, each a parameter ``name.VARIABLE``."""
     return ca.vertcat(
         *(
             draft.parameter(
                 f"{name}.{v.name}", float(value), **about(v, f"{v.name} at the equilibrium")
             )
-            for v, value in zip(variables, values, strict=True)
+            for v, value in zip(variables, np.asarray(values, dtype=float), strict=True)
         )
     )

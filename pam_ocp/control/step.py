@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, get_args
@@ -22,7 +23,7 @@ from ..numerics.runge_kutta import rk4
 from ..plants.plant import Plant, Values
 from ..simulation.sampled import StepMethod, stepped
 
-__all__ = ["Givens", "Step", "StepMethod"]
+__all__ = ["Givens", "Step", "StepMethod", "open_range"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -88,6 +89,23 @@ class Givens:
         given |= {v.name: u[i] for i, v in enumerate(self.controls)}
         inputs = ca.SX(ca.vertcat(*(given[v.name] for v in self.plant.inputs)))
         return inputs, p, offsets
+
+
+def open_range(argument: str, given: Any, unit: str = "") -> tuple[float, float]:
+    """(low, high) that a user gave, None for an open end [SI]. Raises InputError."""
+    try:
+        ends = () if isinstance(given, str) else tuple(given)
+    except TypeError:
+        ends = ()
+    if len(ends) != 2:
+        raise InputError(f"{argument} = {given!r}: give (low, high)")
+    low, high = (
+        open_end if end is None else require_finite(argument, end, unit)
+        for end, open_end in zip(ends, (-math.inf, math.inf), strict=True)
+    )
+    if low > high:
+        raise InputError(f"{argument} = {given!r}: the bounds are crossed")
+    return low, high
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from ...core.block import Block
 from ...core.stop import turns
 from ...numerics.buffered import Buffered
+from ..controller import Measured
 from .kinds import TOLD, law_of
 
-__all__ = ["ByBlock", "Running"]
+__all__ = ["ByBlock", "Running", "SampledLaw"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -93,8 +94,31 @@ class ByBlock:
 
     @turns
     def _running(self) -> Running:
-        return Running(law_of(self))
+        return Running(law_of(self), self._needed())
+
+    def _needed(self) -> Collection[str] | None:
+        """Measurements that each call must bring; None: all that the block takes."""
+        return None
 
     def reset(self) -> None:
         """See :class:`Controller`."""
         self._law.reset()
+
+
+class SampledLaw(ByBlock):
+    """A controller whose call sets the block's inputs and gives the commands of one step."""
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        law = self._law
+        law.measure(measured)
+        law.tell(self._references(t))
+        return law.commands()
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """Values by name that are to be reached at a time [s]."""
+        return {}
+
+    def _references(self, t: float) -> dict[str, float]:
+        """The block's inputs that are no measurements, at a time [s]."""
+        return {f"wanted.{n}": value for n, value in self.wanted(t).items()}

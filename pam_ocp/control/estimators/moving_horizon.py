@@ -23,7 +23,6 @@ from ...core.errors import (
     InputError,
     UnknownNameError,
     require_count,
-    require_finite,
     require_positive,
 )
 from ...core.stop import locked
@@ -31,11 +30,11 @@ from ...export.machine import quick
 from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
 from ...plants.plant import Plant, Values
-from ...simulation.sampled import StepMethod
 from ..blocks.draft import Draft
 from ..blocks.kinds import BLOCKS, LARGEST
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
+from ..step import StepMethod, open_range
 from .extended_kalman import Estimator, estimated_variables
 from .smoother import PASSES, Smoother
 
@@ -169,7 +168,7 @@ class MovingHorizonEstimator(Estimator):
         self._high[:nx] = [v.max for v in states] / self._scale[:nx]
         for name, value in bounds.items():
             i = self.names.index(self._estimated(name))
-            low, high = _range(name, value)
+            low, high = open_range(f"bounds[{name!r}]", value)
             self._low[i] = max(self._low[i], low / self._scale[i])
             self._high[i] = min(self._high[i], high / self._scale[i])
             if self._low[i] > self._high[i]:
@@ -228,19 +227,6 @@ class MovingHorizonEstimator(Estimator):
         firsts = (rows[0] for rows in self._moving)
         prior, covariance = self._arrive(self._prior, self._prior_square, *firsts)
         self._prior[:], self._prior_square[:] = prior[:, 0], covariance[:, 0]
-
-
-def _range(name: str, value: Any) -> tuple[float, float]:
-    try:
-        low, high = value
-    except (TypeError, ValueError):
-        raise InputError(f"bounds[{name!r}] = {value!r}: give (low, high)") from None
-    label = f"bounds[{name!r}]"
-    low = -math.inf if low is None else require_finite(label, low)
-    high = math.inf if high is None else require_finite(label, high)
-    if low > high:
-        raise InputError(f"{label} = {value!r}: the bounds are crossed")
-    return low, high
 
 
 # ---- as a block ---------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ from ...core.errors import (
     InputError,
     UnknownNameError,
     require_count,
-    require_finite,
     require_instance,
     require_positive,
 )
@@ -29,7 +28,6 @@ from ...core.shown import shown
 from ...core.signals import PiecewisePolynomial
 from ...core.stop import locked
 from ...core.trajectory import Trajectory
-from ...core.variables import Variable
 from ...numerics.buffered import Buffered
 from ...planning.transcription.transcription import smoothed
 from ...plants.inversion import Inversion
@@ -38,7 +36,7 @@ from ...simulation.simulator import evaluated
 from ..kinds import CONTROLLERS
 from ..mpc_statistics import MpcStatistics, MpcStep, record, steps_of
 from ..references import Source
-from ..step import Givens, Step, StepMethod
+from ..step import Givens, Step, StepMethod, open_range
 from .real_time import PATIENCE, RealTimeCalls, RealTimeIteration
 from .shooting import NodeLimit, Penalty, TrackingProgram
 from .sqp import QpSolver, Sqp, SqpOutcome, TrackingIpopt
@@ -707,16 +705,5 @@ def _pairs(plant: Plant, bounds: Mapping[str, Any] | None) -> dict[str, tuple[fl
     for name, value in (bounds or {}).items():
         opening = Inversion(plant).opening_of(name)
         variable = inner.variable(opening) if opening else plant.variable(name)
-        found[variable.name] = _pair(variable, value)
+        found[variable.name] = open_range(f"bounds[{variable.name!r}]", value, variable.unit)
     return found
-
-
-def _pair(variable: Variable, value: Any) -> tuple[float, float]:
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
-        raise InputError(f"bounds[{variable.name!r}] = {value!r}: give (low, high)")
-    label = f"bounds[{variable.name!r}]"
-    low = -math.inf if value[0] is None else require_finite(label, value[0], variable.unit)
-    high = math.inf if value[1] is None else require_finite(label, value[1], variable.unit)
-    if low > high:
-        raise InputError(f"bounds[{variable.name!r}] = {value!r}: the bounds are crossed")
-    return low, high
