@@ -332,8 +332,8 @@ class Planner:
     ) -> Plan:
         settings = SETTINGS if time_limit is None else UNBOUNDED
         with recorded(settings.most_work) as stages:
-            found = values, guess, tolerance, starts, changed, time_limit
-            return self._found(*found, stages, settings)
+            asked = values, guess, tolerance, starts, changed, time_limit
+            return self._found(*asked, stages, settings)
 
     def _found(
         self,
@@ -367,6 +367,8 @@ class Planner:
                 raise
             raise _nothing_yet(program.problem.plant, advice(program)) from None
         if found.best is None:
+            if found.cut:  # before it came to that
+                search.diagnosed()
             raise self._failure(found, statement, self._figures(search, begin))
         first = found.first or (guess._coarse if guess is not None else None)
         assemble = functools.partial(self._assembled, statement, search, begin, tolerance, first)

@@ -122,10 +122,9 @@ class Search:
             self._searched(near, last, finer)
         except TimeIsUp as why:
             self.found.cut = True
-            if self.found.best is None:
-                if not isinstance(why, WorkIsSpent) or self.found.failure is None:
-                    raise
-                self._diagnosed()
+            failed = isinstance(why, WorkIsSpent) and self.found.failure is not None
+            if self.found.best is None and not failed:
+                raise
         return self.found
 
     def closer(self, tolerance: float) -> bool:
@@ -431,7 +430,7 @@ class Search:
                 yield Candidate(near, self.place)
         if self.found.best is not None:
             return
-        feasible = self._diagnosed()
+        feasible = self.diagnosed()
         if feasible is not None:
             name = "a point that meets all constraints"
             yield from self._from_guesses(asked, [(name, lambda: feasible, "adaptive")])
@@ -479,7 +478,7 @@ class Search:
         found = engine.solve(engine.first, 1.0, guess, "cold", why)
         return found.outcome.w if found.outcome.success else None
 
-    def _diagnosed(self) -> Array | None:
+    def diagnosed(self) -> Array | None:
         """A point that meets all constraints; None where none was found. Conflicts are those that
         an elastic re-solve converged to, where another guess does not lead to such a point.
         """
