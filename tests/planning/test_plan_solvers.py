@@ -126,8 +126,9 @@ def test_derivatives_by_stages_are_casadis(program):
 
 # ---- the choice of a solver ---------------------------------------------------------------------
 def test_fatrop_is_ipopt_and_says_so():
-    with pytest.warns(DeprecationWarning, match="'fatrop' is solver = 'ipopt'"):
+    with pytest.warns(DeprecationWarning, match="'fatrop' is solver = 'ipopt'") as told:
         ours = planner("radau", solver="fatrop", options={"time_limit": 20.0})
+    assert {w.filename for w in told} == {__file__}  # else nobody would see it
     found = ours()
     assert found.statistics["solver"] == "IPOPT"
     assert found.objective == pytest.approx(planner("radau")().objective, rel=1e-9)

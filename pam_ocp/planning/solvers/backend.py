@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 from ...core.errors import InputError, require_flag
+from ...core.plausible import outside
 from ..transcription.transcription import Program
 from .solver import SOLVERS, Progress, Solver
 
@@ -40,7 +41,7 @@ class Backend:
                 "solver = 'fatrop' is solver = 'ipopt' since version 0.3, which is as quick from "
                 "another solution and several times quicker from a guess; its options are not used",
                 DeprecationWarning,
-                stacklevel=2,
+                stacklevel=outside(),
             )
             object.__setattr__(self, "name", "ipopt")
             object.__setattr__(self, "options", None)
