@@ -315,7 +315,9 @@ def backwards(
         module = pam.export.to_torch(plant)
         parts = [torch.tensor(a, requires_grad=True) for a in np.split(at, ends)]
         torch.sum(torch.tensor(weights) * module.f(0.0, *parts)).backward()
-        return np.concatenate([a.grad.numpy() for a in parts])
+        # PyTorch has no gradient, rather than zeros, by what slopes do not depend on
+        grads = [torch.zeros_like(a) if a.grad is None else a.grad for a in parts]
+        return np.concatenate([a.numpy() for a in grads])
     import jax
 
     with jax.enable_x64(True):

@@ -124,8 +124,10 @@ class MeshSequence:
 
     def _unresolved(self, c: Candidate) -> list[tuple[Mesh, str]]:
         """The dynamics at large, on the way and wherever costs are still to be looked at."""
+        if not self.resolving or not (c.place < 1.0 or self.economical):
+            return []
         total, allowed = sum(c.errors), self.settings.resolved
-        if total <= allowed or not self.resolving or not (c.place < 1.0 or self.economical):
+        if total <= allowed:
             return []
         finer = self._refined(c, c.errors, allowed / 2 / len(c.errors))
         return [(finer, f"dynamics unresolved by {total:.1g}")]

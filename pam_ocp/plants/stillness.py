@@ -109,18 +109,18 @@ class _Region:
         none), by Gauss and Newton's steps inside the region.
         """
         z, size = self.points, self.size[rows]
-        missed = np.zeros((len(rows), 0))
-        for _ in range(STEPS):
+        missed, before = np.zeros((len(rows), 0)), np.full(z.shape[1], np.inf)
+        for step in range(STEPS):
             values, slopes = self.at(z)
             sound = np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))
-            z, values, slopes = z[:, sound], values[:, sound], slopes[sound]
+            z, values, slopes, before = z[:, sound], values[:, sound], slopes[sound], before[sound]
             missed = values[rows] / size[:, None]
-            if np.all(np.abs(missed) <= 1e-3 * ROUNDING):
-                break
-            inverse = np.linalg.pinv(slopes[:, rows] / size[:, None], rcond=1e-10)
-            step = (inverse @ missed.T[:, :, None])[:, :, 0].T
-            moved = np.clip(z.T - step.T * self.nominal, self.low, self.high).T
-            z = np.where(self.free[:, None], moved, z)
+            worst = np.abs(missed).max(axis=0, initial=0.0)
+            if np.all((worst <= 0.1 * ROUNDING) | (worst > before / 2)):
+                break  # each point has arrived or stands still
+            if step % 4 == 0:
+                before = worst
+            z = self._step(z, slopes[:, rows] / size[:, None], missed)
         missed = np.abs(self.at(z)[0][rows]) / size[:, None]
         found = z[:, np.all(missed <= ROUNDING, axis=0)]
         if found.size or not missed.size:
@@ -130,6 +130,17 @@ class _Region:
         own = np.array([i < len(self.start) and self.pattern[i, i] for i in rows])
         pool = own & (nearest > ROUNDING) if np.any(own & (nearest > ROUNDING)) else nearest > 0
         return found, rows[int(np.argmax(np.where(pool, nearest, -1.0)))]
+
+    def _step(self, z: Array, slopes: Array, missed: Array) -> Array:
+        """The points after Newton's step of least length; what it presses onto a bound stays there
+        and the others do its part.
+        """
+        open_ = np.tile(self.free, (z.shape[1], 1))
+        for _ in range(2):
+            inverse = np.linalg.pinv(slopes * open_[:, None, :], rcond=1e-10)
+            to = z.T - (inverse @ missed.T[:, :, None])[:, :, 0] * self.nominal
+            open_ &= ~((to < self.low) & (z.T <= self.low) | (to > self.high) & (z.T >= self.high))
+        return np.where(self.free, np.clip(to, self.low, self.high), z.T).T
 
     def moved(self, z: Array) -> Pattern:
         """(m, n): which expressions change at any of these points when one variable alone takes
