@@ -135,12 +135,13 @@ class _Region:
         """The points after Newton's step of least length; what it presses onto a bound stays there
         and the others do its part.
         """
-        open_ = np.tile(self.free, (z.shape[1], 1))
+        at = z.T
+        low, high, free = at <= self.low, at >= self.high, np.tile(self.free, (len(at), 1))
         for _ in range(2):
-            inverse = np.linalg.pinv(slopes * open_[:, None, :], rcond=1e-10)
-            to = z.T - (inverse @ missed.T[:, :, None])[:, :, 0] * self.nominal
-            open_ &= ~((to < self.low) & (z.T <= self.low) | (to > self.high) & (z.T >= self.high))
-        return np.where(self.free, np.clip(to, self.low, self.high), z.T).T
+            inverse = np.linalg.pinv(slopes * free[:, None, :], rcond=1e-10)
+            to = at - (inverse @ missed.T[:, :, None])[:, :, 0] * self.nominal
+            free &= ~(low & (to < self.low) | high & (to > self.high))
+        return np.asarray(np.where(self.free, np.clip(to, self.low, self.high), at).T)
 
     def moved(self, z: Array) -> Pattern:
         """(m, n): which expressions change at any of these points when one variable alone takes

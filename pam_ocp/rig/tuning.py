@@ -52,6 +52,8 @@ TRIAL = BEGUN + BLOCK + ENDING
 """How long they are [s]."""
 SHORTEST = 5.0
 """Training motion [s]: one that shows each position at several speeds."""
+FINE = 2e-3
+"""Seconds between the points of a training motion."""
 FIRST = 0.7
 """Part of the range that the first training motion makes use of: it is not tracked well yet."""
 INSIDE, SPARE, TAUT = 0.05, 0.07, 0.05
@@ -297,7 +299,7 @@ def _training(
     rng: np.random.Generator, low: float, high: float, duration: float, part: float
 ) -> Source:
     """Half of it smooth and random (0.1 to 1.5 Hz), half sines of 1 Hz of changing middle, size."""
-    t = np.arange(0.0, duration + 1.0, 2e-3)
+    t = np.arange(0.0, duration + 1.0, FINE)
     f, phase = rng.uniform(0.1, 1.5, 12), rng.uniform(0, 2 * np.pi, 14)
     waves = np.sin(2 * np.pi * np.outer(t, f) + phase[:12]) @ rng.uniform(0.3, 1.0, 12)
     wild = np.tanh(1.2 * waves / np.quantile(np.abs(waves), 0.97))
@@ -306,8 +308,13 @@ def _training(
     share = np.clip(t - duration / 2 + 0.5, 0.0, 1.0)
     share = share**3 * (10 - 15 * share + 6 * share**2)
     both = (1 - share) * wild + share * (middle + size * np.sin(2 * np.pi * t))
-    path = (low + high) / 2 + part * (high - low) / 2 * both
-    return lambda time: float(np.interp(time, t, path))
+    path: list[float] = ((low + high) / 2 + part * (high - low) / 2 * both).tolist()
+
+    def at(time: float) -> float:
+        k = min(max(int(time / FINE), 0), len(path) - 2)
+        return path[k] + min(max(time / FINE - k, 0.0), 1.0) * (path[k + 1] - path[k])
+
+    return at
 
 
 class _Reach:

@@ -140,6 +140,13 @@ class Twin:
         """On the twin's clock [s]."""
         return self.clock.now()
 
+    @property
+    def answers(self) -> bool:
+        """Whether the cable is in."""
+        with self._lock:
+            self._go_on()
+            return self._fault("cable", self._now - self._began) is None
+
     def read(self) -> dict[str, float] | None:
         """Raw numbers by the names of the readings, and ``"time"``; None where nothing answers."""
         with self._lock:
@@ -150,8 +157,8 @@ class Twin:
             stale = self._fault("stale", t)
             if stale is not None and (stale, "") in self._stuck:
                 return dict(self._stuck[stale, ""])
-            self._odd = not self._odd
-            found = {n: self._raw(n, self._sensed(n, t)) for n in self._own}
+            self._odd, true = not self._odd, self._true()
+            found = {n: self._raw(n, self._sensed(n, t, true[n])) for n in self._own}
             if "supply" in self.readings:
                 found["supply"] = self._supply(t)
             found["time"] = self._now
@@ -309,9 +316,8 @@ class Twin:
         y = self._look(self._x, u, self._p)[0]
         return dict(zip(self._names, [*self._x.tolist(), *y[:, 0].tolist()], strict=True))
 
-    def _sensed(self, name: str, t: float) -> float:
-        """A reading in SI, with its instrument and its faults."""
-        value = self._true()[name]
+    def _sensed(self, name: str, t: float, value: float) -> float:
+        """A reading in SI of a true value, with its instrument and its faults."""
         if name in self._readers:
             reader = self._readers[name]
             if not reader.times:

@@ -152,7 +152,7 @@ class Reader:
             at = max(how.sample_time * math.floor(at / how.sample_time + SAME), self.times[0])
             if self._sample is not None and self._sample[0] == at:
                 return self._sample[1]
-        value = how.gain * float(np.interp(at, self.times, self.values))
+        value = how.gain * self._behind(at)
         value += how.bias + how.drift * at + self._wandered(at)
         if how.noise:
             value += how.noise * float(self.random.standard_normal())
@@ -161,6 +161,15 @@ class Reader:
             value = how.resolution * math.floor(value / how.resolution + 0.5)
         self._sample = at, value
         return value
+
+    def _behind(self, t: float) -> float:
+        """The quantity behind the filter, on a line between two times."""
+        times, values = self.times, self.values
+        i = bisect_right(times, t)
+        if i in (0, len(times)):
+            return values[min(i, len(times) - 1)]
+        part = (t - times[i - 1]) / (times[i] - times[i - 1])
+        return values[i - 1] + part * (values[i] - values[i - 1])
 
     def _wandered(self, t: float) -> float:
         if self.instrument.wander:

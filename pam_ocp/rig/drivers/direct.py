@@ -34,13 +34,17 @@ class TwinDriver:
 
     def write(self, inputs: Mapping[str, float]) -> None:
         """See :class:`Driver`."""
-        self.read()
+        self._require()
         self.twin.write(inputs)
 
     def vent(self) -> None:
         """See :class:`Driver`."""
-        self.read()
+        self._require()
         self.twin.vent()
+
+    def _require(self) -> None:
+        if not self.twin.answers:
+            raise DriverError("the twin does not answer")
 
     def arm(self) -> None:
         """Let the twin act again."""
