@@ -14,7 +14,7 @@ from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..core.units import quantity_of
 from ..core.variables import Variable
-from .paper import paper_size
+from .paper import paper_size, paper_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,9 @@ __all__ = [
     "axis_label",
     "draw",
     "layered",
+    "legible",
     "new_figure",
+    "over_time",
 ]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -73,6 +75,46 @@ def new_figure(
         ax.set_prop_cycle(color=COLOURS)
         ax.spines[["top", "right"]].set_visible(False)
     return figure, axes
+
+
+CURVES = 8
+"""In a panel, at most: more are not told apart, nor do their names find room beside it."""
+
+
+def legible(names: Sequence[str]) -> list[list[str]]:
+    """Names in groups of at most ``CURVES``; those of one joint or muscle stay together."""
+    owners: dict[str, list[str]] = {}
+    for name in names if len(names) > CURVES else ():
+        owners.setdefault(name.partition(".")[0], []).append(name)
+    parts: list[list[str]] = [[] if owners else list(names)]
+    for own in owners.values():
+        if len(parts[-1]) + len(own) > CURVES:
+            parts.append([])
+        parts[-1] += own
+    return [p[i : i + CURVES] for p in parts for i in range(0, len(p), CURVES)]
+
+
+def over_time(panels: int, below: float = 0.0) -> tuple[Picture, list[Axes]]:
+    """A figure over time and its panels, from left to right: in one column, or two where there are
+    many; then an axis as wide as the figure, ``below`` [inch] high, where that is given.
+    """
+    columns = 1 if panels <= CURVES or paper_width() is not None else 2
+    rows = -(-panels // columns)
+    heights = [1.6] * rows + [below] * bool(below)
+    size = (9.0 if columns == 1 else 15.0, 0.8 + sum(heights))
+    figure, axes = new_figure(len(heights), columns, size=size, sharex=True)
+    grid, every = axes[0, 0].get_gridspec(), list(axes[:rows].ravel())
+    grid.set_height_ratios(heights)
+    for ax in (*every[panels:], *(axes[-1, 1:] if below else ())):
+        ax.remove()
+    shown = every[:panels]
+    if below:
+        axes[-1, 0].set_subplotspec(grid[-1, :])
+        shown.append(axes[-1, 0])
+    for ax in shown[-1:] if below else shown[-columns:]:
+        ax.tick_params(labelbottom=True)
+        ax.set_xlabel("time [s]")
+    return figure, shown
 
 
 def draw(ax: Axes, trajectory: Trajectory, name: str, colour: str, **style: Any) -> None:

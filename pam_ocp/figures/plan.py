@@ -17,7 +17,7 @@ from ..core.stop import turns
 from ..core.units import significant
 from ..core.variables import Variable
 from ..planning.result import Plan
-from .canvas import COLOURS, axis_label, new_figure
+from .canvas import COLOURS, axis_label, legible, new_figure, over_time
 from .paper import paper_width
 
 if TYPE_CHECKING:
@@ -38,16 +38,15 @@ _OTHERS = ("#333333", *COLOURS[2:])
 
 
 def colours_of(names: Sequence[str]) -> dict[str, str]:
-    """One colour per muscle, the same in all panels; others in turn."""
-    found, others = {}, 0
-    for name in names:
-        owner = re.match(r"muscle(\d*)\.", name)
-        if owner:
-            found[name] = COLOURS[(int(owner[1] or 1) - 1) % len(COLOURS)]
-        else:
-            found[name] = _OTHERS[others % len(_OTHERS)]
-            others += 1
-    return found
+    """One colour per muscle, the same in all panels; others in turn, one for each owner."""
+    numbered = {n: m for n in names if (m := re.match(r"muscle(\d*)\.", n))}
+    others = _OTHERS if numbered else (*_OTHERS, *COLOURS[:2])
+    owners = {n: n.rpartition(".")[0] or n for n in names if n not in numbered}
+    turns = {
+        owner: others[i % len(others)] for i, owner in enumerate(dict.fromkeys(owners.values()))
+    }
+    own = {n: COLOURS[(int(m[1] or 1) - 1) % len(COLOURS)] for n, m in numbered.items()}
+    return {n: own[n] if n in own else turns[owners[n]] for n in names}
 
 
 def panels_of(plan: Plan) -> dict[str, list[str]]:
@@ -74,38 +73,34 @@ def panels_of(plan: Plan) -> dict[str, list[str]]:
 
 
 def plot_plan(plan: Plan) -> Figure:
-    """The planned motion by panels of one unit each, and below which limits are active when.
+    """The planned motion by panels of one unit each (several, by joints and muscles, where there
+    are many curves), and below which limits are active when.
 
     States and outputs as the replay found them, inputs as planned (thin); limits dashed, and the
     curve wide and pale where it touches one; stops as rings (ranges as bars), dwells shaded grey.
     """
     from ..planning.active import limits_along
 
-    panels = panels_of(plan)
+    panels = [part for names in panels_of(plan).values() for part in legible(names)]
     limits = limits_along(plan)
     touched = _touched(limits)
-    heights = [1.6] * len(panels) + (
-        [0.45 + (0.17 if paper_width() is None else 0.3) * len(touched)] if touched else []
-    )
-    figure, axes = new_figure(len(heights), size=(9, 0.8 + sum(heights)), sharex=True)
-    if touched:
-        axes[0, 0].get_gridspec().set_height_ratios(heights)
-    for ax, names in zip(axes[:, 0], panels.values(), strict=False):
+    chart = 0.45 + (0.17 if paper_width() is None else 0.3) * len(touched) if touched else 0.0
+    figure, axes = over_time(len(panels), chart)
+    for ax, names in zip(axes, panels, strict=False):
         _panel(ax, plan, names, limits)
         ax.set_ylabel(axis_label(*map(plan.trajectory.variable, names)))
     if touched:
-        _chart(axes[-1, 0], touched, plan.duration)
-    for ax in axes[:, 0]:
+        _chart(axes[-1], touched, plan.duration)
+    for ax in axes:
         _phases(ax, plan)
-    axes[0, 0].set_title(
+    axes[0].set_title(
         ("" if plan.verified else "NOT VERIFIED: ")
         + f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error {plan.replay_error:.1e} "
         "scaled by nominal values",
         loc="left",
         fontsize="medium",
     )
-    axes[-1, 0].set_xlabel("time [s]")
-    axes[-1, 0].set_xlim(0.0, plan.duration)
+    axes[-1].set_xlim(0.0, plan.duration)
     return figure
 
 

@@ -9,7 +9,17 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
-from .canvas import COLOURS, MARKS, STROKES, axis_label, draw, layered, new_figure
+from .canvas import (
+    COLOURS,
+    MARKS,
+    STROKES,
+    axis_label,
+    draw,
+    layered,
+    legible,
+    new_figure,
+    over_time,
+)
 
 if TYPE_CHECKING:
     import control
@@ -66,8 +76,9 @@ def plot_trajectory(
         ax.set_xlabel("time [s]")
         ax.legend(frameon=False, fontsize="small")
         return ax.figure
-    figure, axes = new_figure(len(panels), size=(8, 1.2 + 1.7 * len(panels)), sharex=True)
-    for panel, members in zip(axes[:, 0], panels.values(), strict=True):
+    parts = [part for members in panels.values() for part in legible(members)]
+    figure, axes = over_time(len(parts))
+    for panel, members in zip(axes, parts, strict=True):
         for name, style in zip(members, layered(len(members)), strict=True):
             if trajectory.variable(name).causality == "input":
                 style["linestyle"] = "--"
@@ -75,7 +86,6 @@ def plot_trajectory(
         panel.set_ylabel(axis_label(*map(trajectory.variable, members)))
         beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
         panel.legend(**beside, frameon=False, fontsize="small")
-    axes[-1, 0].set_xlabel("time [s]")
     return figure
 
 

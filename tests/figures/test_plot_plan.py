@@ -221,3 +221,26 @@ def test_what_cannot_be_drawn_is_refused(quickest, slide_plan, tmp_path):
         animate_plan(failed.value.plan, tmp_path / "motion.gif")
     with pytest.raises(PlanError):
         failed.value.plan.plot()
+
+
+def test_many_curves_are_shown_by_joints_and_their_names_do_not_overlap():
+    plant = pam.Plant("row")
+    stops: list[dict[str, float]] = [{}, {}]
+    for i in range(5):
+        q, w = plant.state(f"joint{i}.angle", unit="rad"), plant.state(f"joint{i}.speed")
+        pulls = [plant.input(f"joint{i}.{n}", unit="N", min=0.0, max=1.0) for n in ("flex", "ext")]
+        plant.der(q, w)
+        plant.der(w, pulls[0] - pulls[1])
+        stops[0][f"joint{i}.angle"], stops[1][f"joint{i}.angle"] = 0.0, 0.1 * i + 0.1
+    plan = pam.plan(plant, stops, duration=2.0, minimise="effort", method=Collocation(6, 3))
+    figure = plan.plot()
+    figure.draw_without_rendering()
+    panels = [ax for ax in figure.axes if ax.get_legend()]
+    shown = [[t.get_text() for t in ax.get_legend().get_texts()] for ax in panels]
+    assert all(len(names) <= 8 for names in shown)
+    forces = [names for names in shown if names[0].endswith(".flex")]
+    assert [n for names in forces for n in names] == [v.name for v in plant.inputs]
+    assert [len(names) for names in forces] == [8, 2]  # pairs stay together
+    boxes = [ax.get_legend().get_window_extent() for ax in panels]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    assert all(ax.get_window_extent().height > 60 for ax in panels)
