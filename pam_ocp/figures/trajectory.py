@@ -84,8 +84,7 @@ def plot_trajectory(
                 style["linestyle"] = "--"
             draw(panel, trajectory, name, **style)
         panel.set_ylabel(axis_label(*map(trajectory.variable, members)))
-        beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-        panel.legend(**beside, frameon=False, fontsize="small")
+        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
     return figure
 
 
