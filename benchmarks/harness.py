@@ -66,13 +66,6 @@ def timed(work: Callable[[], Any], repeats: int = 3) -> float:
     return median(both(work)[0] for _ in range(repeats))
 
 
-def ratio(work: Callable[[], Any], base: Callable[[], Any], repeats: int = 3) -> float:
-    """Processor seconds of a call over those of another, in turns: medians, after a warm-up."""
-    work(), base()
-    pairs = [(both(work)[0], both(base)[0]) for _ in range(repeats)]
-    return median(own for own, _ in pairs) / median(other for _, other in pairs)
-
-
 def process_seconds(*command: str) -> float:
     """Processor seconds of a Python process and its children; RuntimeError where it fails."""
     before = spent()

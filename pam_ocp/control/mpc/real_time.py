@@ -73,7 +73,6 @@ class RealTimeIteration:
         tolerance: float,
         delay: int,
         patience: int,
-        qp_iterations: int = ITERATIONS,
     ) -> None:
         self.program, self.delay, self.patience = program, delay, patience
         self.iterations, self.work, self.tolerance = iterations, work, tolerance
@@ -81,7 +80,7 @@ class RealTimeIteration:
         self.bounds = bounds_of(p)
         values = ca.SX.sym("bounds", len(self.bounds))
         self._nominal = np.array([b.limit.variable.nominal for b in self.bounds])
-        self.qp = RiccatiQp(p, values, *sides_of(p, self.bounds), qp_iterations)
+        self.qp = RiccatiQp(p, values, *sides_of(p, self.bounds))
         after = [p.step.expression(p.given, p.x, p.u, p.q)]
         self._advance = portable(ca.Function("advance", [p.x, p.u, p.q], after))
         n, nx, nu = p.horizon, p.nx, p.nu
@@ -96,10 +95,8 @@ class RealTimeIteration:
     @property
     def worst_work(self) -> int:
         """Iterations of the interior-point method in one call: never more."""
-        each = self.qp.iterations
-        if not math.isfinite(self.work):
-            return self.iterations * each
-        return int(min(self.iterations * each, self.work - 1 + each))
+        most = self.iterations * ITERATIONS
+        return int(min(most, self.work - 1 + ITERATIONS))
 
     def start(self, x: Array) -> Array:
         """The memory before the first call, from a state [SI]."""
@@ -189,7 +186,7 @@ class RealTimeIteration:
         rated = ca.horzcat(applied, inputs[:, : n - 1])[p.rated, :] if p.rated else ca.MX(0, n)
         y = ca.vertcat(states[:, :n], rated, inputs)
         data = qp.write(y, states[:, n], references, q, bounds, damping)
-        dy, dy_end, facts = inlined(qp.solve, [*data, qp.iterations])
+        dy, dy_end, facts = inlined(qp.solve, [*data, ITERATIONS])
         share, miss, size = facts[0], facts[3], facts[6]
         finite = ca.sum1(ca.sum2(ca.fabs(dy))) + ca.sum1(ca.fabs(dy_end)) <= LARGEST
         usable = ca.logic_and(finite, ca.fmax(miss, share) <= MISS)

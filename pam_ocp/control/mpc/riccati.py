@@ -331,7 +331,6 @@ class RiccatiQp:
         bounds: ca.SX,
         sides: Sequence[Side],
         last: Sequence[Side],
-        iterations: int = ITERATIONS,
         gap: float = GAP,
     ) -> None:
         """gap : mean complementarity that ends it."""
@@ -341,7 +340,6 @@ class RiccatiQp:
         self.last = _Stage(program, last, bounds, last=True)
         n, i, e = self.n, self.inner, self.last
         self.sides = i.first_count + (n - 1) * i.count + e.count
-        self.iterations = iterations
         self._bounds = bounds.numel()
         self.write, self.solve = self._write(), self._solve()
 
@@ -442,15 +440,15 @@ class RiccatiQp:
             ca.MX.ones(e.ns) * ROOM,
             t_end,
             l_end,
-            ca.vertcat(1.0, mu, self.iterations - most, 0.0),
+            ca.vertcat(1.0, mu, ITERATIONS - most, 0.0),
         ]
         symbols, _ = self._iterate()
         told = symbols[-1]
         open_ = ca.logic_and(
             ca.logic_or(told[1] > self.gap, told[0] > CLOSED), ca.logic_not(told[3])
         )
-        open_ = ca.logic_and(open_, told[2] < self.iterations)
-        loop = repeated(self._iteration(), len(iterate), self.iterations, open_, symbols)
+        open_ = ca.logic_and(open_, told[2] < ITERATIONS)
+        loop = repeated(self._iteration(), len(iterate), ITERATIONS, open_, symbols)
         found = inlined(loop, [*iterate, back, data[: i.motion, :], data_end])
         seen = i.look.map(n)(back, *found[:4])
         seen_end = e.look(data_end, *found[4:8])
@@ -458,7 +456,7 @@ class RiccatiQp:
         active = ca.sum2(seen[1, :]) + seen_end[1]
         slacks = ca.vertcat(ca.vec(found[1]), found[5])
         largest = ca.mmax(slacks) if i.ns else ca.MX(0.0)
-        done = found[8][2] - (self.iterations - most)
+        done = found[8][2] - (ITERATIONS - most)
         dy, errors = _backwards(found[0]), ca.fmax(ca.sum2(seen[2, :]) + seen_end[2], 0.0)
         first = ca.mmax(ca.fabs(dy[i.nz :, 0]))
         change = ca.fmax(ca.sqrt(errors / self.program.error_scale), first)
