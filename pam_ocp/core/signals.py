@@ -314,8 +314,8 @@ def joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:
 def merged(times: Array) -> Array:
     """Sorted times without those that differ only by rounding."""
     times = np.sort(times)
-    keep = np.concatenate([[True], np.diff(times) > 1e-12 * (1 + np.abs(times[1:]))])
-    keep[-1] = True
-    if len(times) > 1 and not np.diff(times)[-1] > 1e-12 * (1 + abs(times[-1])):
-        keep[-2] = len(times) == 2
+    near = 1e-12 * (1 + np.abs(times))
+    keep = np.diff(times, prepend=-np.inf) > near
+    keep &= times[-1] - times > near  # however many differ from the last by rounding: that one
+    keep[[0, -1]] = True
     return np.asarray(times[keep])

@@ -114,7 +114,7 @@ class Driven:
 
     def _run(self, t: Array) -> Driven | None:
         """The motion once more, in cells with points at these times (cells, points)."""
-        every = np.append(t[:, :-1].ravel(), t[-1, -1])
+        every = _every(t)
         run = Integration.over(self.plant, self.inputs, every, self.x[:, 0, 0], rtol=TOLERANCE)
         states = run()
         if states is None:
@@ -170,15 +170,19 @@ def driven(
     asked = np.zeros(0) if further is None else np.clip(further, begin, end)
     for splits in range(SPLITS + 1):
         t = _points(ends)
-        every, states, beside = _integrated(plant, start, inputs, t, asked)
+        if splits % 2 == 0:  # with the points of all quarters: it is steps that cost
+            quarters = _quartered(ends, np.ones(len(t), bool))
+            others = np.concatenate([asked, _points(quarters).ravel()])
+            run, known = _integrated(plant, start, inputs, _every(t), others)
+        states = run.at(_every(t), known)
         x = _by_cells(states, len(t))
         u, slope = _inputs(inputs, t)
         rough = _unresolved(plant, t, x, u)
         if splits == SPLITS or not rough.any():
             break
         ends = _quartered(ends, rough)
-    trajectory = evaluated(plant, every, states, inputs)
-    return Driven(plant, trajectory, t, x, u, slope, inputs), beside
+    trajectory = evaluated(plant, _every(t), states, inputs)
+    return Driven(plant, trajectory, t, x, u, slope, inputs), run.at(asked, known)
 
 
 def roughly(plant: Plant, start: Array, inputs: PiecewisePolynomial, times: Array) -> Array | None:
@@ -191,10 +195,9 @@ def roughly(plant: Plant, start: Array, inputs: PiecewisePolynomial, times: Arra
 
 
 def _integrated(
-    plant: Plant, start: Array, inputs: PiecewisePolynomial, t: Array, asked: Array
-) -> tuple[Array, Array, Array]:
-    """(times of all cells, states there, states at the times asked for)."""
-    every = np.append(t[:, :-1].ravel(), t[-1, -1])
+    plant: Plant, start: Array, inputs: PiecewisePolynomial, every: Array, asked: Array
+) -> tuple[Integration, Array]:
+    """The motion at these times and those asked for besides: states for ``Integration.at``."""
     both = merged(np.concatenate([every, asked]))
     run = Integration.over(plant, inputs, both, np.asarray(start, float), rtol=TOLERANCE)
     states = run()
@@ -203,7 +206,7 @@ def _integrated(
         at = dict(zip(names, np.asarray(start, float), strict=True))
         simulate(plant, inputs, t=every, rtol=TOLERANCE, start=at)
         raise SimulationError("the integrator gave up", float(every[0]), None)
-    return every, run.at(every, states), run.at(asked, states)
+    return run, states
 
 
 def _unresolved(plant: Plant, t: Array, x: Array, u: Array) -> NDArray[np.bool_]:
@@ -220,6 +223,11 @@ def _unresolved(plant: Plant, t: Array, x: Array, u: Array) -> NDArray[np.bool_]
 def _points(ends: Array) -> Array:
     """(cells, 5) times of the points of cells."""
     return np.asarray(ends[:-1, None] + np.diff(ends)[:, None] * _TAUS)
+
+
+def _every(t: Array) -> Array:
+    """The times of cells that follow each other, each once."""
+    return np.append(t[:, :-1].ravel(), t[-1, -1])
 
 
 def _quartered(ends: Array, rough: NDArray[np.bool_]) -> Array:
