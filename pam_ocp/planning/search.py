@@ -19,9 +19,8 @@ from ..judge.costs import COSTS
 from ..judge.statement import Statement
 from .arcs_search import ArcSearch
 from .candidate import Candidate, Checked, Engine, renewed, same_form
-from .continuation import Continuation
+from .continuation import Continuation, ValveOpenings
 from .mesh_sequence import MeshSequence
-from .openings import ValveOpenings
 from .problem.problem import regularised
 from .result import Solved
 from .solvers.diagnosis import Conflict, elastic, resolving

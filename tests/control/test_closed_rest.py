@@ -18,7 +18,7 @@ from pam_ocp.control import block
 from pam_ocp.control.blocks.making import BlockController
 from pam_ocp.control.controller_plants import state_feedback_controller
 from pam_ocp.control.linear_quadratic import effort_units
-from pam_ocp.planning.openings import ValveOpenings
+from pam_ocp.planning.continuation import ValveOpenings
 
 F = pam.feeds
 LAG, OVERLAP = 5e-3, 0.1

@@ -30,10 +30,9 @@ from ...plants.plant import Plant, require_plant
 from ...simulation.simulator import evaluated
 from ..planner import SolveKeywords, plan
 from ..result import Plan, Solved
-from .ensemble_problem import ensemble_arguments, ensemble_stop
 from .robust_result import RobustPlan, RobustVerdict, Round
 from .share import Demand, Judged, Share, judged, missed, share_of
-from .spread import Draw, Spread, drawn, spread_of
+from .spread import Draw, Spread, drawn, ensemble_arguments, ensemble_stop, spread_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
