@@ -1,4 +1,5 @@
-"""The site that sphinx-build made: no broken link, no console error in a browser.
+"""The site that sphinx-build made: no broken link, no console error in a browser, and pages that
+printed and drew what they promise.
 
 python tests/site.py docs/_build/html [FOLDER FOR SCREENSHOTS]
 
@@ -9,6 +10,7 @@ which some) is opened in headless Chromium; where there is none, this says so.
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -20,6 +22,22 @@ from urllib.parse import unquote, urlsplit
 
 WORLD = re.compile(r"https?://[a-z0-9.-]+\.[a-z]{2,}(/[^\s<>\"]*)?$|mailto:\S+@\S+$", re.I)
 CONSOLE = re.compile(r"CONSOLE.*?\] (\".*?\", source: .*?) \(\d+\)$", re.S | re.M)
+OUTPUTS = Path(__file__).parents[1] / "docs" / "outputs"
+"""What the pages' blocks printed and drew when the site was made."""
+PRINTED = {
+    "planning": (
+        "The most violated constraint is",
+        "x of 200 plants unseen",
+        "verified: of unseen ones",
+    ),
+    "tutorial": ("verified", "all well", "a3", "Hz"),
+}
+DRAWN = {
+    "planning": ("plan.png", "robust.png", "front.png", "costates.png", "motion.gif"),
+    "tutorial": ("fit.png", "step.png", "plan.png", "bode.png"),
+}
+LEAST = 5_000
+"""Bytes of a picture that shows something."""
 SOME = 10
 """Of the pages of single names."""
 AT_ONCE = 12
@@ -100,6 +118,23 @@ def opened(chromium: str, pages: list[Path]) -> list[str]:
     return said
 
 
+def missing(outputs: Path) -> list[str]:
+    """What pages do not print or draw, or say that they must not."""
+    found = []
+    for page, texts in PRINTED.items():
+        blocks = json.loads((outputs / f"{page}.json").read_text("utf-8"))["shown"]
+        said = "\n".join(block["text"] for block in blocks)
+        found += [f"{page}: nothing printed {text!r}" for text in texts if text not in said]
+        found += [f"{page}: a plan is not verified"] * ("not verified" in said.lower())
+        sizes = {
+            n.split("-", 2)[2]: (outputs / n).stat().st_size for b in blocks for n in b["pictures"]
+        }
+        for name in DRAWN[page]:
+            if sizes.get(name, 0) < LEAST:
+                found.append(f"{page}: {name} has {sizes.get(name, 0)} bytes")
+    return found
+
+
 def pictures(chromium: str, site: Path, folder: Path) -> None:
     """Screenshots to be looked at: wide, narrow, dark."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +149,7 @@ def pictures(chromium: str, site: Path, folder: Path) -> None:
 
 
 def main(site: Path, folder: Path | None = None) -> int:
-    findings = broken(site)
+    findings = broken(site) + missing(OUTPUTS)
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     single = sorted((site / "api" / "generated").glob("*.html"))
     chosen = [p for p in sorted(site.rglob("*.html")) if p not in single and p.name[0] != "_"]

@@ -1,5 +1,6 @@
 """The check of the site (tests/site.py) sees what is broken."""
 
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -36,6 +37,29 @@ def test_links_that_lead_nowhere_are_found(check, tmp_path):
     assert len(check.broken(tmp_path)) == 3
     for link in ("other.html#gone", "missing.png", "http:/x"):
         assert link in found
+
+
+def test_what_a_page_does_not_print_or_draw_is_found(check, tmp_path):
+    for page, texts in check.PRINTED.items():
+        names = [f"{page}-1-{name}" for name in check.DRAWN[page]]
+        for name in names:
+            (tmp_path / name).write_bytes(bytes(check.LEAST))
+        shown = [{"text": "\n".join(texts), "pictures": names}]
+        (tmp_path / f"{page}.json").write_text(json.dumps({"shown": shown}))
+    assert check.missing(tmp_path) == []
+    (tmp_path / "planning-1-front.png").write_bytes(b"")
+    (tmp_path / "tutorial.json").write_text(
+        json.dumps({"shown": [{"text": "NOT VERIFIED: a3 all well", "pictures": []}]})
+    )
+    found = "\n".join(check.missing(tmp_path))
+    for words in (
+        "front.png has 0",
+        "'verified'",
+        "'Hz'",
+        "tutorial: a plan is not",
+        "fit.png has 0",
+    ):
+        assert words in found
 
 
 @pytest.mark.slow
