@@ -6,7 +6,7 @@ import pytest
 import pam_ocp as pam
 from pam_ocp import InputError, Trajectory, UnknownNameError, Variable
 from pam_ocp.core import units
-from pam_ocp.core.signals import signals
+from pam_ocp.core.signals import merged, signals
 
 VARIABLES = (
     Variable("x", "state", unit="m", nominal=0.01),
@@ -169,3 +169,11 @@ def test_inputs_that_jump_stand_twice_in_a_table_and_move_the_plant_again(hangin
     again = pam.Trajectory.load(motion.save(tmp_path / "motion.csv"))
     assert len(again) == len(motion)
     assert pam.simulate(hanging, again, rtol=1e-10).compare(motion).largest < 1e-7
+
+
+@pytest.mark.parametrize("at_the_end", [1, 2, 5])
+def test_times_that_differ_by_rounding_are_one_and_the_last_is_kept(at_the_end):
+    end = 0.6
+    lasts = [end - k * np.spacing(end) for k in range(at_the_end)]
+    found = merged(np.array([*lasts, 0.3, 0.0, np.nextafter(0.3, 1.0)]))
+    np.testing.assert_array_equal(found, [0.0, 0.3, end])

@@ -9,7 +9,15 @@ from conftest import flat
 from rest_rows import catalogue, found_rows, own_plant
 
 import pam_ocp as pam
-from pam_ocp.plants.stillness import Position, rate_of, rest_rows, settled_names, totals
+from pam_ocp.plants.stillness import (
+    POINTS,
+    Position,
+    _Region,
+    rate_of,
+    rest_rows,
+    settled_names,
+    totals,
+)
 
 
 def pendulum():
@@ -220,3 +228,15 @@ def test_what_falls_for_ever_is_asked_to_stand():
     assert [order for _, order, _ in rows] == [1, 2]
     with pytest.raises(pam.PlanError):
         pam.plan(plant, [{"x": 1.0, "y": 0.0}, {"x": 0.0, "y": 0.0}], starts=1)
+
+
+def test_roots_are_found_where_a_bound_holds_most_of_each_step():
+    """10 a + b = 10.5 with a and b in [0, 1]: steps of least length press a onto its bound."""
+    plant = pam.Plant("corner")
+    a, b = (plant.state(name, min=0.0, max=1.0) for name in "ab")
+    plant.der(a, 0.0)
+    plant.der(b, 0.0)
+    z, _ = _Region(plant, ca.vertcat(10 * a + b - 10.5)).roots([0])
+    assert z.shape[1] == POINTS
+    np.testing.assert_allclose(10 * z[0] + z[1], 10.5, rtol=1e-12)
+    assert np.all((z >= 0.0) & (z <= 1.0))

@@ -252,3 +252,12 @@ def test_a_plan_is_replayed_on_the_rig(made, plant):
     wanted = np.interp(run.t, plan.trajectory.t, plan.trajectory["x"])
     assert np.max(np.abs(run["x"] - wanted)) < 5e-4
     assert run.duration == pytest.approx(plan.duration, abs=0.01)
+
+
+def test_a_command_reads_nothing_and_a_spike_is_every_other_reading(made):
+    rig, _ = made(noise=False, faults=[pam.rig.Fault("spike", "x", 0.5, at=0.0)])
+    read = []
+    for _ in range(6):
+        rig.driver.write({"muscle.command": 0.0})
+        read.append(rig.driver.read()["x"] > 0.25)
+    assert sorted((read[::2], read[1::2])) == [[False] * 3, [True] * 3]
