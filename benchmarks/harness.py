@@ -246,9 +246,11 @@ def run(cases: Cases, given: argparse.Namespace) -> list[Row]:
 
 def tally(rows: Sequence[Row]) -> str:
     """How many of each verdict, and processor seconds of a case."""
+    if not rows:
+        return "no case is asked for: see --only, --start, --end and the count"
     counts = Counter(row.get("verdict", "") for row in rows)
     lines = [f"{n:4d} of {len(rows)} {verdict}" for verdict, n in sorted(counts.items()) if verdict]
-    seconds = [row["processor"] for row in rows] or [float("nan")]
+    seconds = [row["processor"] for row in rows]
     lines.append(f"seconds a case: median {median(seconds):.2f}, worst {max(seconds):.1f}")
     return "\n".join(lines)
 
