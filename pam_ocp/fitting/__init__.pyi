@@ -25,6 +25,15 @@ from .fleet import FleetFit as FleetFit
 from .fleet import FleetMuscle as FleetMuscle
 from .fleet import Population as Population
 from .fleet import fit_fleet as fit_fleet
+from .learned.learning import Band as Band
+from .learned.learning import LearnedFit as LearnedFit
+from .learned.learning import LearnedStructure as LearnedStructure
+from .learned.learning import fit_residual as fit_residual
+from .learned.residual import Residual as Residual
+from .learned.shapes import GaussianProcess as GaussianProcess
+from .learned.shapes import Network as Network
+from .learned.shapes import Shape as Shape
+from .learned.shapes import Splines as Splines
 from .static.branches import Hysteresis as Hysteresis
 from .static.branches import LackOfFit as LackOfFit
 from .static.branches import hysteresis as hysteresis

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, kind_of, with_article
+from ..core.expressions import scalar_expression
 from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality, require_causality
@@ -150,6 +151,45 @@ class Plant(Travelling):
         other._variables, other._expressions = dict(self._variables), dict(self._stated)
         other._gathered, other._system = [], None
         other.output(name, expression, **attributes)
+        other._finished()
+        return other
+
+    def with_terms(self, declare: Callable[[Plant], Mapping[str, Any]]) -> Plant:
+        """A copy with more in its equations, such as a force that the model lacks.
+
+        declare : called with the copy, still open: it may declare parameters and states there, and
+            returns {state or output: what is added to its rate, or to its value} in symbols of this
+            plant (:meth:`expression`) and of what it declared.
+
+        Names, values and order of what was there are kept. A declared symmetry is not: nothing says
+        that the terms have it.
+
+        Examples
+        --------
+        >>> def spring(open_plant):
+        ...     rate = open_plant.parameter("rate", 100.0, unit="1/s2", min=0.0)
+        ...     return {"v": -rate * slide.expression("x")}
+        >>> stiffer = slide.with_terms(spring)
+        >>> more = stiffer.expression("der(v)") - slide.expression("der(v)")
+        >>> values = stiffer.vector("state", {"x": 0.01}), stiffer.vector("parameter")
+        >>> float(ca.Function("f", [stiffer.x, stiffer.p], [more])(*values))
+        -1.0
+        """
+        self._finished()
+        other = self._sharing(self)
+        other.__dict__.pop("positions", None)
+        other._variables, other._symbols = dict(self._variables), dict(self._symbols)
+        other._expressions = dict(self._stated)
+        other._gathered, other._mirror, other._system = [], {}, None
+        for name, term in declare(other).items():
+            variable = other.variable(name)
+            if variable.causality not in ("state", "output"):
+                raise InputError(
+                    f"a term of {variable.name}, {with_article(variable.causality)}: terms are "
+                    "added to the rates of states and to outputs"
+                )
+            value = scalar_expression(f"the term of {variable.name}", term)
+            other._expressions[variable.name] += value
         other._finished()
         return other
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import FitError
 from ...core.stop import check, native
-from ...numerics.rosenbrock import ros2_with_slopes
+from ...numerics.rosenbrock import ros2, ros2_with_slopes
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup
@@ -69,14 +69,13 @@ class Rollout:
         every = np.ones(len(runs.names)) if weigh is None else weigh
         self.weights = np.sqrt(runs.weights / len(runs.names))[..., None] * every
         self._whole: dict[Any, ca.Function] = {}
+        self._sampled: dict[bool, ca.Function] = {}
         self._steps: tuple[bytes, list[Array]] = (b"", [])
         self._late = _late(plant, runs, unknowns, self._rig)
         self._count = runs.steps + len(self._late)
         self._local = unknowns.shared + len(unknowns.own_starts)
         self._reach = self._reaches()
-        self._move, self._tangent = _functions(
-            plant, runs, unknowns, self._rig, self._count, static
-        )
+        self._static = static
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
 
     def finer(self) -> Rollout:
@@ -242,9 +241,15 @@ class Rollout:
     def _along(self, deep: bool, samples: int, count: int) -> ca.Function:
         key = (deep, samples, count)
         if key not in self._whole:
-            one = self._tangent if deep else self._move
-            self._whole[key] = one.mapaccum(samples).map(count)
+            self._whole[key] = self._one(deep).mapaccum(samples).map(count)
         return self._whole[key]
+
+    def _one(self, deep: bool) -> ca.Function:
+        """From sample to sample, with sensitivities where it is ``deep``; made when it is used."""
+        if deep not in self._sampled:
+            given = self._plant, self.runs, self._unknowns, self._rig, self._count
+            self._sampled[deep] = _function(*given, self._static, deep)
+        return self._sampled[deep]
 
     def _driven(self, z: Array) -> tuple[list[Array], Array]:
         """What drives the steps of all records at the dead times of z, and these [s]."""
@@ -378,10 +383,16 @@ def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], sample
 
 
 # ---- expressions --------------------------------------------------------------------------
-def _functions(
-    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, steps: int, static: bool
-) -> tuple[ca.Function, ca.Function]:
-    """From sample to sample, without and with sensitivities: (state, inputs, (measured, whether it
+def _function(
+    plant: Plant,
+    runs: Runs,
+    unknowns: RunUnknowns,
+    rig: Rig,
+    steps: int,
+    static: bool,
+    deep: bool,
+) -> ca.Function:
+    """From sample to sample, without or with sensitivities: (state, inputs, (measured, whether it
     corrects), (z, dead times)) -> (state, outputs).
 
     What drives a step are inputs at its begin and end, its length, and, where a dead time is
@@ -409,11 +420,15 @@ def _functions(
         after = x - ca.solve(slope, rates(x, late))
         over_z = ca.solve(slope, ca.jacobian(rates(x, late), z)) if nz else ca.SX(nx, 0)
         after_slopes = ca.horzcat(-over_z, ca.SX.zeros(nx, more))
-    else:
+    elif deep:
         first = rates(x, early)
         after, after_slopes = ros2_with_slopes(
             first, lambda q: rates(q, late), (x, s), (z, more), h
         )
+    else:
+        first = rates(x, early)
+        begin = first, ca.jacobian(first, x)
+        after = ros2(lambda _: begin, lambda q: rates(q, late), x, h)
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
     y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, late, p)
     gain, offset = (ca.vertcat(*c) for c in unknowns.sensors(runs.names, rig, z))
@@ -421,26 +436,17 @@ def _functions(
     measured = ca.SX.sym("measured", ny + 1)
     behind = (measured[:ny] - y) * measured[ny]
     corrected = x + _gains(plant, runs, unknowns, rig, z) @ behind if runs.warm else x
-    corrected_slopes = along(corrected) if runs.warm else s
-    given, column = ca.vertcat(z, at), ca.vec(s)
-    wide = ca.vertcat(x, column)
-    step = ca.Function("step", [x, u, given], [after], {"cse": True})
-    read = ca.Function("read", [x, u, measured, given], [corrected, y])
-    deep_step = ca.Function(
-        "deep_step", [wide, u, given], [ca.vertcat(after, ca.vec(after_slopes))], {"cse": True}
-    )
-    deep_read = ca.Function(
-        "deep_read",
-        [wide, u, measured, given],
-        [
-            ca.vertcat(corrected, ca.vec(corrected_slopes)),
-            ca.vertcat(y, ca.vec(ca.densify(along(y)))),
-        ],
-    )
-    return (
-        _sampled("move", step, read, per_step, steps),
-        _sampled("tangent", deep_step, deep_read, per_step, steps),
-    )
+    given = ca.vertcat(z, at)
+    if not deep:
+        step = ca.Function("step", [x, u, given], [after], {"cse": True})
+        read = ca.Function("read", [x, u, measured, given], [corrected, y])
+        return _sampled("move", step, read, per_step, steps)
+    slopes = along(corrected) if runs.warm else s
+    wide, after = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(after_slopes))
+    both = ca.vertcat(corrected, ca.vec(slopes)), ca.vertcat(y, ca.vec(ca.densify(along(y))))
+    step = ca.Function("deep_step", [wide, u, given], [after], {"cse": True})
+    read = ca.Function("deep_read", [wide, u, measured, given], [*both])
+    return _sampled("tangent", step, read, per_step, steps)
 
 
 def _driving(unknowns: RunUnknowns, z: ca.SX, at: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -1,0 +1,1 @@
+"""What physics leaves out, learned from records."""

@@ -1,0 +1,534 @@
+"""Learning a residual on the physics, along whole free runs; how much it helps, and how far to
+trust it.
+
+The physics stays as it was fitted. Weights are found by damped Gauss-Newton steps through the
+simulated runs, with a penalty that shrinks them to where the residual is zero.
+How strong it is is chosen by cross-validation over records (or parts of them) against no residual,
+which stays unless another is significantly better. The models of the folds are the ensemble; errors
+on what a fold left out make the bands (the cross-conformal way of R. Barber et al., Annals of
+Statistics 49 (2021) 486), wider where the ensemble disagrees.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError, require_count, require_instance
+from ...core.shown import shown
+from ...core.stop import check, verb
+from ...core.trajectory import Trajectory
+from ...plants.plant import Plant
+from ..dynamic.choice import paired
+from ..dynamic.experiment import groups, recorded, running
+from ..dynamic.free_run_fit import fit_free_run
+from ..dynamic.free_run_result import FreeRunFit
+from ..dynamic.gauss_newton import descend
+from ..dynamic.rig import RunUnknowns, unknowns_of
+from ..dynamic.rollout import Rollout
+from ..dynamic.runs import FreeRun, Runs, runs_of, settled_starts
+from ..statistics import Array
+from .residual import Attached, Residual, Visited, attached
+
+__all__ = ["Band", "LearnedFit", "LearnedStructure", "Strength", "fit_residual"]
+
+STRENGTHS = (1e-2, 1e-3, 1e-4, 1e-5)
+"""Of the penalty, in parts of the measured variables' variance, from strong to weak."""
+PIECES = 3
+"""That a record is cut into for each fold, where there are few records."""
+PAST = 1.05
+"""Times the least loss: a weaker penalty that loses so much says that the least is past."""
+ENOUGH = 1e-3
+"""Relative gain of a step below which a strength's search ends."""
+WIDTH = 0.1
+"""Of secants, in weights."""
+LEVEL = 0.95
+FAR = 50.0
+"""Of logarithms, so that they have an end."""
+WORST = 1e6
+"""Stands for the loss of a run that went beyond all numbers, in those without a residual."""
+
+
+@dataclass(frozen=True)
+class Strength:
+    """A strength of the penalty; ``value`` None is no residual.
+
+    ratio : mean squared error on what was left out, in parts of that without a residual. low, high
+    : the 95 % interval of what this is in a typical part of the records (of the geometric mean), by
+    which a residual counts as better: parts where everything is hard weigh no more than others.
+    """
+
+    value: float | None
+    ratio: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Predicted runs and where the measured ones lie: ``run.predicted`` -+ ``half`` (n, K, ny)."""
+
+    run: FreeRun
+    half: Array
+
+    @property
+    def coverage(self) -> dict[str, float]:
+        """The part of the measured samples that lies inside, by variable."""
+        inside = np.abs(self.run.predicted - self.run.measured) <= self.half
+        seen = ~np.isnan(self.run.measured)
+        return {n: float(inside[..., i][seen[..., i]].mean()) for i, n in enumerate(self.run.names)}
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class LearnedFit:
+    """A fitted plant with what was learned beside it.
+
+    plant : with the residual, or that of ``physics`` where no residual is significantly better.
+    strengths : what was tried, none first; ``strength`` the chosen one (None: no residual).
+    members : plants of the folds, each learned without one. errors : (steps, ny) root mean square
+    of what folds left out, by time since the start of a run; scores : those errors, each in parts
+    of its expected size.
+    """
+
+    plant: Plant
+    physics: FreeRunFit
+    residuals: tuple[Residual, ...]
+    strength: float | None
+    strengths: tuple[Strength, ...]
+    members: tuple[Plant, ...] = field(repr=False)
+    errors: Array = field(repr=False)
+    scores: Array = field(repr=False)
+    seconds: float = 0.0
+
+    def validate(self, records: Trajectory | Sequence[Trajectory], **options: Any) -> FreeRun:
+        """Runs along other records, as :meth:`FreeRunFit.validate`."""
+        return _ran(self.plant, self.physics, records, options)
+
+    def predict(
+        self, records: Trajectory | Sequence[Trajectory], level: float = 0.9, **options: Any
+    ) -> Band:
+        """Runs along records with bands that hold ``level`` of what is measured there, if these
+        records are like those of the fit; wider where the members disagree.
+        """
+        if not 0 < level < 1:
+            raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
+        run = self.validate(records, **options)
+        spread = self._spread(run, records, options)
+        wide = _sizes(self.errors, spread)
+        rank = np.ceil((1 + 1 / max(len(self.scores), 1)) * level * len(self.scores))
+        quantile = np.sort(self.scores, axis=0)[int(min(rank, len(self.scores))) - 1]
+        return Band(run, quantile * wide)
+
+    def _spread(self, run: FreeRun, records: Any, options: Mapping[str, Any]) -> Array:
+        """Standard deviation of what the members predict."""
+        every = [_ran(m, self.physics, records, options).predicted for m in self.members]
+        return np.std(every, axis=0) if len(every) > 1 else np.zeros_like(run.predicted)
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.physics.plant.name}: mean squared error on records that were left out,",
+            "in parts of that without a residual (95 % interval of a typical part)",
+        ]
+        for s in self.strengths:
+            label = "no residual" if s.value is None else f"penalty {s.value:g}"
+            mark = " <- chosen" if s.value == self.strength else ""
+            lines.append(f"    {label:<16} {s.ratio:.3f}  ({s.low:.3f} .. {s.high:.3f}){mark}")
+        return "\n".join(lines)
+
+
+def _sizes(errors: Array, spread: Array) -> Array:
+    """Expected errors (n, K, ny): of this time since the start, and of the members' differences."""
+    steps = np.minimum(np.arange(spread.shape[1]), len(errors) - 1)
+    return np.asarray(np.sqrt(errors[steps] ** 2 + np.nan_to_num(spread) ** 2))
+
+
+@verb
+def fit_residual(
+    fit: FreeRunFit,
+    residuals: Residual | Sequence[Residual],
+    *,
+    strengths: Sequence[float] = STRENGTHS,
+    folds: int = 4,
+    evaluations: int = 6,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> LearnedFit:
+    """Learn what a fitted plant leaves out, along the runs of its fit.
+
+    Parameters
+    ----------
+    fit : of the physics; its records, horizons, dead times and sensors are those of the learning.
+    residuals : one, or one of each state or output that lacks something.
+    strengths : of the penalty, tried from the strongest down, beside no residual.
+    folds : of records, or of parts of them where there are fewer; each is left out once.
+    evaluations : of the runs with their derivatives for each strength.
+    seed : of the weights where a search begins. progress : called with a line for each strength.
+
+    The result's plant is a plant like any other, with the weights as parameters: it is simulated,
+    planned with, linearised, exported. Only what the records visit can be learned; elsewhere the
+    residual is bounded, and :meth:`LearnedFit.predict` tells by its bands.
+
+    Raises InputError (arguments; residuals that name no variable of the plant), FitError.
+
+    Examples
+    --------
+    >>> fit = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
+    >>> lacking = pam.fitting.Residual("v", ["x", "v"], pam.fitting.Splines(3))
+    >>> learned = pam.fitting.fit_residual(fit, lacking, folds=3, strengths=[1e-2])
+    >>> learned.strength is None  # the plant that made the record lacks nothing
+    True
+    """
+    began = time.process_time()
+    require_instance("fit", fit, FreeRunFit, "give the result of fit_free_run")
+    given = (residuals,) if isinstance(residuals, Residual) else tuple(residuals)
+    for one in given:
+        require_instance("residuals", one, Residual, "give Residual(...)")
+    values = sorted((float(s) for s in strengths), reverse=True)
+    if not given or not values or values[-1] <= 0:
+        raise InputError("residuals and strengths: give one at least; strengths are above zero")
+    trial = _Trial(fit, given, require_count("folds", folds, 2), evaluations, seed)
+    tried, found = [trial.without], [trial.compared(trial.without)]
+    for value in values:
+        tried.append(trial.at(value))
+        found.append(trial.compared(tried[-1]))
+        if progress is not None:
+            progress(f"penalty {value:g}: {found[-1].ratio:.4f} of the loss")
+        if found[-1].ratio > PAST * min(f.ratio for f in found):
+            break
+    best = min(range(len(found)), key=lambda i: found[i].ratio)
+    if found[best].high >= 1.0:
+        best = 0
+    chosen = tried[best]
+    plant = fit.plant if not best else trial.fitted(values[:best])
+    errors, scores = _out_of_fold(chosen, trial)
+    return LearnedFit(
+        plant,
+        fit,
+        given,
+        found[best].value,
+        tuple(found),
+        tuple(trial.attached.at(w) for w in chosen.weights) if best else (),
+        errors,
+        scores,
+        time.process_time() - began,
+    )
+
+
+# ---- learning ------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A strength: weights of each fold, and the runs along what each left out, with their parts'
+    losses (parts, criteria).
+    """
+
+    value: float | None
+    weights: tuple[Array, ...]
+    runs: tuple[FreeRun, ...]
+    losses: Array
+
+
+class _Shrunk:
+    """The mean squared error of runs over the weights, with a penalty; see ``Normal``.
+
+    width : of the secants that stand for slopes; None for exact ones. Friction that sticks makes
+    errors so rough a function of the weights that derivatives hold for a thousandth of the step
+    that is to be made with them.
+    """
+
+    def __init__(
+        self,
+        rollout: Rollout,
+        starts: Array,
+        centre: Array,
+        precision: Array,
+        width: float | None = None,
+    ) -> None:
+        self._rollout, self._starts, self._width = rollout, starts, width
+        self._centre, self._precision = centre, precision
+
+    def _errors(self, w: Array) -> Array:
+        return self._rollout.residuals(np.concatenate([w, self._starts]))
+
+    def cost(self, w: Array, /) -> float:
+        away = w - self._centre
+        return float(np.sum(self._errors(w) ** 2) + away @ self._precision @ away)
+
+    def normal(self, w: Array, /) -> tuple[float, Array, Array, int]:
+        n, away = len(w), w - self._centre
+        if self._width is None:
+            z = np.concatenate([w, self._starts])
+            cost, gradient, square, damped = self._rollout.normal(z)
+            gradient, square = gradient[:n], square[:n, :n]
+        else:
+            errors = self._errors(w)
+            slopes = np.empty((len(errors), n))
+            for k in range(n):
+                beside = w.copy()
+                beside[k] += self._width
+                slopes[:, k] = (self._errors(beside) - errors) / self._width
+            cost, gradient, square = float(errors @ errors), slopes.T @ errors, slopes.T @ slopes
+            damped = 0
+        cost += float(away @ self._precision @ away)
+        return cost, gradient + self._precision @ away, square + self._precision, damped
+
+
+class _Trial:
+    """The folds of the records, each with what it leaves out."""
+
+    def __init__(
+        self,
+        fit: FreeRunFit,
+        residuals: Sequence[Residual],
+        folds: int,
+        evaluations: int,
+        seed: int,
+    ) -> None:
+        self.fit, self.evaluations = fit, evaluations
+        records = running(recorded(fit.records), fit.interpolation)
+        random = np.random.default_rng(seed)
+        self.attached = attached(fit.plant, residuals, _visited(fit, records), random)
+        self.records, self.parts = records, _parts(records, fit.options, folds)
+        self.fold = np.arange(len(self.parts)) % folds
+        self.searches = [
+            _Search(
+                self.attached,
+                fit,
+                [p for p, k in zip(self.parts, self.fold, strict=True) if k != i],
+            )
+            for i in range(folds)
+        ]
+
+    @cached_property
+    def without(self) -> _Tried:
+        """No residual."""
+        return self._tried(None, [self.attached.centre for _ in self.searches])
+
+    def at(self, strength: float) -> _Tried:
+        """Each fold goes on from where the strength before led."""
+        return self._tried(strength, [s.to(strength, self.evaluations) for s in self.searches])
+
+    def fitted(self, strengths: Sequence[float]) -> Plant:
+        """With weights learned from all records, down to the last of these strengths."""
+        search = _Search(self.attached, self.fit, self.records)
+        for strength in strengths:
+            weights = search.to(strength, self.evaluations)
+        return self.attached.at(weights)
+
+    def _tried(self, value: float | None, weights: Sequence[Array]) -> _Tried:
+        runs, losses = [], None
+        for i, w in enumerate(weights):
+            own = np.flatnonzero(self.fold == i)
+            left = [self.parts[j] for j in own]
+            run = _ran(self.attached.at(w), self.fit, left, {})
+            found = _losses(run, len(left))
+            losses = (
+                np.full((len(self.parts), found.shape[1]), np.nan) if losses is None else losses
+            )
+            losses[own] = found
+            runs.append(run)
+        assert losses is not None
+        return _Tried(value, tuple(weights), tuple(runs), losses)
+
+    def compared(self, tried: _Tried) -> Strength:
+        """Its loss in parts of that without a residual."""
+        base = np.nanmean(self.without.losses, axis=0)
+        own, other = (
+            np.nanmean(np.minimum(t.losses / base, WORST), axis=1) for t in (tried, self.without)
+        )
+        seen = ~np.isnan(own)
+        mean, _, half = paired(np.log(own[seen] / other[seen]), LEVEL)
+        if tried.value is None:
+            half = 0.0
+        low, high = np.exp([max(mean - half, -FAR), min(mean + half, FAR)])
+        return Strength(tried.value, float(own[seen].mean()), float(low), float(high))
+
+
+def _parts(
+    records: Sequence[Trajectory], options: Mapping[str, Any], folds: int
+) -> list[Trajectory]:
+    """Whole records where there are as many as folds, else pieces that each hold a run."""
+    if len(records) >= folds:
+        return list(records)
+    sampling = records[0].duration / (len(records[0]) - 1)
+    spans = options["horizon"], options["every"] or 0.0, options["warm_up"]
+    least = options["history"] + round(sum(np.max(s or 0.0) for s in spans) / sampling) + 1
+    found = []
+    for record in records:
+        pieces = max(min(PIECES * folds, len(record) // least), 1)
+        edges = np.linspace(0, len(record), pieces + 1).round().astype(int)
+        found += [record.at(record.t[a:b]) for a, b in pairwise(edges.tolist())]
+    if len(found) < folds:
+        raise InputError(
+            f"folds = {folds}: the records hold {len(found)} parts of {least} samples, which a run "
+            "and its past take; take fewer folds, shorter horizons, or longer records"
+        )
+    return found
+
+
+def _losses(run: FreeRun, records: int) -> Array:
+    """(records, horizons ny)."""
+    several = run.horizons or (None,)
+    return np.concatenate([run.losses(records, h) for h in several], axis=1)
+
+
+class _Search:
+    """A descent from strong penalties to weak ones along some records, whose starts stay where the
+    physics has them.
+    """
+
+    def __init__(self, made: Attached, fit: FreeRunFit, records: Sequence[Trajectory]) -> None:
+        self._made, self._w = made, made.begin
+        runs = _runs(made.plant, fit, records, {})
+        unknowns = _unknowns(made.plant, fit, runs, len(records), made.weights)
+        self._rollout = Rollout(made.plant, runs, unknowns, fit.rig)
+        plain = _unknowns(made.plant, fit, runs, len(records), ())
+        physics = made.at(made.centre)
+        self._starts = _starts(Rollout(physics, runs, plain, fit.rig), plain)
+
+    def to(self, strength: float, evaluations: int) -> Array:
+        """The weights at a strength."""
+        made, free = self._made, np.full(len(self._w), np.inf)
+        for width in (None, WIDTH):
+            check()
+            given = self._rollout, self._starts, made.centre, strength * made.precision, width
+            found = descend(_Shrunk(*given), self._w, -free, free, evaluations, enough=ENOUGH)
+            self._w = found.z
+            if not found.damped:
+                break  # else slopes of some runs mean nothing
+        return self._w
+
+
+def _starts(rollout: Rollout, u: RunUnknowns) -> Array:
+    """Of records that have starts of their own: found from them, all else known."""
+    return descend(rollout, u.guess, u.low, u.high, 30).z if len(u.guess) else np.empty(0)
+
+
+def _runs(
+    plant: Plant, fit: FreeRunFit, records: Sequence[Trajectory], options: Mapping[str, Any]
+) -> Runs:
+    asked = {**fit.options, "outputs": list(fit.training.names), **options}
+    return runs_of(plant, records, **asked)
+
+
+def _unknowns(
+    plant: Plant, fit: FreeRunFit, runs: Runs, records: int, weights: Sequence[str]
+) -> RunUnknowns:
+    """The weights, and starts of each record as in the fit of the physics; memories begin in the
+    same way.
+    """
+    states = [v.name for v in plant.states]
+    along = {fit.plant.states[i].name for i in fit.unknowns.along}
+    memories = [n for n in states if ".learned.memory" in n]
+    hidden = [i for i, n in enumerate(states) if n in along or n in memories]
+    guesses = settled_starts(plant, runs, records, hidden).T
+    found, _ = unknowns_of(
+        plant,
+        [replace(g, scale=1.0) for g in groups(plant, list(weights))] if weights else (),
+        runs.names,
+        records,
+        float(runs.t[0]),
+        starts={n: "record" for n in fit.own_starts if n not in along},
+        hidden=dict(zip(hidden, guesses, strict=True)),
+    )
+    return found
+
+
+def _ran(plant: Plant, fit: FreeRunFit, records: Any, options: Mapping[str, Any]) -> FreeRun:
+    """Runs of a plant; starts that each record has for itself are estimated from it."""
+    known = running(recorded(records), fit.interpolation)
+    runs = _runs(plant, fit, known, options)
+    u = _unknowns(plant, fit, runs, len(known), ())
+    rollout = Rollout(plant, runs, u, fit.rig)
+    return runs.result(rollout.predicted(_starts(rollout, u)))
+
+
+def _visited(fit: FreeRunFit, records: Sequence[Trajectory]) -> Visited:
+    """States and inputs at all samples of the runs of the fit."""
+    runs = _runs(fit.plant, fit, records, {})
+    rollout = Rollout(fit.plant, runs, fit.unknowns, fit.rig)
+    states, inputs = [], []
+    for part, x in rollout.states(fit.z):
+        for row, own in zip(part.rows, x, strict=True):
+            count = int(runs.length[row])
+            first = int(runs.first[row]) + runs.warm + 1
+            states.append(own[:count])
+            inputs.append(runs.inputs[int(runs.record[row])].u[first : first + count])
+    x, u = np.concatenate(states), np.concatenate(inputs)
+    fine = np.all(np.isfinite(x), axis=1)
+    return Visited(x[fine], u[fine])
+
+
+def _out_of_fold(tried: _Tried, trial: _Trial) -> tuple[Array, Array]:
+    """(root mean square of the errors by time since the start (K, ny), each error in parts of its
+    expected size (m, ny), sorted nowhere)."""
+    members = [trial.attached.at(w) for w in tried.weights]
+    deep = max(r.predicted.shape[1] for r in tried.runs)
+    names = len(tried.runs[0].names)
+    square, count = np.zeros((deep, names)), np.zeros((deep, names))
+    for run in tried.runs:
+        error = run.predicted - run.measured
+        k = error.shape[1]
+        square[:k] += np.nansum(error**2, axis=0)
+        count[:k] += np.sum(~np.isnan(error), axis=0)
+    errors = np.sqrt(square / np.maximum(count, 1))
+    scores = []
+    for i, run in enumerate(tried.runs):
+        left = [p for p, k in zip(trial.parts, trial.fold, strict=True) if k == i]
+        spread = np.zeros_like(run.predicted)
+        if tried.value is not None:
+            every = [_ran(m, trial.fit, left, {}).predicted for m in members]
+            spread = np.std(every, axis=0)
+        sizes = np.maximum(_sizes(errors, spread), 1e-300)
+        own = (np.abs(run.predicted - run.measured) / sizes).reshape(-1, names)
+        scores.append(own[~np.isnan(own).any(axis=1)])
+    return errors, np.concatenate(scores)
+
+
+# ---- a structure among others --------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class LearnedStructure:
+    """Physics by free runs and what is learned beside it, to be chosen among others by
+    :func:`choose`: so the residual itself is judged by records that nothing of it has seen.
+
+    plant, free, options : of :func:`fit_free_run`. residuals, learning : of :func:`fit_residual`.
+
+    Examples
+    --------
+    >>> options = {"horizon": [0.1], "every": 0.2}
+    >>> lacking = [pam.fitting.Residual("v", ["x", "v"])]
+    >>> pam.fitting.LearnedStructure(plant, ["mass"], options, lacking).complexity
+    2.0
+    """
+
+    plant: Plant
+    free: Sequence[str | Sequence[str]]
+    options: Mapping[str, Any]
+    residuals: Sequence[Residual]
+    learning: Mapping[str, Any] = field(default_factory=dict)
+    judged: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def complexity(self) -> float:
+        """Number of unknowns of the physics, and one for each residual: its freedom is chosen."""
+        return float(len(groups(self.plant, self.free)) + len(self.residuals))
+
+    def fit(self, records: Sequence[Trajectory], /) -> LearnedFit:
+        """See :func:`fit_free_run` and :func:`fit_residual`."""
+        physics = fit_free_run(
+            self.plant, list(records), self.free, **{"judge": False, **self.options}
+        )
+        return fit_residual(physics, list(self.residuals), **self.learning)
+
+    def losses(self, model: LearnedFit, records: Sequence[Trajectory], /) -> NDArray[Any]:
+        """Mean squared error of each record over each horizon, variable by variable."""
+        horizons = model.physics.training.horizons or None
+        run = model.validate(list(records), **{"horizon": horizons, **self.judged})
+        return _losses(run, len(records))
