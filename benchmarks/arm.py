@@ -5,9 +5,9 @@ Every structure below is fitted to free runs of both files of episodes and chose
 ``pam.fitting.choose``: whole episodes are left out, the folds are drawn when the script starts, and
 starts of the search are sizes, never values that were fitted before. The yardstick, the best of
 several ARX models of each joint (own angle and pressures, or all of them; several orders; pressures
-as recorded, or 20 ms ahead of it), is chosen in the same way by the same folds. So is, with --gru,
-the better of two ensembles of gated recurrent units (own angle and pressures, or all of them) that
-read 0.2 s of the past. Ratios have 95 % intervals from differences episode by episode.
+as recorded, or 20 ms ahead of it), is chosen in the same way by the same folds. --gru adds another,
+an ensemble of gated recurrent units that read 0.2 s of the joint's own angle and pressures. Ratios
+have 95 % intervals from differences episode by episode.
 
     q'' = T1 - T2 + load(q) - stop(q) - c q' - friction tanh(q'/v)      in parts of the inertia
 
@@ -213,35 +213,29 @@ def yardsticks(j: int) -> dict[str, Any]:
 
 
 def networks(j: int) -> dict[str, Any]:
-    """Gated recurrent units in place of ARX; pressures 20 ms ahead, the older ones from memory."""
-
-    def made(outputs: Sequence[str], inputs: Sequence[str]) -> GruStructure:
-        return GruStructure(outputs, inputs, HORIZONS, EVERY, first=FIRST, lag=-2)
-
-    return {"own": made(*own(j)), "all": OneOf(made(*WHOLE), j - 1)}
+    """Gated recurrent units on the columns of joint j (those of the whole arm made them worse);
+    pressures 20 ms ahead, the older ones from memory.
+    """
+    return {"GRU": GruStructure(*own(j), HORIZONS, EVERY, first=FIRST, lag=-2)}
 
 
 KEPT: dict[Any, Any] = {}
-"""Of models of the whole arm, which serve all joints."""
+"""Of ARX models of the whole arm, which serve all joints."""
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """One output of a model of several."""
+    """One output of an ARX model of several."""
 
-    whole: Any
+    whole: ArxStructure
     place: int
-
-    @property
-    def alone(self) -> bool:
-        return getattr(self.whole, "alone", False)
 
     @property
     def complexity(self) -> float:
         return self.whole.complexity
 
     def fit(self, records: Sequence[pam.Trajectory], /) -> Any:
-        key = (repr(self.whole), *map(id, records))
+        key = (self.whole.order, self.whole.lag, *map(id, records))
         if key not in KEPT:
             KEPT[key] = self.whole.fit(records)
         return KEPT[key]

@@ -50,6 +50,8 @@ PATIENCE = 10
 WARM = 0.05
 """Part of the updates over which the rate rises."""
 LARGEST_GRADIENT = 1.0
+LONGEST_LAG = 10_000
+"""Samples."""
 
 
 # ---- what computes ------------------------------------------------------------------------------
@@ -531,6 +533,7 @@ def _require(structure: Any, counts: Sequence[str]) -> None:
             raise InputError(f"{name} = {value!r}: give names of columns, at least one")
     for name in counts:
         require_count(name, getattr(structure, name))
+    require_count("lag", structure.lag, -LONGEST_LAG, LONGEST_LAG)
     if not len(structure.horizon):
         raise InputError("horizon is empty: give durations [s], at least one")
     require_positive("every", structure.every)
@@ -581,6 +584,7 @@ class NarxStructure:
     def __post_init__(self) -> None:
         _require(self, ("order", "units", "tries", "steps", "batch"))
         require_positive("rate", self.rate)
+        require_count("seed", self.seed, 0)
 
     @property
     def _network(self) -> _Narx:
@@ -641,6 +645,7 @@ class GruStructure:
     def __post_init__(self) -> None:
         _require(self, ("units", "members", "steps", "batch"))
         require_positive("rate", self.rate)
+        require_count("seed", self.seed, 0)
         require_positive("warm_up", self.warm_up)
 
     @property
