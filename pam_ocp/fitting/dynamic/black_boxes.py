@@ -205,6 +205,7 @@ def _moved(xp: Any, w: Weights, levels: Any, x: Any, hidden: Any, gain: Any) -> 
 class _Network(Protocol):
     """What is trained."""
 
+    def __hash__(self) -> int: ...
     def shapes(self) -> dict[str, tuple[int, ...]]: ...
     def first(self, past: Any, inputs: Any, gains: Any) -> Any: ...
     def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any: ...
@@ -448,7 +449,9 @@ class _Training:
                 break
         return best, least
 
-    def _split(self, count: int, random: np.random.Generator) -> tuple[Array, Array]:
+    def _split(
+        self, count: int, random: np.random.Generator
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Windows of each member for training, and those held out (members, JUDGES).
 
         What is held out is one piece of the row of all windows, so that most of it lies in records
@@ -790,7 +793,7 @@ class SubspaceStructure:
         # what the past alone says of the outputs i samples later: the older coefficients
         later = np.concatenate([np.hstack([_older(own, i), _older(other, i)]) for i in range(p)])
         centred = z - z.mean(axis=0)
-        spread = np.linalg.qr(centred, mode="r").T / np.sqrt(len(z))
+        spread = np.asarray(np.linalg.qr(centred, mode="r")).T / np.sqrt(len(z))
         left, size, _ = np.linalg.svd(later @ spread, full_matrices=False)
         size = np.maximum(size[: self.order], 1e-12 * size[0])
         return np.asarray((left[:, : self.order] / np.sqrt(size)).T @ later)
