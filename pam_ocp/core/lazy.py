@@ -13,7 +13,7 @@ from typing import Any
 
 from .interrupts import interruptible
 
-__all__ = ["from_stub", "lazily", "load"]
+__all__ = ["from_stub", "lazily", "library", "load"]
 
 
 def _hint(name: str, known: Iterable[str]) -> str:
@@ -31,6 +31,18 @@ def load(name: str) -> ModuleType:
     """
     with interruptible():
         return importlib.import_module(name)
+
+
+def library(name: str, extra: str, asks: str) -> Any:
+    """A library of an extra, imported now. Raises InputError where it is not installed."""
+    try:
+        return load(name)
+    except ImportError:
+        from .exceptions import InputError
+
+        raise InputError(
+            f"{asks} needs {name}, which is not installed: pip install 'pam_ocp[{extra}]'"
+        ) from None
 
 
 def lazily(

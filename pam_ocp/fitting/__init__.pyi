@@ -2,7 +2,11 @@
 from . import experiments as experiments
 from .dynamic.adequacy import Adequacy as Adequacy
 from .dynamic.adequacy import AdequacyTest as AdequacyTest
+from .dynamic.black_boxes import GruStructure as GruStructure
+from .dynamic.black_boxes import NarxStructure as NarxStructure
+from .dynamic.black_boxes import SubspaceStructure as SubspaceStructure
 from .dynamic.choice import Choice as Choice
+from .dynamic.choice import Ratios as Ratios
 from .dynamic.choice import Structure as Structure
 from .dynamic.choice import Tried as Tried
 from .dynamic.choice import choose as choose

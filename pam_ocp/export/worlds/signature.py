@@ -12,22 +12,12 @@ from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError
-from ...core.lazy import load
+from ...core.lazy import library
 from ...core.variables import Variable
 from ...plants.plant import Plant
 from .instructions import Instructions, instructions
 
 __all__ = ["Signature", "block_program", "library", "plant_programs", "signature"]
-
-
-def library(name: str, extra: str, asks: str) -> Any:
-    """A library of an extra, imported now. Raises InputError where it is not installed."""
-    try:
-        return load(name)
-    except ImportError:
-        raise InputError(
-            f"{asks} needs {name}, which is not installed: pip install 'pam_ocp[{extra}]'"
-        ) from None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import itertools
 import secrets
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
@@ -23,12 +24,31 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.arguments import with_kinds
 from ...core.cases import Place, ending
-from ...core.errors import FitError, InputError, PamError, kind_of, require_count, require_instance
+from ...core.errors import (
+    FitError,
+    InputError,
+    PamError,
+    UnknownNameError,
+    kind_of,
+    require_count,
+    require_instance,
+)
+from ...core.executors import Client
 from ...core.stop import limited
 from ...core.trajectory import Trajectory
 from ..statistics import Array, student_t
 
-__all__ = ["Choice", "Rule", "Structure", "Tried", "choose", "mean_loss", "paired"]
+__all__ = [
+    "Choice",
+    "Ratios",
+    "Rule",
+    "Structure",
+    "Tried",
+    "choose",
+    "mean_loss",
+    "paired",
+    "rmse_ratios",
+]
 
 
 def mean_loss(losses: Array) -> Array:
@@ -50,6 +70,25 @@ def paired(differences: Array, level: float) -> tuple[float, float, float]:
     return mean, error, student_t(level, n - 1) * error
 
 
+def rmse_ratios(losses: Array, reference: Array, level: float = 0.95) -> Array:
+    """(ratio, low, high) of RMSEs by criterion (m, 3), of losses of the same records (n, m).
+
+    The interval is that of a ratio of means (W. Cochran, Sampling Techniques, 1977, ch. 6), from
+    differences record by record, on the scale of its logarithm: it holds both ways round. NaN by a
+    criterion that fewer than two records allow.
+    """
+    found = np.full((losses.shape[1], 3), np.nan)
+    for k, (own, other) in enumerate(zip(losses.T, reference.T, strict=True)):
+        both = np.isfinite(own) & np.isfinite(other)
+        if both.sum() < 2 or not (own[both].any() and other[both].any()):
+            continue
+        ratio = own[both].mean() / other[both].mean()
+        _, _, half = paired(own[both] - ratio * other[both], level)
+        wide = np.exp(0.5 * half / own[both].mean())
+        found[k] = np.sqrt(ratio) * np.array([1.0, 1.0 / wide, wide])
+    return found
+
+
 Rule: TypeAlias = Literal["simplest", "best"]
 
 
@@ -57,7 +96,9 @@ Rule: TypeAlias = Literal["simplest", "best"]
 class Structure(Protocol):
     """What can be chosen: a model's form, with the way in which its parameters are found.
 
-    With a process pool it travels by pickle: a dataclass of a module, no lambda.
+    With a process pool it travels by pickle: a dataclass of a module, no lambda. One with a true
+    attribute ``alone`` starts threads, which forked processes lack: it is fitted here, after the
+    others, unless there is an executor of the caller's own.
 
     Examples
     --------
@@ -188,6 +229,67 @@ class Choice:
 
     __str__ = table
 
+    def against(self, reference: str, level: float = 0.95) -> Ratios:
+        """RMSE of each structure in parts of that of one of them, with intervals at ``level``."""
+        if reference not in [t.name for t in self.tried]:
+            raise UnknownNameError("structure", reference, [t.name for t in self.tried])
+        given = {t.name: t.losses for t in self.tried} | {NESTED: self.nested}
+        found = {n: rmse_ratios(x, self[reference].losses, level) for n, x in given.items()}
+        return Ratios(reference, level, self.criteria, found)
+
+
+@dataclass(frozen=True, eq=False)
+class Ratios:
+    """RMSE in parts of that of a reference structure, on the same records.
+
+    by_name : {structure: (m, 3)}, by criterion the ratio and its interval's ends; the last, "the
+    choice", is what choosing is worth (nested). Below one throughout: significantly better. The
+    records count as independent.
+
+    Examples
+    --------
+    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
+    >>> ways = {"horizon": [0.1], "every": 0.1}
+    >>> orders = {
+    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
+    ...     for n in (1, 2)
+    ... }
+    >>> ratios = pam.fitting.choose(orders, runs, folds=3, seed=1).against("order 1")
+    >>> ratios["order 1"]
+    array([[1., 1., 1.]])
+    """
+
+    reference: str
+    level: float
+    criteria: tuple[str, ...]
+    by_name: Mapping[str, Array] = field(repr=False)
+
+    def __getitem__(self, name: str) -> Array:
+        return self.by_name[name]
+
+    def table(self) -> str:
+        """One row for each structure."""
+        width = max(12, *(len(n) + 2 for n in self.by_name))
+        wide = max(20, *(len(c) + 2 for c in self.criteria))
+        lines = [
+            f"RMSE / RMSE of {self.reference}, {100 * self.level:g} % intervals",
+            f"  {'structure':<{width}}" + "".join(f"{c:>{wide}}" for c in self.criteria),
+        ]
+        for name, rows in self.by_name.items():
+            lines.append(f"  {name:<{width}}" + "".join(f"{as_ratio(r):>{wide}}" for r in rows))
+        return "\n".join(lines)
+
+    __str__ = table
+
+
+NESTED = "the choice"
+
+
+def as_ratio(row: Array) -> str:
+    """``0.82 (0.79, 0.85)``."""
+    ratio, low, high = row
+    return f"{ratio:.2f} ({low:.2f}, {high:.2f})" if np.isfinite(ratio) else "-"
+
 
 RULES = ("simplest", "best")
 
@@ -213,7 +315,7 @@ def choose(
     Parameters
     ----------
     structures : {name: :class:`Structure`}, such as :class:`FreeRunStructure`,
-        :class:`PlantStructure` or :class:`ArxStructure`.
+        :class:`PlantStructure`, :class:`ArxStructure` or :class:`GruStructure`.
     records : one Trajectory each; whole records are left out, never parts of them.
     folds : of records, at least 3: one is the test, one judges the fits to the others.
     groups : a label for each record; those of one label (cut from one run, one muscle, one day)
@@ -404,11 +506,19 @@ def _fits(
 
     work = _Without(structures, records, fold)
     found: dict[str, dict[tuple[int, ...], _Fitted]] = {n: {} for n in structures}
-    fits = ending(work, tasks, executor=executor, chunk=1, what="fits")
-    for done, (i, fitted) in enumerate(fits, start=1):
+    place = executor if isinstance(executor, Executor | Client) else 0
+    shared = [t for t in tasks if not getattr(structures[t[0]], "alone", False)]
+    alone = [t for t in tasks if getattr(structures[t[0]], "alone", False)]
+    fits = (
+        (group[i], fitted)
+        for group, where in ((shared, executor), (alone, place))
+        if group
+        for i, fitted in ending(work, group, executor=where, chunk=1, what="fits")
+    )
+    for done, (task, fitted) in enumerate(fits, start=1):
         if isinstance(fitted, Exception):
             raise fitted
-        name, out = tasks[i]
+        name, out = task
         found[name][out] = fitted
         if progress is not None:
             progress(done, len(tasks))

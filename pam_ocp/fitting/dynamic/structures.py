@@ -4,11 +4,12 @@ linear models as a yardstick.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import FitError, InputError, require_count, require_instance
 from ...core.trajectory import Trajectory
@@ -20,7 +21,17 @@ from .free_run_fit import fit_free_run
 from .free_run_result import FreeRunFit
 from .plant_fit import PlantFit
 
-__all__ = ["ArxModel", "ArxStructure", "FreeRunStructure", "PlantStructure"]
+__all__ = [
+    "ArxModel",
+    "ArxStructure",
+    "FreeRunStructure",
+    "PlantStructure",
+    "Runs",
+    "measured",
+    "run_losses",
+    "run_starts",
+    "windows",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +133,79 @@ class PlantStructure:
         return np.asarray(rows, dtype=float)
 
 
+# ---- free runs of models without physics --------------------------------------------------------
+class Runs(Protocol):
+    """What says which free runs judge a model without physics: all such are judged by the same."""
+
+    @property
+    def outputs(self) -> Sequence[str]: ...
+    @property
+    def inputs(self) -> Sequence[str]: ...
+    @property
+    def horizon(self) -> Sequence[float]: ...
+    @property
+    def every(self) -> float: ...
+    @property
+    def first(self) -> float: ...
+
+
+def measured(runs: Runs, record: Trajectory) -> tuple[Array, Array]:
+    """Outputs (N, ny) and inputs (N, nu) of a record."""
+    require_instance("record", record, Trajectory, "give Trajectories")
+    for name in (*runs.outputs, *runs.inputs):
+        if name not in record:
+            raise InputError(f"a record has no column {name}")
+    return record.array(runs.outputs), record.array(runs.inputs)
+
+
+def run_starts(count: int, ahead: int, first: int, stride: int) -> NDArray[np.intp]:
+    """The samples from which runs over ``ahead`` samples start, in a record of ``count``."""
+    return np.arange(-(-first // stride) * stride, count - ahead, stride)
+
+
+def windows(y: Array, u: Array, starts: Any, before: int, ahead: int) -> tuple[Array, Array]:
+    """Outputs and inputs (n, before + ahead, ...) around starts, each the last of ``before``
+    samples of the past. Beyond an end of the record its last sample there stands again.
+    """
+    place = np.asarray(starts)[:, None] + np.arange(1 - before, ahead + 1)
+    place = np.clip(place, 0, len(y) - 1)
+    return y[place], u[place]
+
+
+def run_losses(
+    runs: Runs,
+    records: Sequence[Trajectory],
+    before: int,
+    predict: Callable[[Array, Array], Array],
+) -> Array:
+    """Mean squared error of each record over each horizon, output by output; NaN where no run fits
+    in.
+
+    predict : of the outputs of ``before`` samples up to the start (n, before, ny) and of the inputs
+        of these and of the run (n, before + h, nu), the outputs of the run (n, h, ny).
+    """
+    found = [[_run_loss(runs, r, h, before, predict) for h in runs.horizon] for r in records]
+    return np.array(found).reshape(len(records), -1)
+
+
+def _run_loss(
+    runs: Runs,
+    record: Trajectory,
+    horizon: float,
+    before: int,
+    predict: Callable[[Array, Array], Array],
+) -> Array:
+    y, u = measured(runs, record)
+    sampling = record.duration / (len(record) - 1)
+    ahead, stride = round(horizon / sampling), round(runs.every / sampling)
+    starts = run_starts(len(y), ahead, round(runs.first / sampling), stride)
+    if not starts.size:
+        return np.full(y.shape[1], np.nan)
+    outputs, inputs = windows(y, u, starts, before, ahead)
+    error = predict(outputs[:, :before], inputs) - outputs[:, before:]
+    return np.asarray(np.mean(error**2, axis=(0, 1)))
+
+
 @dataclass(frozen=True, eq=False)
 class ArxModel:
     """y(k) from the past of outputs and inputs: coefficients (numbers, ny)."""
@@ -164,7 +248,7 @@ class ArxStructure:
         require_count("order", self.order)
         normal, right = 0.0, 0.0
         for record in records:
-            y, u = self._arrays(record)
+            y, u = measured(self, record)
             k = np.arange(min(3, len(y) - 1), len(y))
             rows = np.column_stack([self._regressors(y, u, k), np.ones(len(k))])
             normal, right = normal + rows.T @ rows, right + rows.T @ y[k]
@@ -174,43 +258,24 @@ class ArxStructure:
 
     def losses(self, model: ArxModel, records: Sequence[Trajectory], /) -> Array:
         """Mean squared error of each record over each horizon, output by output."""
-        found = [[self._loss(model, r, h) for h in self.horizon] for r in records]
-        return np.array(found).reshape(len(records), -1)
+        before = max(self.order, self.order + self.lag) + 1
+        return run_losses(self, records, before, lambda y, u: self._run(model, y, u))
 
-    def _loss(self, model: ArxModel, record: Trajectory, horizon: float) -> Array:
-        y, u = self._arrays(record)
-        sampling = record.duration / (len(record) - 1)
-        h, stride = round(horizon / sampling), round(self.every / sampling)
-        first = -(-round(self.first / sampling) // stride) * stride
-        starts = np.arange(first, len(y) - h, stride)
-        if not starts.size:
-            return np.full(y.shape[1], np.nan)
-        past = max(self.order, self.order + self.lag) + 1
-        place = starts[:, None] + np.arange(-past + 1, h + 1)
-        runs = y[np.maximum(place, 0)].copy()
-        drive = u[np.clip(place, 0, len(u) - 1)]
+    def _run(self, model: ArxModel, past: Array, inputs: Array) -> Array:
+        before, last = past.shape[1], inputs.shape[1] - 1
+        ahead = last + 1 - before
+        runs = np.concatenate([past, np.zeros((len(past), ahead, past.shape[2]))], axis=1)
         # what a lag below zero asks of the inputs behind the end of the run is not known there
-        for s in range(h):
-            parts = [runs[:, past + s - i] for i in range(1, self.order + 1)]
-            parts += [
-                drive[:, np.minimum(past + s - i, past + h - 1)]
-                for i in range(self.lag, self.lag + self.order)
-            ]
-            rows = np.concatenate([*parts, np.ones((len(starts), 1))], axis=1)
+        for k in range(before, before + ahead):
+            parts = [runs[:, k - i] for i in range(1, self.order + 1)]
+            parts += [inputs[:, min(k - i, last)] for i in range(self.lag, self.lag + self.order)]
+            rows = np.concatenate([*parts, np.ones((len(runs), 1))], axis=1)
             with np.errstate(over="ignore", invalid="ignore"):
-                runs[:, past + s] = np.clip(rows @ model.coefficients, -1e6, 1e6)
-        error = runs[:, past:] - y[place[:, past:]]
-        return np.asarray(np.mean(error**2, axis=(0, 1)))
+                runs[:, k] = np.clip(rows @ model.coefficients, -1e6, 1e6)
+        return runs[:, before:]
 
     def _regressors(self, y: Array, u: Array, k: Any) -> Array:
         last = len(u) - 1
         parts = [y[np.maximum(k - i, 0)] for i in range(1, self.order + 1)]
         parts += [u[np.clip(k - i, 0, last)] for i in range(self.lag, self.lag + self.order)]
         return np.concatenate(parts, axis=1)
-
-    def _arrays(self, record: Trajectory) -> tuple[Array, Array]:
-        require_instance("record", record, Trajectory, "give Trajectories")
-        for name in (*self.outputs, *self.inputs):
-            if name not in record:
-                raise InputError(f"a record has no column {name}")
-        return record.array(self.outputs), record.array(self.inputs)

@@ -1,0 +1,803 @@
+"""Models without physics, beside which a user sees what the physics is worth: networks, and linear
+state-space models by subspace identification.
+
+All are fitted to records and judged by free runs from the starts at which
+:class:`~pam_ocp.fitting.dynamic.structures.ArxStructure` is judged (``run_losses``). A network's
+step is written once, for NumPy and for JAX: it is trained in JAX by optax, on free runs over the
+longest horizon, and predicts in NumPy, so that a model that was kept needs neither. An error counts
+in parts of how far the outputs move over as many samples, lest the ends of runs be all that is
+learnt. Scales, windows and those held out for early stopping come from the training records alone.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import FitError, InputError, require_count, require_finite, require_positive
+from ...core.lazy import library
+from ...core.trajectory import Trajectory
+from ..statistics import Array
+from .structures import Runs, measured, run_losses
+
+__all__ = [
+    "GruStructure",
+    "NarxStructure",
+    "NetworkModel",
+    "SubspaceModel",
+    "SubspaceStructure",
+]
+
+Weights: TypeAlias = dict[str, Any]
+Single: TypeAlias = NDArray[np.float32]
+FARTHEST = 50.0
+"""Where free runs are clipped, in standard deviations of the outputs."""
+HELD_OUT = 0.2
+"""Part of the windows that stops the training early."""
+CHECKED = 50
+"""Updates from one look at the held-out windows to the next."""
+JUDGES = 256
+"""Held-out windows of each member."""
+PATIENCE = 10
+"""Looks without a better one, of any member, that end the training."""
+WARM = 0.05
+"""Part of the updates over which the rate rises."""
+LARGEST_GRADIENT = 1.0
+LONGEST_LAG = 10_000
+"""Samples."""
+
+
+# ---- what computes ------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Arrays:
+    """NumPy, or JAX: functions of arrays, and a loop over their first axis."""
+
+    xp: Any
+    scan: Callable[..., Any]
+
+
+def _loop(step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, rows: Any) -> tuple[Any, Any]:
+    """As jax.lax.scan."""
+    found = []
+    for row in rows:
+        carry, one = step(carry, row)
+        found.append(one)
+    return carry, np.array(found)
+
+
+NUMPY = _Arrays(np, _loop)
+
+
+def _levels(xp: Any, series: Any, times: Any, lag: int, order: int) -> Any:
+    """What lies ``lag``, lag + 1, ... samples before each of ``times``: (times, n, order, c) of a
+    series (T, n, c). Beyond its ends its last sample stands again.
+    """
+    place = np.clip(np.asarray(times)[:, None] - lag - np.arange(order), 0, len(series) - 1)
+    return xp.moveaxis(series[place], 1, 2)
+
+
+def _features(xp: Any, levels: Any, gain: Any) -> Any:
+    """The newest of some levels (..., order, c), and their differences in parts of ``gain``.
+
+    As much as the levels themselves, but of one size each and hardly correlated.
+    """
+    differences = (levels[..., :-1, :] - levels[..., 1:, :]) / gain
+    whole = xp.concatenate([levels[..., :1, :], differences], axis=-2)
+    return whole.reshape(*levels.shape[:-2], -1)
+
+
+@dataclass(frozen=True)
+class _Narx:
+    """Increment of the outputs out of a linear part and one hidden layer of tanh."""
+
+    outputs: int
+    inputs: int
+    order: int
+    lag: int
+    units: int
+
+    @property
+    def features(self) -> int:
+        return self.order * (self.outputs + self.inputs)
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        return {
+            "linear": (self.features, self.outputs),
+            "offset": (self.outputs,),
+            "in": (self.features, self.units),
+            "in0": (self.units,),
+            "out": (self.units, self.outputs),
+        }
+
+    def first(self, past: Any, inputs: Any, gains: Any) -> Any:
+        """The features of the first sample behind the past (n, features), in NumPy."""
+        y = _levels(np, past, [len(past)], 1, self.order)
+        u = _levels(np, inputs, [len(past)], self.lag, self.order)
+        pair = [_features(np, y, gains[0]), _features(np, u, gains[1])]
+        return np.concatenate(pair, axis=-1)[0]
+
+    def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any:
+        """Free run (h, n, ny) behind a past (b, n, ny) along inputs (b + h, n, nu), all scaled."""
+        xp, before = way.xp, len(past)
+        times = np.arange(before, len(inputs))
+        drive = _features(xp, _levels(xp, inputs, times, self.lag, self.order), gains[1])
+
+        def step(levels: Any, u: Any) -> tuple[Any, Any]:
+            x = xp.concatenate([_features(xp, levels, gains[0]), u], axis=-1)
+            hidden = xp.tanh(x @ w["in"] + w["in0"])
+            y = _moved(xp, w, levels, x, hidden, gains[0])
+            return xp.concatenate([y[:, None], levels[:, :-1]], axis=1), y
+
+        return way.scan(step, _levels(xp, past, [before], 1, self.order)[0], drive)[1]
+
+
+@dataclass(frozen=True)
+class _Gru:
+    """The same with a memory: gated recurrent units (K. Cho et al., 2014, arXiv 1406.1078)."""
+
+    outputs: int
+    inputs: int
+    lag: int
+    units: int
+    order: ClassVar[int] = 2
+
+    @property
+    def features(self) -> int:
+        return self.order * (self.outputs + self.inputs)
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        return {
+            "linear": (self.features, self.outputs),
+            "offset": (self.outputs,),
+            "gates": (self.features + self.units, 2 * self.units),
+            "gates0": (2 * self.units,),
+            "in": (self.features, self.units),
+            "recalled": (self.units, self.units),
+            "in0": (self.units,),
+            "out": (self.units, self.outputs),
+        }
+
+    first = _Narx.first
+
+    def _remembered(self, xp: Any, w: Weights, memory: Any, x: Any) -> Any:
+        both = xp.concatenate([x, memory], axis=-1) @ w["gates"] + w["gates0"]
+        gates = 0.5 * (1.0 + xp.tanh(0.5 * both))  # the logistic function
+        keep, reset = gates[..., : self.units], gates[..., self.units :]
+        new = xp.tanh(x @ w["in"] + (reset * memory) @ w["recalled"] + w["in0"])
+        return keep * memory + (1.0 - keep) * new
+
+    def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any:
+        """As that of _Narx; the memory is filled by the past."""
+        xp, before = way.xp, len(past)
+        times = np.arange(1, len(inputs))
+        drive = _features(xp, _levels(xp, inputs, times, self.lag, self.order), gains[1])
+        seen = _features(xp, _levels(xp, past, times[: before - 1], 1, self.order), gains[0])
+        read = xp.concatenate([seen, drive[: before - 1]], axis=-1)
+
+        def warm(memory: Any, x: Any) -> tuple[Any, Any]:
+            return self._remembered(xp, w, memory, x), ()
+
+        def step(carry: Any, u: Any) -> tuple[Any, Any]:
+            memory, levels = carry
+            x = xp.concatenate([_features(xp, levels, gains[0]), u], axis=-1)
+            memory = self._remembered(xp, w, memory, x)
+            y = _moved(xp, w, levels, x, memory, gains[0])
+            return (memory, xp.concatenate([y[:, None], levels[:, :-1]], axis=1)), y
+
+        memory, _ = way.scan(warm, xp.zeros_like(read[0, :, :1] * w["in0"]), read)
+        levels = _levels(xp, past, [before], 1, self.order)[0]
+        return way.scan(step, (memory, levels), drive[before - 1 :])[1]
+
+
+def _moved(xp: Any, w: Weights, levels: Any, x: Any, hidden: Any, gain: Any) -> Any:
+    """The next outputs: the last, and an increment out of features and hidden units."""
+    increment = x @ w["linear"] + w["offset"] + hidden @ w["out"]
+    return xp.clip(levels[:, 0] + gain * increment, -FARTHEST, FARTHEST)
+
+
+class _Network(Protocol):
+    """What is trained."""
+
+    def __hash__(self) -> int: ...
+    def shapes(self) -> dict[str, tuple[int, ...]]: ...
+    def first(self, past: Any, inputs: Any, gains: Any) -> Any: ...
+    def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any: ...
+
+
+def _count(network: _Network) -> int:
+    """Weights."""
+    return sum(int(np.prod(shape)) for shape in network.shapes().values())
+
+
+# ---- fitted networks ----------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Scales:
+    """Mean and standard deviation of each column, and the size of its steps in parts of that."""
+
+    mean: Array
+    size: Array
+    gain: Array
+
+    @classmethod
+    def of(cls, series: Sequence[Array]) -> _Scales:
+        whole = np.concatenate(series)
+        size = _nonzero(np.std(whole, axis=0))
+        steps = np.concatenate([np.diff(one, axis=0) for one in series]) / size
+        return cls(np.mean(whole, axis=0), size, _nonzero(np.std(steps, axis=0)))
+
+    def __call__(self, series: Array) -> Array:
+        return (series - self.mean) / self.size
+
+
+def _nonzero(sizes: Array) -> Array:
+    return np.where(sizes > 0, sizes, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkModel:
+    """A trained network, or several whose predictions are averaged.
+
+    weights : of each member. before : samples of the past that it reads, the start itself included.
+    held_out : loss of each member on the windows that stopped its training, in parts of outputs
+    that stay where they are.
+    """
+
+    network: _Network
+    weights: tuple[Mapping[str, Array], ...]
+    scales: tuple[_Scales, _Scales]
+    before: int
+    held_out: tuple[float, ...]
+
+    def predict(self, past: Array, inputs: Array) -> Array:
+        """Free runs (n, h, ny): of the outputs of b samples of the past (n, b, ny), and the inputs
+        of these and of the run (n, b + h, nu). InputError where the past is too short.
+        """
+        past, inputs = _one_length(past, inputs, self.before)
+        y, u = (s(x).swapaxes(0, 1) for s, x in zip(self.scales, (past, inputs), strict=True))
+        gains = tuple(s.gain for s in self.scales)
+        runs = [self.network.run(NUMPY, dict(w), y, u, gains) for w in self.weights]
+        scale = self.scales[0]
+        return np.asarray(scale.mean + scale.size * np.mean(runs, axis=0).swapaxes(0, 1))
+
+
+def _one_length(past: Any, inputs: Any, before: int) -> tuple[Array, Array]:
+    """The last ``before`` samples of the past, and the inputs from there on."""
+    past, inputs = np.asarray(past, dtype=float), np.asarray(inputs, dtype=float)
+    if past.ndim != 3 or inputs.ndim != 3 or len(past) != len(inputs):
+        raise InputError(
+            f"past {past.shape} and inputs {inputs.shape}: give (n, b, outputs) and (n, b + h, "
+            "inputs), of as many runs n"
+        )
+    surplus = past.shape[1] - before
+    if surplus < 0 or inputs.shape[1] <= past.shape[1]:
+        raise InputError(
+            f"past of {past.shape[1]} samples, inputs of {inputs.shape[1]}: this model reads "
+            f"{before} of the past, and its inputs go on behind them"
+        )
+    return past[:, surplus:], inputs[:, surplus:]
+
+
+# ---- training -----------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """Free runs that can be drawn from scaled training records.
+
+    y, u : of all records, one behind the other. begin, length : of each record in them.
+    places : (record, start) of each window.
+    """
+
+    y: Array
+    u: Array
+    begin: NDArray[np.intp]
+    length: NDArray[np.intp]
+    places: NDArray[np.intp]
+    before: int
+    ahead: int
+
+    def __call__(self, chosen: NDArray[np.intp]) -> tuple[Single, Single, Single]:
+        """Outputs and inputs (..., before + ahead, c) of some windows (...), and whether a sample
+        of the run lies in the record (..., ahead).
+        """
+        record, start = np.moveaxis(self.places[chosen], -1, 0)[..., None]
+        place = start + np.arange(1 - self.before, self.ahead + 1)
+        inside = place[..., self.before :] < self.length[record]
+        place = self.begin[record] + np.clip(place, 0, self.length[record] - 1)
+        y, u = self.y[place], self.u[place]
+        return y.astype(np.float32), u.astype(np.float32), inside.astype(np.float32)
+
+
+def _drawable(
+    runs: Runs, series: Sequence[tuple[Array, Array]], before: int, sampling: float
+) -> _Windows:
+    """All starts behind ``first`` from which the shortest horizon lies in the record."""
+    first = round(runs.first / sampling)
+    least, most = (round(f(runs.horizon) / sampling) for f in (min, max))
+    length = np.array([len(y) for y, _ in series])
+    places = [(i, k) for i, n in enumerate(length) for k in range(first, n - least)]
+    if len(places) < 2:
+        raise FitError(
+            f"no record is longer than first = {runs.first:g} s and the shortest horizon, "
+            f"{min(runs.horizon):g} s"
+        )
+    y, u = (np.concatenate(part) for part in zip(*series, strict=True))
+    begin = np.cumsum(length) - length
+    return _Windows(y, u, begin, length, np.array(places), before, most)
+
+
+def _weighing(pool: _Windows, random: np.random.Generator) -> Array:
+    """1 / mean square of how far outputs move within 1, 2, ... samples (ahead, ny)."""
+    chosen = random.integers(len(pool.places), size=4 * JUDGES)
+    y, _, inside = pool(chosen)
+    moved = (y[:, pool.before :] - y[:, pool.before - 1 : pool.before]) ** 2
+    count = np.maximum(inside.sum(axis=0), 1)[:, None]
+    square = (moved * inside[..., None]).sum(axis=0) / count
+    floor = 1e-6 + 1e-3 * square.max(axis=0)
+    return np.asarray(1.0 / np.maximum(square, floor), dtype=np.float32)
+
+
+def _linear(network: _Network, pool: _Windows, gains: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Least squares of one step, where the training of the linear part begins."""
+    y, u, _ = replace(pool, ahead=1)(np.arange(len(pool.places)))
+    x = network.first(y[:, : pool.before].swapaxes(0, 1), u.swapaxes(0, 1), gains)
+    rows = np.column_stack([x, np.ones(len(x))])
+    steps = (y[:, pool.before] - y[:, pool.before - 1]) / gains[0]
+    found = np.linalg.lstsq(rows, steps, rcond=1e-6)[0]
+    return found[:-1], found[-1]
+
+
+def _begin(
+    network: _Network, members: int, linear: tuple[Array, Array], random: np.random.Generator
+) -> dict[str, Array]:
+    """Weights of all members (members, ...): the linear part the same, the others at random."""
+    found = {}
+    for name, shape in network.shapes().items():
+        spread = random.standard_normal((members, *shape)) / np.sqrt(shape[0])
+        found[name] = spread if len(shape) > 1 else np.zeros((members, *shape))
+    found["out"] *= 0.1  # the linear part alone is not far from the best
+    found["linear"] = np.repeat(linear[0][None], members, axis=0)
+    found["offset"] = np.repeat(linear[1][None], members, axis=0)
+    return {n: w.astype(np.float32) for n, w in found.items()}
+
+
+@lru_cache(maxsize=16)
+def _updates(network: _Network, before: int) -> tuple[Any, Any, Any]:
+    """(begin, advance, judged) of the training of all members at once, compiled once for data of
+    any length.
+    """
+    import jax
+    import optax
+    from jax import numpy as jnp
+
+    way = _Arrays(jnp, jax.lax.scan)
+    method = optax.chain(
+        optax.clip_by_global_norm(LARGEST_GRADIENT), optax.scale_by_adam(), optax.scale(-1.0)
+    )
+
+    def loss(w: Any, window: Any, scale: Any) -> Any:
+        y, u, inside = window
+        y, u = jnp.swapaxes(y, 0, 1), jnp.swapaxes(u, 0, 1)
+        run = network.run(way, w, y[:before], u, scale[1:])
+        square = (run - y[before:]) ** 2 * scale[0][:, None]
+        return jnp.sum(square.mean(axis=-1) * inside.T) / jnp.sum(inside)
+
+    def update(w: Any, state: Any, window: Any, rate: Any, scale: Any) -> Any:
+        slope = jax.grad(loss)(w, window, scale)
+        change, state = method.update(slope, state, w)
+        return optax.apply_updates(w, {n: rate * c for n, c in change.items()}), state
+
+    every = jax.vmap(update, in_axes=(0, 0, 0, None, None))
+
+    def advance(w: Any, state: Any, drawn: Any, rates: Any, scale: Any) -> Any:
+        def one(carry: Any, row: Any) -> Any:
+            return every(*carry, *row, scale), ()
+
+        return jax.lax.scan(one, (w, state), (drawn, rates))[0]
+
+    judged = jax.jit(jax.vmap(loss, in_axes=(0, 0, None)))
+    return jax.vmap(method.init), jax.jit(advance), judged
+
+
+def _rates(steps: int, largest: float) -> Single:
+    """Of every update, whole rounds of them: rising at first, then down to zero by a cosine."""
+    count = CHECKED * -(-steps // CHECKED)
+    part = (np.arange(count) + 1) / count
+    falls = 0.5 + 0.5 * np.cos(np.pi * np.clip((part - WARM) / (1 - WARM), 0, 1))
+    return (largest * np.minimum(part / WARM, 1) * falls).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Training:
+    """How long, by which seed."""
+
+    members: int
+    steps: int
+    batch: int
+    rate: float
+    seed: int
+    apart: bool
+    """Whether each member holds out other windows."""
+
+    def __call__(
+        self, network: _Network, pool: _Windows, gains: tuple[Array, Array]
+    ) -> tuple[dict[str, Array], Array]:
+        """(weights of all members, their losses on what they held out)."""
+        random = np.random.default_rng(self.seed)
+        scale = (_weighing(pool, random), *(g.astype(np.float32) for g in gains))
+        training, held = self._split(len(pool.places), random)
+        begin, advance, judged = _updates(network, pool.before)
+        w = _begin(network, self.members, _linear(network, pool, gains), random)
+        state, judges = begin(w), pool(held)
+        best, least, waited = w, np.asarray(judged(w, judges, scale)), 0
+        for rates in _rates(self.steps, self.rate).reshape(-1, CHECKED):
+            size = (CHECKED, self.members, self.batch)
+            chosen = random.integers(training.shape[1], size=size)
+            drawn = pool(training[np.arange(self.members)[:, None], chosen])
+            w, state = advance(w, state, drawn, rates, scale)
+            now = np.asarray(judged(w, judges, scale))
+            better = now < least  # never by what is not a number
+            waited = 0 if better.any() else waited + 1
+            least = np.where(better, now, least)
+            best = {n: _where(better, np.asarray(w[n]), np.asarray(best[n])) for n in best}
+            if waited >= PATIENCE:
+                break
+        return best, least
+
+    def _split(
+        self, count: int, random: np.random.Generator
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Windows of each member for training, and those held out (members, JUDGES).
+
+        What is held out is one piece of the row of all windows, so that most of it lies in records
+        of which nothing is trained.
+        """
+        out = min(max(1, round(HELD_OUT * count)), count - 1)
+        shifts = random.integers(count) + np.arange(self.members) * out * self.apart
+        rows = (shifts[:, None] + np.arange(count)) % count
+        held = rows[:, :out]
+        picked = random.integers(out, size=(self.members, JUDGES))
+        return rows[:, out:], np.take_along_axis(held, picked, axis=1)
+
+
+def _where(rows: Any, new: Array, old: Array) -> Array:
+    return np.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+
+_AT_FORK = {"jax": False}
+"""Whether this process was forked from one that had JAX."""
+
+
+def _forked() -> None:
+    _AT_FORK["jax"] = "jax" in sys.modules
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
+
+
+def _require_jax(asks: str) -> None:
+    """InputError without the extra, FitError where JAX would wait for threads forever."""
+    for name in ("jax", "optax"):
+        library(name, "learn", asks)
+    if _AT_FORK["jax"]:
+        raise FitError(
+            f"{asks} is to be trained in a process that was forked from one with JAX, where it has "
+            "no threads: executor=0, or a pool with multiprocessing.get_context('spawn')"
+        )
+
+
+def _trained(
+    runs: Runs, network: _Network, before: int, training: _Training, data: _Data
+) -> NetworkModel:
+    scales = _Scales.of([y for y, _ in data.series]), _Scales.of([u for _, u in data.series])
+    scaled = [(scales[0](y), scales[1](u)) for y, u in data.series]
+    pool = _drawable(runs, scaled, before, data.sampling)
+    weights, losses = training(network, pool, (scales[0].gain, scales[1].gain))
+    kept = range(training.members) if training.apart else [int(np.argmin(losses))]
+    if not np.all(np.isfinite(losses[list(kept)])):
+        raise FitError("the training left the range of numbers; a lower rate= may help")
+    members = tuple({n: w[i].astype(float) for n, w in weights.items()} for i in kept)
+    return NetworkModel(network, members, scales, before, tuple(losses[list(kept)].tolist()))
+
+
+# ---- records and arguments ----------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """Outputs and inputs of each record, and the sampling interval that all have."""
+
+    series: Sequence[tuple[Array, Array]]
+    sampling: float
+
+
+def _data(runs: Runs, records: Sequence[Trajectory]) -> _Data:
+    if not records:
+        raise FitError("no records to fit")
+    series = [measured(runs, r) for r in records]
+    steps = np.array([r.duration / (len(r) - 1) for r in records])
+    if np.ptp(steps) > 0.01 * steps.min():
+        raise FitError(
+            f"records are sampled every {steps.min():g} to {steps.max():g} s: a black box needs "
+            "one sampling interval; resample them"
+        )
+    return _Data(series, float(np.mean(steps)))
+
+
+def _require(structure: Any, counts: Sequence[str]) -> None:
+    """What cannot be."""
+    for name in ("outputs", "inputs"):
+        value = getattr(structure, name)
+        if isinstance(value, str) or not len(value):
+            raise InputError(f"{name} = {value!r}: give names of columns, at least one")
+    for name in counts:
+        require_count(name, getattr(structure, name))
+    require_count("lag", structure.lag, -LONGEST_LAG, LONGEST_LAG)
+    if not len(structure.horizon):
+        raise InputError("horizon is empty: give durations [s], at least one")
+    require_positive("every", structure.every)
+    for h in structure.horizon:
+        require_positive("horizon", h)
+    if require_finite("first", structure.first) < 0:
+        raise InputError(f"first = {structure.first:g} s must not be negative")
+
+
+# ---- structures ---------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class NarxStructure:
+    """A network on what :class:`ArxStructure` is linear in (S. Chen, S. Billings, P. Grant, Int. J.
+    Control 51 (1990) 1191-1214); needs ``pam_ocp[learn]``.
+
+    ``order``, ``lag``, ``horizon``, ``every``, ``first`` : as there. A linear part and a hidden
+    layer of ``units`` tanh give the increment of the outputs. ``tries`` of them begin at random
+    and are trained side by side on free runs over the longest horizon, by at most ``steps`` updates
+    of ``batch`` runs (Adam, its ``rate`` falling to zero); the one that is best on the windows held
+    out is taken. ``seed`` : of all that is drawn.
+
+    Examples
+    --------
+    >>> names = ["x"], ["muscle.command"]
+    >>> network = pam.fitting.NarxStructure(*names, order=2, horizon=[0.1], every=0.2, units=8)
+    >>> network.complexity  # weights: 4 + 1 of the linear part, (4 + 1) 8 + 8 of the layer
+    53.0
+    >>> model = network.fit(runs)  # doctest: +SKIP
+    >>> model.predict(past, inputs).shape  # (n, b, 1), (n, b + 10, 1)  # doctest: +SKIP
+    (n, 10, 1)
+    """
+
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    order: int
+    horizon: Sequence[float]
+    every: float
+    first: float = 0.1
+    lag: int = 0
+    units: int = 32
+    tries: int = 3
+    steps: int = 2000
+    batch: int = 64
+    rate: float = 3e-3
+    seed: int = 0
+    alone: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _require(self, ("order", "units", "tries", "steps", "batch"))
+        require_positive("rate", self.rate)
+        require_count("seed", self.seed, 0)
+
+    @property
+    def _network(self) -> _Narx:
+        return _Narx(len(self.outputs), len(self.inputs), self.order, self.lag, self.units)
+
+    @property
+    def complexity(self) -> float:
+        """Number of weights."""
+        return float(_count(self._network))
+
+    def fit(self, records: Sequence[Trajectory], /) -> NetworkModel:
+        """Trained on free runs drawn from all records. FitError where none is long enough."""
+        _require_jax("NarxStructure")
+        training = _Training(self.tries, self.steps, self.batch, self.rate, self.seed, False)
+        before = max(self.order, self.order + self.lag)
+        return _trained(self, self._network, before, training, _data(self, records))
+
+    def losses(self, model: NetworkModel, records: Sequence[Trajectory], /) -> Array:
+        """Mean squared error of each record over each horizon, output by output."""
+        return run_losses(self, records, model.before, model.predict)
+
+
+@dataclass(frozen=True, eq=False)
+class GruStructure:
+    """Gated recurrent units that read ``warm_up`` seconds of the past and then run freely along the
+    inputs; needs ``pam_ocp[learn]``.
+
+    Outputs and inputs, and their last differences, feed ``units`` and a linear part; both together
+    give the increment of the outputs. Each of ``members`` begins at random, holds out other windows
+    to be stopped early, and all are averaged (B. Lakshminarayanan et al., 2017, arXiv 1612.01474).
+    The other fields are as for :class:`NarxStructure`.
+
+    Examples
+    --------
+    >>> names = ["x"], ["muscle.command"]
+    >>> network = pam.fitting.GruStructure(*names, horizon=[0.1], every=0.2, units=8, members=2)
+    >>> network.complexity  # weights of both members
+    650.0
+    >>> rivals = {"GRU": network, "ARX(2)": yardstick}  # doctest: +SKIP
+    >>> print(pam.fitting.choose(rivals, runs, folds=3).against("ARX(2)"))  # doctest: +SKIP
+    """
+
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    horizon: Sequence[float]
+    every: float
+    first: float = 0.1
+    warm_up: float = 0.2
+    lag: int = 0
+    units: int = 32
+    members: int = 3
+    steps: int = 2000
+    batch: int = 64
+    rate: float = 3e-3
+    seed: int = 0
+    alone: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _require(self, ("units", "members", "steps", "batch"))
+        require_positive("rate", self.rate)
+        require_count("seed", self.seed, 0)
+        require_positive("warm_up", self.warm_up)
+
+    @property
+    def _network(self) -> _Gru:
+        return _Gru(len(self.outputs), len(self.inputs), self.lag, self.units)
+
+    @property
+    def complexity(self) -> float:
+        """Number of weights of all members."""
+        return float(self.members * _count(self._network))
+
+    def fit(self, records: Sequence[Trajectory], /) -> NetworkModel:
+        """Trained on free runs drawn from all records. FitError where none is long enough."""
+        _require_jax("GruStructure")
+        training = _Training(self.members, self.steps, self.batch, self.rate, self.seed, True)
+        data = _data(self, records)
+        before = max(2, round(self.warm_up / data.sampling) + 1)
+        return _trained(self, self._network, before, training, data)
+
+    def losses(self, model: NetworkModel, records: Sequence[Trajectory], /) -> Array:
+        """Mean squared error of each record over each horizon, output by output."""
+        return run_losses(self, records, model.before, model.predict)
+
+
+@dataclass(frozen=True, eq=False)
+class SubspaceModel:
+    """x(k+1) = A x + B (u, 1), y = C x + D (u, 1), all in parts of the training records' scales.
+
+    past : x = past [y(k-1), ..., y(k-p), u(k-1), ..., u(k-p)]. poles : eigenvalues of A.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    past: Array
+    scales: tuple[_Scales, _Scales]
+    before: int
+    lag: int
+
+    @property
+    def poles(self) -> Any:
+        """Of the sampled system."""
+        return np.linalg.eigvals(self.A)
+
+    def predict(self, past: Array, inputs: Array) -> Array:
+        """As :meth:`NetworkModel.predict`."""
+        past, inputs = _one_length(past, inputs, self.before)
+        y, u = (s(x).swapaxes(0, 1) for s, x in zip(self.scales, (past, inputs), strict=True))
+        start, order = len(y), self.past.shape[1] // (y.shape[2] + u.shape[2])
+        x = _history(y, u, [start], order, self.lag)[0] @ self.past.T
+        found = []
+        for drive in _levels(np, u, np.arange(start, len(u)), self.lag, 1)[:, :, 0]:
+            drive = np.column_stack([drive, np.ones(len(drive))])
+            found.append(x @ self.C.T + drive @ self.D.T)
+            x = np.clip(x @ self.A.T + drive @ self.B.T, -1e9, 1e9)
+        scale = self.scales[0]
+        return np.asarray(scale.mean + scale.size * np.array(found).swapaxes(0, 1))
+
+
+def _history(y: Array, u: Array, times: Any, order: int, lag: int) -> Array:
+    """Of the samples before each of ``times`` (times, n, order (ny + nu)), the newest first."""
+    levels = [_levels(np, s, times, g, order) for s, g in ((y, 1), (u, lag + 1))]
+    return np.concatenate([x.reshape(*x.shape[:2], -1) for x in levels], axis=-1)
+
+
+def _older(coefficients: Array, i: int) -> Array:
+    """Those from sample i of the past on (ny, p c), of (ny, p, c); then none."""
+    left = np.pad(coefficients[:, i:], ((0, 0), (0, i), (0, 0)))
+    return left.reshape(len(left), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class SubspaceStructure:
+    """A linear state-space model of ``order`` states by predictor-based subspace identification (A.
+    Chiuso, Automatica 43 (2007) 1034-1048).
+
+    An ARX model of ``past`` samples, by least squares over all records; the states are the
+    ``order`` combinations of the past that say most of what it predicts; A, B, C, D then by least
+    squares. ``lag``, ``horizon``, ``every``, ``first`` : as for :class:`ArxStructure`. No pair
+    of samples is taken across the border of two records; ``control.era`` asks for impulse
+    responses, and nfoursid takes one record alone.
+
+    Examples
+    --------
+    >>> names = ["x"], ["muscle.command"]
+    >>> ways = {"horizon": [0.1], "every": 0.1}
+    >>> subspace = pam.fitting.SubspaceStructure(*names, order=3, past=10, **ways)
+    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5)]
+    >>> subspace.fit(runs).poles.shape
+    (3,)
+    """
+
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    order: int
+    horizon: Sequence[float]
+    every: float
+    first: float = 0.1
+    lag: int = 0
+    past: int = 15
+
+    def __post_init__(self) -> None:
+        _require(self, ("order", "past"))
+        require_count("order", self.order, 1, self.past * len(self.outputs))
+
+    @property
+    def complexity(self) -> float:
+        """What A, B, C, D, a Kalman gain and the constants leave free once the states' basis is
+        chosen.
+        """
+        ny, nu = len(self.outputs), len(self.inputs) + 1
+        return float(self.order * (2 * ny + nu) + ny * nu)
+
+    def fit(self, records: Sequence[Trajectory], /) -> SubspaceModel:
+        """FitError where no record is longer than the past."""
+        data = _data(self, records)
+        scales = _Scales.of([y for y, _ in data.series]), _Scales.of([u for _, u in data.series])
+        rows = []
+        for y, u in ((scales[0](y)[:, None], scales[1](u)[:, None]) for y, u in data.series):
+            times = np.arange(self.past + max(0, self.lag), len(y))
+            if len(times) > 1:
+                drive = _levels(np, u, times, self.lag, 1)[:, 0, 0]
+                drive = np.column_stack([drive, np.ones(len(drive))])
+                rows.append((_history(y, u, times, self.past, self.lag)[:, 0], drive, y[times, 0]))
+        if not rows:
+            raise FitError(f"no record is longer than past = {self.past} samples")
+        seen = self._states(rows)
+        now = np.concatenate([np.hstack([z @ seen.T, u])[:-1] for z, u, _ in rows])
+        then = np.concatenate([np.hstack([(z @ seen.T)[1:], y[:-1]]) for z, _, y in rows])
+        found = np.linalg.lstsq(now, then, rcond=1e-10)[0].T
+        n, before = self.order, max(self.past, self.past + self.lag)
+        A, B, C, D = found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:]
+        return SubspaceModel(A, B, C, D, seen, scales, before, self.lag)
+
+    def _states(self, rows: Sequence[tuple[Array, Array, Array]]) -> Array:
+        """What makes states of the past (order, past (ny + nu))."""
+        ny, nu, p = len(self.outputs), len(self.inputs), self.past
+        z, drive, y = (np.concatenate(part) for part in zip(*rows, strict=True))
+        model = np.linalg.lstsq(np.hstack([z, drive]), y, rcond=1e-10)[0][: p * (ny + nu)].T
+        own, other = model[:, : p * ny].reshape(ny, p, ny), model[:, p * ny :].reshape(ny, p, nu)
+        # what the past alone says of the outputs i samples later: the older coefficients
+        later = np.concatenate([np.hstack([_older(own, i), _older(other, i)]) for i in range(p)])
+        centred = z - z.mean(axis=0)
+        spread = np.asarray(np.linalg.qr(centred, mode="r")).T / np.sqrt(len(z))
+        left, size, _ = np.linalg.svd(later @ spread, full_matrices=False)
+        size = np.maximum(size[: self.order], 1e-12 * size[0])
+        return np.asarray((left[:, : self.order] / np.sqrt(size)).T @ later)
+
+    def losses(self, model: SubspaceModel, records: Sequence[Trajectory], /) -> Array:
+        """Mean squared error of each record over each horizon, output by output."""
+        return run_losses(self, records, model.before, model.predict)
