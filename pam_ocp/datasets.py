@@ -265,6 +265,7 @@ def _records(info: Dataset, path: Path) -> Iterator[tuple[float, Trajectory]]:
 
 
 # ---- scores --------------------------------------------------------------------------------------
+@with_kinds
 @dataclass(frozen=True)
 class Part:
     """The error of one output over a horizon [s] (None: static).
