@@ -1,5 +1,6 @@
 # The face: what most scripts need, and the rooms with the rest. Names load at their first use.
 from . import control as control
+from . import datasets as datasets
 from . import export as export
 from . import figures as figures
 from . import fitting as fitting
