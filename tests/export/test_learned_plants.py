@@ -36,8 +36,9 @@ def by_hand(plant: pam.Plant, slide: pam.Plant) -> Any:
     random = np.random.default_rng(0)
     low, high = np.array([[-0.016, -0.5, 0, 0], [0.016, 0.5, 6e5, 6e5]])
     seen = random.uniform(low, high, (300, 4))
-    p = slide.vector("parameter")
-    rates = [float(slide.function(s, np.zeros(2), p)[0][1]) for s in seen]
+    p, drawn = slide.vector("parameter"), np.random.default_rng(1)
+    mixed = drawn.permuted(seen, axis=0)  # the size is that of terms that do not balance
+    rates = [float(slide.function(s, np.zeros(2), p)[0][1]) for s in mixed]
     w = plant.vector("parameter")[len(p) :]
     hidden, behind, leaky = w[:36].reshape(6, 6, order="F"), w[36:43], w[43:]
 

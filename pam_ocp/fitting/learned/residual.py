@@ -78,6 +78,12 @@ class Visited:
         found = read.map(len(self.x))(self.x.T, self.u.T, plant.vector("parameter"))
         return np.asarray(np.asarray(found, dtype=float).T)
 
+    def shuffled(self, random: np.random.Generator) -> Visited:
+        """Each variable where it was, at another time than the others: along motions the terms of
+        a rate balance each other, here their size shows.
+        """
+        return Visited(random.permuted(self.x, axis=0), random.permuted(self.u, axis=0))
+
 
 @dataclass(frozen=True, eq=False)
 class Attached:
@@ -144,7 +150,7 @@ def _with_one(
     middle, wide = seen.mean(axis=0), seen.std(axis=0)
     nominal = np.array([plant.variable(n).nominal for n in require_names("on", residual.on)])
     wide = np.where(wide > LEAST * nominal, wide, nominal)
-    size = _size(visited.of(plant, [whole]), variable.nominal)
+    size = _size(visited.shuffled(random).of(plant, [whole]), variable.nominal)
     s = (ca.vertcat(*on) - ca.DM(middle)) / ca.DM(wide)
     samples = (seen - middle) / wide
     m, d = residual.memory, len(on)
