@@ -4,8 +4,9 @@
 
 Static sets: every law of the library, fitted to the training cells. The robot arm, where its files
 are (PAM_OCP_DATA): the last angles held, ARX of each joint or of the whole arm, and the grey box of
-examples/fit_joint.py, fitted to the first 48 episodes of the training set. Nothing is drawn: the
-seed has no effect. --out keeps the scores as JSON; docs/datasets.md has the figures.
+examples/fit_joint.py with the values found there, of episodes 0-47 (no test set has any of them).
+Nothing is drawn: the seed has no effect. --out keeps the scores as JSON; docs/datasets.md has the
+figures.
 
     python benchmarks/datasets_study.py --make CLONE FOLDER
 
@@ -72,7 +73,7 @@ def arx(split: Split, order: int, groups: list[tuple[list[str], list[str]]]) -> 
 
 def grey(split: Split) -> Model:
     """The joints of examples/fit_joint.py, from the last angle and the speed of a parabola."""
-    plants = [arm.fit_joint.fit(j, list(split.train)).plant for j in JOINTS]
+    plants = [arm.fit_joint.joint(j).with_values(arm.fit_joint.FOUND[j]) for j in JOINTS]
 
     def predict(past: pam.Trajectory, inputs: pam.Trajectory) -> np.ndarray:
         found = []
