@@ -73,7 +73,16 @@ class Strength:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Predicted runs and where the measured ones lie: ``run.predicted`` -+ ``half`` (n, K, ny)."""
+    """Predicted runs and where the measured ones lie: ``run.predicted`` -+ ``half`` (n, K, ny).
+
+    Examples
+    --------
+    >>> fit = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
+    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
+    >>> learned = pam.fitting.fit_residual(fit, lacking, folds=2, strengths=[1.0])
+    >>> 0.8 < learned.predict(record, level=0.9).coverage["x"] <= 1.0
+    True
+    """
 
     run: FreeRun
     half: Array
@@ -96,6 +105,14 @@ class LearnedFit:
     members : plants of the folds, each learned without one. errors : (steps, ny) root mean square
     of what folds left out, by time since the start of a run; scores : those errors, each in parts
     of its expected size.
+
+    Examples
+    --------
+    >>> fit = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
+    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
+    >>> learned = pam.fitting.fit_residual(fit, lacking, folds=2, strengths=[1.0])
+    >>> len(learned.strengths), learned.plant is fit.plant
+    (2, True)
     """
 
     plant: Plant
