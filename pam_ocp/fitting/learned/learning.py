@@ -34,6 +34,7 @@ from ..dynamic.gauss_newton import descend
 from ..dynamic.rig import RunUnknowns, unknowns_of
 from ..dynamic.rollout import Rollout
 from ..dynamic.runs import FreeRun, Runs, runs_of, settled_starts
+from ..dynamic.structures import FreeRunStructure
 from ..statistics import Array
 from .residual import Attached, Residual, Visited, attached
 
@@ -124,6 +125,16 @@ class LearnedFit:
     errors: Array = field(repr=False)
     scores: Array = field(repr=False)
     seconds: float = 0.0
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """Of the runs, as of the fit of the physics."""
+        return self.physics.options
+
+    @cached_property
+    def training(self) -> FreeRun:
+        """The runs along the records of the fit."""
+        return self.validate(self.physics.records)
 
     def validate(self, records: Trajectory | Sequence[Trajectory], **options: Any) -> FreeRun:
         """Runs along other records, as :meth:`FreeRunFit.validate`."""
@@ -546,6 +557,5 @@ class LearnedStructure:
 
     def losses(self, model: LearnedFit, records: Sequence[Trajectory], /) -> NDArray[Any]:
         """Mean squared error of each record over each horizon, variable by variable."""
-        horizons = model.physics.training.horizons or None
-        run = model.validate(list(records), **{"horizon": horizons, **self.judged})
-        return _losses(run, len(records))
+        runs: Any = FreeRunStructure(self.plant, self.free, self.options, self.judged)
+        return np.asarray(runs.losses(model, records))
