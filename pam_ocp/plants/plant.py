@@ -181,7 +181,12 @@ class Plant(Travelling):
         other._variables, other._symbols = dict(self._variables), dict(self._symbols)
         other._expressions = dict(self._stated)
         other._gathered, other._mirror, other._system = [], {}, None
-        for name, term in declare(other).items():
+        if not callable(declare):
+            raise InputError(f"declare is {kind_of(declare)}: give a function of the open plant")
+        terms = declare(other)
+        if not isinstance(terms, Mapping):
+            raise InputError(f"declare returns {kind_of(terms)}: return {{state or output: term}}")
+        for name, term in terms.items():
             variable = other.variable(name)
             if variable.causality not in ("state", "output"):
                 raise InputError(

@@ -254,8 +254,17 @@ def test_wrong_arguments_are_named() -> None:
     with pytest.raises(InputError, match="second one of v"):
         attached(plant, [Residual("v", ["x"])] * 2, visited(plant), np.random.default_rng(0))
     fit = physics(records(2, 1))
-    for wrong in ({"strengths": []}, {"strengths": [-1.0]}):
-        with pytest.raises(InputError, match="strengths"):
+    for wrong in (
+        {"strengths": []},
+        {"strengths": [-1.0]},
+        {"strengths": [float("nan")]},
+        {"evaluations": 0},
+        {"seed": -1},
+        {"folds": 1},
+    ):
+        with pytest.raises(InputError, match=next(iter(wrong))):
             fit_residual(fit, Residual("v", ["x"]), **wrong)
+    with pytest.raises(InputError, match="declare returns"):
+        plant.with_terms(lambda made: None)  # type: ignore[arg-type, return-value]
     with pytest.raises(InputError, match="fit_free_run"):
         fit_residual(plant, Residual("v", ["x"]))  # type: ignore[arg-type]

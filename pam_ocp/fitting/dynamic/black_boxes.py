@@ -25,7 +25,7 @@ from ...core.errors import FitError, InputError, require_count, require_finite, 
 from ...core.lazy import library
 from ...core.trajectory import Trajectory
 from ..statistics import Array
-from .structures import Runs, measured, run_losses
+from .structures import JudgedRuns, measured, run_losses
 
 __all__ = [
     "GruStructure",
@@ -314,7 +314,7 @@ class _Windows:
 
 
 def _drawable(
-    runs: Runs, series: Sequence[tuple[Array, Array]], before: int, sampling: float
+    runs: JudgedRuns, series: Sequence[tuple[Array, Array]], before: int, sampling: float
 ) -> _Windows:
     """All starts behind ``first`` from which the shortest horizon lies in the record."""
     first = round(runs.first / sampling)
@@ -493,7 +493,7 @@ def _require_jax(asks: str) -> None:
 
 
 def _trained(
-    runs: Runs, network: _Network, before: int, training: _Training, data: _Data
+    runs: JudgedRuns, network: _Network, before: int, training: _Training, data: _Data
 ) -> NetworkModel:
     scales = _Scales.of([y for y, _ in data.series]), _Scales.of([u for _, u in data.series])
     scaled = [(scales[0](y), scales[1](u)) for y, u in data.series]
@@ -515,7 +515,7 @@ class _Data:
     sampling: float
 
 
-def _data(runs: Runs, records: Sequence[Trajectory]) -> _Data:
+def _data(runs: JudgedRuns, records: Sequence[Trajectory]) -> _Data:
     if not records:
         raise FitError("no records to fit")
     series = [measured(runs, r) for r in records]

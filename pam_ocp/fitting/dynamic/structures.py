@@ -25,8 +25,8 @@ __all__ = [
     "ArxModel",
     "ArxStructure",
     "FreeRunStructure",
+    "JudgedRuns",
     "PlantStructure",
-    "Runs",
     "measured",
     "run_losses",
     "run_starts",
@@ -134,7 +134,7 @@ class PlantStructure:
 
 
 # ---- free runs of models without physics --------------------------------------------------------
-class Runs(Protocol):
+class JudgedRuns(Protocol):
     """What says which free runs judge a model without physics: all such are judged by the same."""
 
     @property
@@ -149,7 +149,7 @@ class Runs(Protocol):
     def first(self) -> float: ...
 
 
-def measured(runs: Runs, record: Trajectory) -> tuple[Array, Array]:
+def measured(runs: JudgedRuns, record: Trajectory) -> tuple[Array, Array]:
     """Outputs (N, ny) and inputs (N, nu) of a record."""
     require_instance("record", record, Trajectory, "give Trajectories")
     for name in (*runs.outputs, *runs.inputs):
@@ -173,7 +173,7 @@ def windows(y: Array, u: Array, starts: Any, before: int, ahead: int) -> tuple[A
 
 
 def run_losses(
-    runs: Runs,
+    runs: JudgedRuns,
     records: Sequence[Trajectory],
     before: int,
     predict: Callable[[Array, Array], Array],
@@ -189,7 +189,7 @@ def run_losses(
 
 
 def _run_loss(
-    runs: Runs,
+    runs: JudgedRuns,
     record: Trajectory,
     horizon: float,
     before: int,

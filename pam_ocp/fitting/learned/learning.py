@@ -21,11 +21,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError, require_count, require_instance
+from ...core.errors import (
+    InputError,
+    require_count,
+    require_finite,
+    require_instance,
+    require_positive,
+)
 from ...core.shown import shown
 from ...core.stop import check, verb
 from ...core.trajectory import Trajectory
-from ...plants.plant import Plant
+from ...plants.plant import Plant, require_plant
 from ..dynamic.choice import paired
 from ..dynamic.experiment import groups, recorded, running
 from ..dynamic.free_run_fit import fit_free_run
@@ -146,19 +152,13 @@ class LearnedFit:
         """Runs along records with bands that hold ``level`` of what is measured there, if these
         records are like those of the fit; wider where the members disagree.
         """
-        if not 0 < level < 1:
+        if not 0 < require_finite("level", level) < 1:
             raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
         run = self.validate(records, **options)
-        spread = self._spread(run, records, options)
-        wide = _sizes(self.errors, spread)
+        wide = _sizes(self.errors, _disagreement(self.members, self.physics, run, records, options))
         rank = np.ceil((1 + 1 / max(len(self.scores), 1)) * level * len(self.scores))
         quantile = np.sort(self.scores, axis=0)[int(min(rank, len(self.scores))) - 1]
         return Band(run, quantile * wide)
-
-    def _spread(self, run: FreeRun, records: Any, options: Mapping[str, Any]) -> Array:
-        """Standard deviation of what the members predict."""
-        every = [_ran(m, self.physics, records, options).predicted for m in self.members]
-        return np.std(every, axis=0) if len(every) > 1 else np.zeros_like(run.predicted)
 
     def __str__(self) -> str:
         lines = [
@@ -170,6 +170,20 @@ class LearnedFit:
             mark = " <- chosen" if s.value == self.strength else ""
             lines.append(f"    {label:<16} {s.ratio:.3f}  ({s.low:.3f} .. {s.high:.3f}){mark}")
         return "\n".join(lines)
+
+
+def _disagreement(
+    members: Sequence[Plant],
+    fit: FreeRunFit,
+    run: FreeRun,
+    records: Any,
+    options: Mapping[str, Any],
+) -> Array:
+    """Standard deviation of what the members predict for a run; zero without any."""
+    if not members:
+        return np.zeros_like(run.predicted)
+    every = [_ran(m, fit, records, options).predicted for m in members]
+    return np.asarray(np.std(every, axis=0))
 
 
 def _sizes(errors: Array, spread: Array) -> Array:
@@ -219,10 +233,13 @@ def fit_residual(
     given = (residuals,) if isinstance(residuals, Residual) else tuple(residuals)
     for one in given:
         require_instance("residuals", one, Residual, "give Residual(...)")
-    values = sorted((float(s) for s in strengths), reverse=True)
-    if not given or not values or values[-1] <= 0:
-        raise InputError("residuals and strengths: give one at least; strengths are above zero")
-    trial = _Trial(fit, given, require_count("folds", folds, 2), evaluations, seed)
+    if not given:
+        raise InputError("residuals is empty: give one Residual at least")
+    values = sorted((require_positive("strengths", s) for s in strengths), reverse=True)
+    if not values:
+        raise InputError("strengths is empty: give one above zero at least")
+    counts = require_count("folds", folds, 2), require_count("evaluations", evaluations)
+    trial = _Trial(fit, given, *counts, require_count("seed", seed, 0))
     tried, found = [trial.without], [trial.compared(trial.without)]
     for value in values:
         tried.append(trial.at(value))
@@ -236,14 +253,15 @@ def fit_residual(
         best = 0
     chosen = tried[best]
     plant = fit.plant if not best else trial.fitted(values[:best])
-    errors, scores = _out_of_fold(chosen, trial)
+    members = tuple(trial.attached.at(w) for w in chosen.weights) if best else ()
+    errors, scores = _out_of_fold(chosen, trial, members)
     return LearnedFit(
         plant,
         fit,
         given,
         found[best].value,
         tuple(found),
-        tuple(trial.attached.at(w) for w in chosen.weights) if best else (),
+        members,
         errors,
         scores,
         time.process_time() - began,
@@ -494,28 +512,23 @@ def _visited(fit: FreeRunFit, records: Sequence[Trajectory]) -> Visited:
     return Visited(x[fine], u[fine])
 
 
-def _out_of_fold(tried: _Tried, trial: _Trial) -> tuple[Array, Array]:
+def _out_of_fold(tried: _Tried, trial: _Trial, members: Sequence[Plant]) -> tuple[Array, Array]:
     """(root mean square of the errors by time since the start (K, ny), each error in parts of its
-    expected size (m, ny), sorted nowhere)."""
-    members = [trial.attached.at(w) for w in tried.weights]
-    deep = max(r.predicted.shape[1] for r in tried.runs)
-    names = len(tried.runs[0].names)
-    square, count = np.zeros((deep, names)), np.zeros((deep, names))
-    for run in tried.runs:
-        error = run.predicted - run.measured
-        k = error.shape[1]
-        square[:k] += np.nansum(error**2, axis=0)
-        count[:k] += np.sum(~np.isnan(error), axis=0)
-    errors = np.sqrt(square / np.maximum(count, 1))
+    expected size (m, ny)).
+    """
+    apart = [np.abs(run.predicted - run.measured) for run in tried.runs]
+    square = np.full(
+        (sum(map(len, apart)), max(e.shape[1] for e in apart), apart[0].shape[2]), np.nan
+    )
+    ends = np.cumsum([len(e) for e in apart])
+    for end, error in zip(ends.tolist(), apart, strict=True):
+        square[end - len(error) : end, : error.shape[1]] = error**2
+    errors = np.sqrt(np.nanmean(square, axis=0))
     scores = []
-    for i, run in enumerate(tried.runs):
+    for i, (run, error) in enumerate(zip(tried.runs, apart, strict=True)):
         left = [p for p, k in zip(trial.parts, trial.fold, strict=True) if k == i]
-        spread = np.zeros_like(run.predicted)
-        if tried.value is not None:
-            every = [_ran(m, trial.fit, left, {}).predicted for m in members]
-            spread = np.std(every, axis=0)
-        sizes = np.maximum(_sizes(errors, spread), 1e-300)
-        own = (np.abs(run.predicted - run.measured) / sizes).reshape(-1, names)
+        spread = _disagreement(members, trial.fit, run, left, {})
+        own = (error / np.maximum(_sizes(errors, spread), 1e-300)).reshape(-1, error.shape[2])
         scores.append(own[~np.isnan(own).any(axis=1)])
     return errors, np.concatenate(scores)
 
@@ -542,6 +555,9 @@ class LearnedStructure:
     residuals: Sequence[Residual]
     learning: Mapping[str, Any] = field(default_factory=dict)
     judged: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_plant(self.plant)
 
     @property
     def complexity(self) -> float:

@@ -61,8 +61,7 @@ class Residual:
             raise InputError("on is empty: name the states, inputs or outputs it depends on")
         require_instance("shape", self.shape, Shape, "give GaussianProcess(), Network(), Splines()")
         require_flag("passive", self.passive)
-        if self.memory:
-            require_count("memory", self.memory)
+        require_count("memory", self.memory, 0)
 
 
 @dataclass(frozen=True, eq=False)
