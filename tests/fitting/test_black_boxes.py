@@ -321,7 +321,7 @@ def test_records_that_cannot_be_are_refused():
 @pytest.mark.parametrize("missing", ["jax", "optax"])
 def test_a_missing_library_is_named_with_its_extra(missing, monkeypatch):
     monkeypatch.setitem(sys.modules, missing, None)
-    structure = NarxStructure(["q"], ["u"], 2, **WAYS)
+    structure = NarxStructure(["q"], ["u"], order=2, **WAYS)
     with pytest.raises(InputError, match=rf"needs {missing}.*pam_ocp\[learn\]"):
         structure.fit(arx_process(0, 2))
 

@@ -548,7 +548,51 @@ def _require(structure: Any, counts: Sequence[str]) -> None:
 
 # ---- structures ---------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class NarxStructure:
+class _NetworkStructure:
+    """What networks have in common.
+
+    outputs, inputs, horizon, every, first, lag : as of :class:`ArxStructure`. units : of the hidden
+    layer. Trained by at most ``steps`` updates of ``batch`` free runs over the longest horizon
+    (Adam, its ``rate`` falling to zero). seed : of all that is drawn.
+    """
+
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    horizon: Sequence[float]
+    every: float
+    first: float = 0.1
+    lag: int = 0
+    units: int = 32
+    steps: int = 2000
+    batch: int = 64
+    rate: float = 3e-3
+    seed: int = 0
+    alone: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _require(self, ("units", "steps", "batch"))
+        require_positive("rate", self.rate)
+        require_count("seed", self.seed, 0)
+
+    def losses(self, model: NetworkModel, records: Sequence[Trajectory], /) -> Array:
+        """Mean squared error of each record over each horizon, output by output."""
+        return run_losses(self, records, model.before, model.predict)
+
+    def _fitted(
+        self,
+        network: _Network,
+        before: int,
+        members: int,
+        apart: bool,
+        records: Sequence[Trajectory],
+    ) -> NetworkModel:
+        _require_jax(type(self).__name__)
+        training = _Training(members, self.steps, self.batch, self.rate, self.seed, apart)
+        return _trained(self, network, before, training, _data(self, records))
+
+
+@dataclass(frozen=True, eq=False)
+class NarxStructure(_NetworkStructure):
     """A network on what :class:`ArxStructure` is linear in (S. Chen, S. Billings, P. Grant, Int. J.
     Control 51 (1990) 1191-1214); needs ``pam_ocp[learn]``.
 
@@ -569,25 +613,13 @@ class NarxStructure:
     (n, 10, 1)
     """
 
-    outputs: Sequence[str]
-    inputs: Sequence[str]
-    order: int
-    horizon: Sequence[float]
-    every: float
-    first: float = 0.1
-    lag: int = 0
-    units: int = 32
+    order: int = 5
     tries: int = 3
-    steps: int = 2000
-    batch: int = 64
-    rate: float = 3e-3
-    seed: int = 0
-    alone: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        _require(self, ("order", "units", "tries", "steps", "batch"))
-        require_positive("rate", self.rate)
-        require_count("seed", self.seed, 0)
+        super().__post_init__()
+        require_count("order", self.order)
+        require_count("tries", self.tries)
 
     @property
     def _network(self) -> _Narx:
@@ -600,18 +632,12 @@ class NarxStructure:
 
     def fit(self, records: Sequence[Trajectory], /) -> NetworkModel:
         """Trained on free runs drawn from all records. FitError where none is long enough."""
-        _require_jax("NarxStructure")
-        training = _Training(self.tries, self.steps, self.batch, self.rate, self.seed, False)
         before = max(self.order, self.order + self.lag)
-        return _trained(self, self._network, before, training, _data(self, records))
-
-    def losses(self, model: NetworkModel, records: Sequence[Trajectory], /) -> Array:
-        """Mean squared error of each record over each horizon, output by output."""
-        return run_losses(self, records, model.before, model.predict)
+        return self._fitted(self._network, before, self.tries, False, records)
 
 
 @dataclass(frozen=True, eq=False)
-class GruStructure:
+class GruStructure(_NetworkStructure):
     """Gated recurrent units that read ``warm_up`` seconds of the past and then run freely along the
     inputs; needs ``pam_ocp[learn]``.
 
@@ -630,25 +656,12 @@ class GruStructure:
     >>> print(pam.fitting.choose(rivals, runs, folds=3).against("ARX(2)"))  # doctest: +SKIP
     """
 
-    outputs: Sequence[str]
-    inputs: Sequence[str]
-    horizon: Sequence[float]
-    every: float
-    first: float = 0.1
     warm_up: float = 0.2
-    lag: int = 0
-    units: int = 32
     members: int = 3
-    steps: int = 2000
-    batch: int = 64
-    rate: float = 3e-3
-    seed: int = 0
-    alone: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        _require(self, ("units", "members", "steps", "batch"))
-        require_positive("rate", self.rate)
-        require_count("seed", self.seed, 0)
+        super().__post_init__()
+        require_count("members", self.members)
         require_positive("warm_up", self.warm_up)
 
     @property
@@ -662,15 +675,8 @@ class GruStructure:
 
     def fit(self, records: Sequence[Trajectory], /) -> NetworkModel:
         """Trained on free runs drawn from all records. FitError where none is long enough."""
-        _require_jax("GruStructure")
-        training = _Training(self.members, self.steps, self.batch, self.rate, self.seed, True)
-        data = _data(self, records)
-        before = max(2, round(self.warm_up / data.sampling) + 1)
-        return _trained(self, self._network, before, training, data)
-
-    def losses(self, model: NetworkModel, records: Sequence[Trajectory], /) -> Array:
-        """Mean squared error of each record over each horizon, output by output."""
-        return run_losses(self, records, model.before, model.predict)
+        before = max(2, round(self.warm_up / _data(self, records).sampling) + 1)
+        return self._fitted(self._network, before, self.members, True, records)
 
 
 @dataclass(frozen=True, eq=False)
