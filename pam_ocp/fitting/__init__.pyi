@@ -2,9 +2,6 @@
 from . import experiments as experiments
 from .dynamic.adequacy import Adequacy as Adequacy
 from .dynamic.adequacy import AdequacyTest as AdequacyTest
-from .dynamic.black_boxes import GruStructure as GruStructure
-from .dynamic.black_boxes import NarxStructure as NarxStructure
-from .dynamic.black_boxes import SubspaceStructure as SubspaceStructure
 from .dynamic.choice import Choice as Choice
 from .dynamic.choice import Ratios as Ratios
 from .dynamic.choice import Structure as Structure
@@ -18,6 +15,8 @@ from .dynamic.free_run_fit import free_run as free_run
 from .dynamic.free_run_result import FreeRunFit as FreeRunFit
 from .dynamic.ladder import Ladder as Ladder
 from .dynamic.ladder import fit_ladder as fit_ladder
+from .dynamic.networks import GruStructure as GruStructure
+from .dynamic.networks import NarxStructure as NarxStructure
 from .dynamic.plant_fit import PlantFit as PlantFit
 from .dynamic.plant_fit import load_plant_fit as load_plant_fit
 from .dynamic.rungs import Rung as Rung
@@ -25,6 +24,7 @@ from .dynamic.runs import FreeRun as FreeRun
 from .dynamic.structures import ArxStructure as ArxStructure
 from .dynamic.structures import FreeRunStructure as FreeRunStructure
 from .dynamic.structures import PlantStructure as PlantStructure
+from .dynamic.subspace import SubspaceStructure as SubspaceStructure
 from .fleet import FleetFit as FleetFit
 from .fleet import FleetMuscle as FleetMuscle
 from .fleet import Population as Population

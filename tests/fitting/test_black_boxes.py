@@ -25,14 +25,9 @@ from pam_ocp.fitting import (
     SubspaceStructure,
     choose,
 )
-from pam_ocp.fitting.dynamic.black_boxes import (
-    NUMPY,
-    NetworkModel,
-    _Arrays,
-    _levels,
-    _Scales,
-)
 from pam_ocp.fitting.dynamic.choice import rmse_ratios
+from pam_ocp.fitting.dynamic.networks import NUMPY, NetworkModel, _Arrays
+from pam_ocp.fitting.dynamic.subspace import Scales, levels_of
 
 STEP = 0.02
 WAYS = {"horizon": (0.1, 0.5), "every": 0.1}
@@ -165,7 +160,7 @@ def guessed(structure: NarxStructure | GruStructure, before: int) -> NetworkMode
         {n: 0.1 * random.standard_normal(shape) for n, shape in network.shapes().items()}
         for _ in range(2)
     ]
-    scales = tuple(_Scales.of([random.standard_normal((9, 1))]) for _ in range(2))
+    scales = tuple(Scales.of([random.standard_normal((9, 1))]) for _ in range(2))
     return NetworkModel(network, tuple(weights), (scales[0], scales[1]), before, (0.0, 0.0))
 
 
@@ -248,8 +243,8 @@ def test_training_gives_the_same_again_and_runs_in_jax_as_in_numpy(kind):
 
 def test_levels_repeat_the_last_sample_beyond_the_ends():
     series = np.arange(4.0).reshape(4, 1, 1)
-    np.testing.assert_array_equal(_levels(np, series, [0, 3], 0, 2).ravel(), [0, 0, 3, 2])
-    np.testing.assert_array_equal(_levels(np, series, [0, 3], -1, 2).ravel(), [1, 0, 3, 3])
+    np.testing.assert_array_equal(levels_of(np, series, [0, 3], 0, 2).ravel(), [0, 0, 3, 2])
+    np.testing.assert_array_equal(levels_of(np, series, [0, 3], -1, 2).ravel(), [1, 0, 3, 3])
 
 
 # ---- the same runs for all ------------------------------------------------------------------
