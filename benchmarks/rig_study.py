@@ -161,7 +161,7 @@ def realtime(seconds: float) -> harness.Row:
     idle, stolen, total = (b - a for a, b in zip(before, _processors(), strict=True))
     machine = f"processors: {100 * idle / total:.0f} % idle, {100 * stolen / total:.2g} % stolen"
     text, lines = f"missed {run.missed} of {run.samples}: {run.missed / run.samples:.2g}", [machine]
-    run.plot().savefig("realtime.png", dpi=120)
+    run.plot().savefig(Path(tempfile.gettempdir()) / "realtime.png", dpi=120)
     rng = np.random.default_rng(0)
     for kind in (
         pam.rig.Fault("nan", "x"),

@@ -50,7 +50,8 @@ class RigRoom:
         self.vent_port = self._begin_vent(told)
         code = ["--allow-code"] if allow_code else []
         self._worker = _started("pam_ocp.bench.rig_worker", str(file), *code)
-        threading.Thread(target=self._listen, daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
 
     # ---- the rig's process ----------------------------------------------------------------------
     def _listen(self) -> None:
@@ -106,6 +107,7 @@ class RigRoom:
                 process.wait(PATIENCE)
             process.kill()
             process.wait()
+        self._listener.join(PATIENCE)
 
 
 def _write(process: subprocess.Popen[str], said: dict[str, Any]) -> None:

@@ -208,6 +208,7 @@ class Workshop:
         self.stop_all()
         for worker in self._idle:
             worker.kill()
+            worker.listener.join(GRACE)
         self._idle.clear()
 
     # ---- inside --------------------------------------------------------------------------------
@@ -309,7 +310,8 @@ class _Worker:
         self.job: Job | None = None
         self.done = 0
         self.warm: set[str] = set()
-        threading.Thread(target=self._listen, daemon=True).start()
+        self.listener = threading.Thread(target=self._listen, daemon=True)
+        self.listener.start()
 
     @property
     def alive(self) -> bool:

@@ -74,6 +74,8 @@ class Interrupts(ContextDecorator):
         """What a tick raises in a call under way, where no signal asked for anything."""
         self._since = 0.0
         self._before: dict[int, Any] = {}
+        self._callers: list[tuple[_thread.LockType, _thread.LockType]] = []
+        """Of each thread that calls again: the lock that ends it, and the one that it leaves."""
         if hasattr(os, "register_at_fork"):
             os.register_at_fork(after_in_child=self.forget)
 
@@ -86,6 +88,7 @@ class Interrupts(ContextDecorator):
                 self._install()
             except BaseException:  # of a handler that was not yet wrapped
                 self._restore()
+                self._end_callers()
                 raise
         # last, and no call behind it: what a handler raises above leaves the depth as it was
         self.depth += 1
@@ -107,6 +110,7 @@ class Interrupts(ContextDecorator):
             self._restore()
         finally:  # a handler that is back in its place may raise above
             pending, self.error = self.error, None
+            self._end_callers()
         if pending is not None and pending is not error:
             raise pending
 
@@ -147,7 +151,7 @@ class Interrupts(ContextDecorator):
             if first:
                 self._since = time.monotonic()
                 with suppress(RuntimeError):  # no thread to be had: at the verb's end then
-                    _thread.start_new_thread(self._call_again, ())
+                    self._begin_caller()
             if not (self.held or never or (fragile and first)):
                 raise
 
@@ -168,13 +172,27 @@ class Interrupts(ContextDecorator):
     def _waited_long(self) -> bool:
         return time.monotonic() > self._since + PATIENCE
 
-    def _call_again(self) -> None:
-        """In a thread of its own, till the verb ends (no Thread: its start takes locks)."""
-        while True:
-            time.sleep(AGAIN)
-            if self.depth == 0 or self.error is None:
-                return
-            self.tick()
+    def _begin_caller(self) -> None:
+        """A thread that calls till the verb ends (no Thread: its start takes locks)."""
+        over, gone = _thread.allocate_lock(), _thread.allocate_lock()
+        over.acquire()
+        gone.acquire()
+        _thread.start_new_thread(self._call_again, (over, gone))
+        self._callers.append((over, gone))
+
+    def _call_again(self, over: _thread.LockType, gone: _thread.LockType) -> None:
+        try:
+            while not over.acquire(timeout=AGAIN) and self.depth and self.error is not None:
+                self.tick()
+        finally:
+            gone.release()
+
+    def _end_callers(self) -> None:
+        """Wait for them: one that wakes when the interpreter is gone crashes the process."""
+        while self._callers:
+            over, gone = self._callers.pop()
+            over.release()
+            gone.acquire()
 
     def tick(self) -> None:
         """From another thread: call the main thread, also where it waits for a lock."""
@@ -189,6 +207,7 @@ class Interrupts(ContextDecorator):
         """In a process that was forked within a verb: handlers as they were before it."""
         self.depth = self.native = self.held = 0
         self.error = None
+        self._callers.clear()
         for number, before in self._before.items():
             signal.signal(number, before)
         self._before.clear()

@@ -86,13 +86,15 @@ def run_alone(
     note = folder / "call"
     note.write_bytes(bytes(_NOTE))
     with (folder / "words").open("wb") as words:
-        process = _start(folder, words)
+        process, reader = _start(folder, words), None
         try:
-            messages = _listen(process)
+            messages, reader = _listen(process)
             _send(process, worker, job)
             return _wait(process, messages, folder, time_limit, heard)
         finally:
             end(process)
+            if reader is not None:  # a thread that wakes when Python has gone crashes the process
+                reader.join(_GRACE)
             with contextlib.suppress(OSError):
                 process.stdin.close()  # type: ignore[union-attr]
 
@@ -124,7 +126,9 @@ def _send(process: subprocess.Popen[bytes], worker: str, job: Mapping[str, Any])
         process.stdin.flush()
 
 
-def _listen(process: subprocess.Popen[bytes]) -> queue.Queue[dict[str, Any] | None]:
+def _listen(
+    process: subprocess.Popen[bytes],
+) -> tuple[queue.Queue[dict[str, Any] | None], threading.Thread]:
     messages: queue.Queue[dict[str, Any] | None] = queue.Queue()
 
     def read() -> None:
@@ -135,8 +139,9 @@ def _listen(process: subprocess.Popen[bytes]) -> queue.Queue[dict[str, Any] | No
                 messages.put(json.loads(line))
         messages.put(None)
 
-    threading.Thread(target=read, daemon=True).start()
-    return messages
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    return messages, reader
 
 
 def _wait(

@@ -1,5 +1,6 @@
 """Stopping: Ctrl-C, SIGTERM and time limits end verbs, each in a process of its own."""
 
+import _thread
 import importlib.util
 import math
 import os
@@ -17,6 +18,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.core.errors import OutOfTime
+from pam_ocp.core.interrupts import interruptible
 from pam_ocp.core.lazy import lazily
 from pam_ocp.core.stop import TimeIsUp, check, deadline, limited, native, spared, verb
 from pam_ocp.fitting.static import force_fit
@@ -355,6 +357,24 @@ def test_sigterm_ends_the_command_with_143(tmp_path):
         assert process.stdout.readline() == "go\n"
         process.terminate()
         assert process.wait(60) == 143
+
+
+@posix
+def test_a_signal_leaves_no_thread_behind_its_verb(request):
+    """A thread that wakes behind the interpreter's end crashes the process (3 of 150 times)."""
+
+    def asked(number, frame):
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, asked)
+    request.addfinalizer(lambda: signal.signal(signal.SIGTERM, before))
+    threads = _thread._count()
+    with pytest.raises(SystemExit), interruptible():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        finally:
+            time.sleep(0.02)  # in which its thread begins
+    assert _thread._count() == threads
 
 
 @posix
