@@ -266,6 +266,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="a browser that is a scrip
 
 
 @posix
+@pytest.mark.slow
 def test_the_command_line_of_the_browser_holds_no_token(tmp_path):
     """All users of a machine can read it (/proc/*/cmdline)."""
     pytest.importorskip("nicegui")

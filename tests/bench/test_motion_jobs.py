@@ -46,6 +46,7 @@ def test_what_is_dragged_is_the_optimum_that_a_cold_plan_finds(state, motion, tm
         assert warm["stop_times"] == pytest.approx([0.0, cold.duration], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_impossible_is_told_in_place(state, motion, tmp_path):
     motion["durations"] = [0.004]
     told = jobs.dragged(say, World(tmp_path, state), motion)
@@ -136,6 +137,7 @@ def test_a_pid_about_a_point_has_the_poles_of_its_equations():
         made.tracking({"v": lambda t: 0.0}, {}, False)
 
 
+@pytest.mark.slow
 def test_the_script_of_motions_and_controllers_gives_the_same_figures(state, motion, tmp_path):
     (tmp_path / "files").mkdir()
     plant = plant_of(World(tmp_path, state))

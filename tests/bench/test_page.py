@@ -40,6 +40,7 @@ def bundled(hand):
 
 
 # ---- data ----------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_data_a_dropped_file_is_understood_coloured_and_nothing_in_it_is_run(
     hand, server, tmp_path
 ):
@@ -59,6 +60,7 @@ def test_data_a_dropped_file_is_understood_coloured_and_nothing_in_it_is_run(
     assert own.pressure.max() == pytest.approx(6e5)
 
 
+@pytest.mark.slow
 def test_data_a_unit_is_changed_by_its_menu_and_changed_back_by_undo(hand, server, tmp_path):
     table = tmp_path / "table.csv"
     rows = [(p, x, max(0, 900 * p - 60 * x)) for p in (1, 3, 6) for x in (2, 8, 14, 20)]
@@ -74,6 +76,7 @@ def test_data_a_unit_is_changed_by_its_menu_and_changed_back_by_undo(hand, serve
     assert server.state(hand.session)["data"][0]["said"] == {"units": {"pressure": "bar"}}
 
 
+@pytest.mark.slow
 def test_data_a_cell_is_switched_off_by_a_click_and_by_its_number(hand, server):
     bundled(hand)
     force = pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)
@@ -116,6 +119,7 @@ def _saved(server, hand):
 
 
 # ---- muscle --------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_muscle_a_fit_is_the_verbs_sliders_move_its_curve_and_no_other_host_is_asked(hand, server):
     bundled(hand)
     hand.press("Muscle")
@@ -151,6 +155,7 @@ def test_muscle_a_fit_is_the_verbs_sliders_move_its_curve_and_no_other_host_is_a
     assert hand.driver.execute_script("return document.cookie") == ""
 
 
+@pytest.mark.slow
 def test_muscle_laws_are_ranked_and_further_cells_proposed(hand, server):
     bundled(hand)
     hand.press("Muscle")
@@ -178,6 +183,7 @@ def plant_tab(hand):
     hand.until(lambda: hand.shown(".bench-scene svg"), "the plant to scale")
 
 
+@pytest.mark.slow
 def test_plant_a_click_into_the_map_sets_the_operating_point_and_it_swings(hand, server):
     plant_tab(hand)
     hand.press("Compute the map")
@@ -200,6 +206,7 @@ def test_plant_a_click_into_the_map_sets_the_operating_point_and_it_swings(hand,
     assert swing["y"][0] == pytest.approx(1e3 * own["x"] + 2.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_plant_components_are_chosen_with_units_and_undone(hand, server):
     plant_tab(hand)
     hand.choose("Arrangement", "AntagonisticSlide")
@@ -234,6 +241,7 @@ def test_keys_do_what_the_mouse_does(hand, server):
     hand.until(lambda: server.state(hand.session)["data"] == [])
 
 
+@pytest.mark.slow
 def test_two_browsers_have_a_session_each_and_two_windows_may_share_one(hand, server):
     bundled(hand)
     first = hand.driver.current_window_handle

@@ -153,6 +153,7 @@ def narrow(hand):
     hand.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
+@pytest.mark.slow
 def test_on_a_phone_pictures_come_first_and_every_tab_is_in_reach(hand, server):
     bundled(hand)
     narrow(hand)
@@ -174,6 +175,7 @@ def test_on_a_phone_pictures_come_first_and_every_tab_is_in_reach(hand, server):
         hand.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+@pytest.mark.slow
 def test_a_picture_says_in_words_what_it_shows_and_an_empty_one_what_it_will(hand, server):
     def said(label):
         plot = hand.plot(label)

@@ -36,6 +36,7 @@ def number(text: str, pattern: str) -> float:
     return float(found[1])
 
 
+@pytest.mark.slow
 def test_a_problem_file_is_run_and_reported(tmp_path, capsys):
     problem, motion, picture = (tmp_path / n for n in ("p.toml", "motion.csv", "run.png"))
     problem.write_text(PROBLEM)

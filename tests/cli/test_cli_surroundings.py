@@ -174,6 +174,7 @@ def test_an_ascii_terminal_shows_names_escaped_and_files_keep_theirs(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="homes there are no variable")
+@pytest.mark.slow
 def test_a_user_without_a_home_gets_files_and_no_complaint(tmp_path):
     nobody = "import pwd\ndef nobody(uid): raise KeyError(uid)\npwd.getpwuid = nobody\n"
     for home in ({}, {"HOME": str(tmp_path / "gone")}):
@@ -246,6 +247,7 @@ def test_what_is_no_plant_is_named(tmp_path, monkeypatch, capsys, verb, lines, w
     assert words in err
 
 
+@pytest.mark.slow
 def test_equations_in_excess_are_said_by_the_error_alone(tmp_path, monkeypatch, capfd):
     """CasADi would print a line of its own at each of some twenty solves."""
     monkeypatch.chdir(tmp_path)

@@ -59,6 +59,7 @@ def interval(report: str, name: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
+@pytest.mark.slow
 def test_a_study_file_gives_report_validation_plots_and_a_file(
     folder: Path, tmp_path: Path, capsys: Any
 ) -> None:

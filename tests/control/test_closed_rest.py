@@ -144,6 +144,7 @@ def test_inputs_are_weighed_by_what_they_reach():
         assert effort_units(plant, goal.x, goal.u, names) == pytest.approx([unit, unit], rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_dead_zone_that_is_not_declared_is_said_once():
     plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=Undeclared())
     rest = pam.HangingLoad("DMSP-20-400N", 10.0).equilibrium(x=0.05)

@@ -50,6 +50,7 @@ def bounded(**options):
     )
 
 
+@pytest.mark.slow
 def test_a_compiled_step_finds_what_ipopt_finds_at_limits_that_hold(tmp_path, monkeypatch):
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
     machine_code, ipopt = bounded(iterations=20, compiled=True), bounded(solver="ipopt")
@@ -64,6 +65,7 @@ def test_a_compiled_step_finds_what_ipopt_finds_at_limits_that_hold(tmp_path, mo
         state = state @ [[1, 0], [0.1, 1]] + (found + 0.1) * np.array([0.005, 0.1])
 
 
+@pytest.mark.slow
 def test_where_a_compiled_program_has_no_solution_ipopt_is_asked(tmp_path, monkeypatch):
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
     mpc = bounded(soft=False, compiled=True)
@@ -71,6 +73,7 @@ def test_where_a_compiled_program_has_no_solution_ipopt_is_asked(tmp_path, monke
     assert mpc.statistics.fallbacks == mpc.statistics.failures == 1
 
 
+@pytest.mark.slow
 def test_a_compiled_call_is_cut_off_after_a_jump_and_completed_later(tmp_path, monkeypatch):
     """At 1.5 times ``work``, or with its first quadratic program."""
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))

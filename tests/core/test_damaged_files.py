@@ -20,11 +20,13 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> list[object]:
     return readers(tmp_path_factory.mktemp("sound"))
 
 
+@pytest.mark.slow
 def test_every_sound_file_is_read(sound):
     found = [outcome(reader, "none", reader.file) for reader in sound]
     assert [f for f in found if f.kind != "read"] == []
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_read_or_answered_by_one_sentence_that_names_it(sound, tmp_path):
     assert [f for f in outcomes(sound, 400, 20, tmp_path) if f.failed] == []
 

@@ -366,14 +366,17 @@ def test_a_signal_leaves_no_thread_behind_its_verb(request):
     def asked(number, frame):
         raise SystemExit(128 + number)
 
-    before = signal.signal(signal.SIGTERM, asked)
-    request.addfinalizer(lambda: signal.signal(signal.SIGTERM, before))
-    threads = _thread._count()
-    with pytest.raises(SystemExit), interruptible():
+    def ended():
         try:
             os.kill(os.getpid(), signal.SIGTERM)
         finally:
             time.sleep(0.02)  # in which its thread begins
+
+    before = signal.signal(signal.SIGTERM, asked)
+    request.addfinalizer(lambda: signal.signal(signal.SIGTERM, before))
+    threads = _thread._count()
+    with pytest.raises(SystemExit), interruptible():
+        ended()
     assert _thread._count() == threads
 
 

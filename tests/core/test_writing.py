@@ -87,6 +87,7 @@ def files_of_at_most(size: int) -> Iterator[None]:
 
 @posix
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_a_writer_that_runs_out_of_space_leaves_all_as_it_was(name, writers, tmp_path):
     target = tmp_path / name
     writers[name](target)

@@ -133,6 +133,7 @@ def attributes(root: Any, name: str, fmi: str) -> Any:
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)
+@pytest.mark.slow
 def test_a_description_that_is_not_the_binarys_is_found_out(fmi: Any, tmp_path: Path) -> None:
     path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
 

@@ -182,6 +182,7 @@ def test_five_platforms_are_in_the_file(fmi: str, tmp_path: Path) -> None:
         assert all(dylib[offset : offset + 4] == b"\xcf\xfa\xed\xfe" for offset in thin)
 
 
+@pytest.mark.slow
 def test_sources_in_the_file_compile_without_warnings(tmp_path: Path) -> None:
     for fmi in VERSIONS:
         folder = tmp_path / fmi

@@ -71,6 +71,7 @@ def test_a_unit_that_dies_is_a_finding_that_names_the_call(
 
 
 @posix
+@pytest.mark.slow
 def test_a_unit_that_dies_leaves_the_checks_beside_it(
     units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -186,6 +187,7 @@ def test_a_library_that_is_cut_is_a_finding(
     assert check_fmu(packed(tmp_path / "cut.fmu", content)).findings
 
 
+@pytest.mark.slow
 def test_damage_anywhere_in_the_library_leaves_the_caller_alive(
     units: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -232,6 +234,7 @@ def test_wrong_arguments_are_refused_here(units: dict[str, Path]) -> None:
         check_fmu(units["2.0"], pam.Trajectory([0.0, 0.1], {"other": [0.0, 0.0]}))
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard_can_check(units: dict[str, Path], tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(f"import pam_ocp\nprint(pam_ocp.check_fmu({str(units['2.0'])!r}).ok)\n")

@@ -44,6 +44,7 @@ def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(
         assert max(others) < 5e-7
 
 
+@pytest.mark.slow
 def test_linear_inputs_are_followed_in_every_mode(tmp_path: Path) -> None:
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"))
     t = np.linspace(0.0, 0.5, 26)

@@ -110,6 +110,7 @@ def outputs_in(world, plant, tmp_path, precision="double"):
 
 
 @pytest.mark.parametrize("world", ["jax", "torch", "onnx"])
+@pytest.mark.slow
 def test_every_operation_is_what_numpy_says(world, everything, jnp, tmp_path):
     plant, wanted = everything
     pytest.importorskip("onnx" if world == "onnx" else world)
@@ -213,6 +214,7 @@ def test_the_slope_of_a_motion_by_a_parameter_is_that_of_differences(resting, jn
     assert np.isclose(jax.grad(end)(mass), wanted, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_batch_is_what_vmap_makes_of_one(hanging, jnp):
     import jax
 
@@ -281,6 +283,7 @@ def test_a_valve_moves_by_equal_steps_as_simulate_says(jnp):
     assert np.max(np.abs(found - wanted) / valves.vector("state", attribute="nominal")) < 1e-6
 
 
+@pytest.mark.slow
 def test_diffrax_integrates_the_term(resting, jnp):
     diffrax = pytest.importorskip("diffrax")
     world, held = pam.export.to_jax(resting), command(resting)
@@ -304,6 +307,7 @@ def test_a_motion_that_leads_nowhere_is_nan(jnp):
 # ---- torch, controllers, refusals ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_torch_trains_a_parameter(resting):
     torch = pytest.importorskip("torch")
     module = pam.export.to_torch(resting)

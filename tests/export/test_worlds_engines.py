@@ -189,6 +189,7 @@ def test_a_muscle_alone_pulls_as_its_law_says():
     assert np.isclose(run["muscle.force"][-1], muscle.force(3e5, 0.1), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_check_compares_start_values_of_binary_and_description(tmp_path):
     path = pam.export.export_muscle(MUSCLE, tmp_path / "muscle.fmu", platforms=["native"])
     assert pam.check_fmu(path).ok

@@ -129,6 +129,7 @@ def test_what_is_missing_or_twice_is_told(things, tmp_path):
     assert not (tmp_path / "c.zip").exists()
 
 
+@pytest.mark.slow
 def test_the_command_report_writes_a_crate_of_its_files(things, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     things["Motion, 10 kg"].save("motion.npz")

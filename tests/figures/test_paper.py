@@ -70,6 +70,7 @@ def test_lines_are_thin_and_told_apart_without_colour(things):
     assert [e.get_linestyle() for e in entries] == [line.get_linestyle() for line in lines]
 
 
+@pytest.mark.slow
 def test_letters_stay_letters_in_files_that_are_written_after_the_block(things, tmp_path):
     with pam.figures.for_paper("84 mm"):
         figure = things["fit"]()

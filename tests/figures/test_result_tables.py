@@ -40,6 +40,7 @@ def results(plant, motion):
     ]
 
 
+@pytest.mark.slow
 def test_every_result_has_a_picture_a_text_a_frame_and_a_workbook(results, tmp_path):
     for thing in results:
         assert all(callable(getattr(thing, m)) for m in METHODS)

@@ -38,6 +38,7 @@ def parsed(thing):
     return ET.fromstring(thing._repr_html_())
 
 
+@pytest.mark.slow
 def test_every_noun_and_result_has_a_line_and_a_form_for_notebooks(things):
     for thing in things:
         line = repr(thing)

@@ -127,6 +127,7 @@ def test_an_adequate_model_is_called_so_and_its_noise_is_that_of_the_sensor() ->
         assert low <= true <= high
 
 
+@pytest.mark.slow
 def test_fits_of_whole_motions_say_it_too() -> None:
     fit = fit_plant(off(), record("friction"), list(TRUE))
     assert fit.adequacy.cause == "friction or hysteresis"
@@ -172,6 +173,7 @@ def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
     assert low <= 0.1 <= high
 
 
+@pytest.mark.slow
 def test_records_without_noise_are_not_judged() -> None:
     clean = record()
     plant = hanging()
@@ -309,6 +311,7 @@ def test_held_and_joined_inputs_fit_side_by_side() -> None:
 
 
 # ---- coverage ------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_another_record_of_the_same_kind_is_covered_and_an_absurd_one_is_not() -> None:
     records = [record(seed=s) for s in range(4)]
     fit = fit_free_run(off(), records, list(TRUE), horizon=None, judge=False)

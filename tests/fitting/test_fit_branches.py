@@ -109,6 +109,7 @@ def test_the_f_test_is_that_of_an_analysis_of_variance() -> None:
     assert found.probability == pytest.approx(f_distribution.sf(found.f, a, b))
 
 
+@pytest.mark.slow
 def test_a_true_law_is_rejected_as_often_as_the_level_says() -> None:
     found = [lack_of_fit(fit_force(cycles(seed=seed))).probability for seed in range(80)]
     assert kstest(found, "uniform").pvalue > 0.01

@@ -220,6 +220,7 @@ def test_a_flat_optimum_is_accepted_with_a_doubt(monkeypatch: pytest.MonkeyPatch
 
 
 # ---- other people's tables ----------------------------------------------------------------------
+@pytest.mark.slow
 def test_random_tables_of_all_laws_are_fitted_and_cover() -> None:
     """A small part of ``benchmarks/fit_study.py``; the study itself has 500."""
     import fit_study

@@ -81,6 +81,7 @@ def fit(rig: pam.Plant, records: list[pam.Trajectory]) -> PlantFit:
 
 
 # ---- the truth -----------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_free_parameters_of_an_antagonistic_slide_come_back_within_their_intervals(
     fit: PlantFit, rig: pam.Plant
 ) -> None:
@@ -109,6 +110,7 @@ def test_single_shooting_finds_the_same(fit: PlantFit, rig: pam.Plant, records: 
         assert other.values[name] == pytest.approx(c.value, abs=0.25 * c.stderr)
 
 
+@pytest.mark.slow
 def test_the_reduced_covariance_is_that_of_finite_differences_of_simulations(
     fit: PlantFit, records: Any
 ) -> None:
@@ -228,6 +230,7 @@ def test_constant_inputs_are_refused_with_the_parameters_they_cannot_tell(rig: p
         fit_plant(rig, run, ["damping", "muscle*.lag"], outputs=["x", "muscle1.pressure"])
 
 
+@pytest.mark.slow
 def test_a_wrong_model_is_given_away_by_its_residuals(rig: pam.Plant, records: Any) -> None:
     heavy = rig.with_values({"muscle1.a5": 1.1 * truth(rig, "muscle1.a5")})
     found = fit_plant(heavy, records, ["damping"])

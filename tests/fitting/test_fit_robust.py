@@ -53,6 +53,7 @@ def moved(one: ForceFit, other: ForceFit) -> float:
 
 # ---- robust losses -------------------------------------------------------------------------------
 @pytest.mark.parametrize("loss", ["huber", "l1"])
+@pytest.mark.slow
 def test_cells_off_by_100_n_move_a_robust_fit_by_less_than_2_n(loss: Any) -> None:
     measured = read_table("DMSP-10-250_static.csv", rest_length=0.250)
     taut = table_20().taut

@@ -69,6 +69,7 @@ def record(
 
 
 @pytest.mark.parametrize("held", [False, True])
+@pytest.mark.slow
 def test_dead_time_and_hidden_starts_come_back_from_whole_records(held: bool) -> None:
     records = [record(s, 100 + 20 * s, z0=0.3 * s, held=held) for s in range(2)]
     off = lagging().with_values(k=30.0, c=5.0, g=20.0, lag=0.05)
@@ -129,6 +130,7 @@ def test_an_observer_brings_hidden_states_to_where_they_belong() -> None:
     assert set(fit.rig.corrections) == {("q", "q"), ("w", "q"), ("z", "q")}
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     inside, total = 0, 0
     for seed in range(8):
@@ -168,6 +170,7 @@ def test_a_wild_run_is_damped_and_the_fit_still_comes_home() -> None:
     assert fit.values["a"] == pytest.approx(64.0, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_progress_is_told_and_a_time_limit_keeps_the_best() -> None:
     told: list[tuple[str, int, float]] = []
     records = [record(s, late=0.0) for s in range(2)]

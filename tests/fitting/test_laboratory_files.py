@@ -38,6 +38,7 @@ def quietly(function, *arguments, **options):
     return result, " ".join(str(w.message) for w in told)
 
 
+@pytest.mark.slow
 def test_a_file_of_every_shape_is_read_right_and_none_wrong(tmp_path: Path) -> None:
     for library in ("nptdms", "rosbags", "mcap", "h5py", "pandas"):
         pytest.importorskip(library)

@@ -224,6 +224,7 @@ def test_more_than_the_record_asks_for_is_not_chosen(record: pam.Trajectory) -> 
     assert found["friction"].score > 0.98 * found["dead time"].score
 
 
+@pytest.mark.slow
 def test_rungs_of_ones_own_need_no_arrangement(record: pam.Trajectory) -> None:
     plants = [slide(feed=regulator(lag=0.06, dead_time=d)) for d in (None, TRUE["dead_time"])]
     frees = [("damping", "muscle*.lag", "base_pressure", "muscle*.gain")] * 2

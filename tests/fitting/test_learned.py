@@ -210,6 +210,7 @@ def test_bands_hold_what_they_say(learned: pam.fitting.LearnedFit) -> None:
         learned.predict(test, 90)
 
 
+@pytest.mark.slow
 def test_complete_physics_stays_alone() -> None:
     fit = physics(records(6, 5, beside=lambda x, v: 0.0))
     learned = fit_residual(fit, Residual("v", ["x", "v"], Splines(3)), folds=3, strengths=[1e-4])

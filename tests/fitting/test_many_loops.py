@@ -27,6 +27,7 @@ def test_ranked_laws(table: pam.fitting.ForceTable) -> None:
     assert here.best.left_out == there.best.left_out
 
 
+@pytest.mark.slow
 def test_drawn_plants_and_planners() -> None:
     slide = pam.AntagonisticSlide("DMSP-20-400N", mass=2.0)
     ways = {"share": None, "method": pam.Collocation(10, 3)}

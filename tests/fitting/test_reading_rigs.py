@@ -44,6 +44,7 @@ def answer(case: Case, sentence: str) -> Any:
     return ast.literal_eval(said[1]) if case.answer == FROM_SENTENCE else case.answer
 
 
+@pytest.mark.slow
 def test_every_file_of_the_folder_is_read_right(cases: list[Case]) -> None:
     assert len(cases) > 60
     for case in cases:
@@ -57,6 +58,7 @@ def test_every_file_of_the_folder_is_read_right(cases: list[Case]) -> None:
         assert any(case.says in words for words in said) if case.says else not said, case.name
 
 
+@pytest.mark.slow
 def test_a_preview_of_every_file_says_the_same_as_reading_it(cases: list[Case]) -> None:
     for case in cases:
         options = case.given | ({"kind": "record"} if case.kind == "record" else {})

@@ -309,6 +309,7 @@ def energy_balance(fluidic, volume, volume_by_hand, motions):
     return float(np.max(np.abs(gap) / end[4]))
 
 
+@pytest.mark.slow
 def test_muscle_with_consistent_volume_neither_gains_nor_loses_energy(fluidic):
     assert energy_balance(fluidic, ConsistentVolume(), reference_volume, 50) < 1e-8
 

@@ -57,6 +57,7 @@ def test_the_contracts_of_pyproject_are_kept():
     assert "0 broken" in done.stdout
 
 
+@pytest.mark.slow
 def test_no_module_leads_back_to_itself_but_through_the_door():
     assert drawing.circles(_behind()) == []
 

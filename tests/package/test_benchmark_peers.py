@@ -48,6 +48,7 @@ def integrated(e, commands, ends, start):
     return np.array(states).T
 
 
+@pytest.mark.slow
 def test_the_error_of_a_simulation(peers):
     e = peers["equations"]
     t, u = peers["answers"].simulated_inputs()

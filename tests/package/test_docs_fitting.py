@@ -3,9 +3,12 @@
 import re
 from pathlib import Path
 
+import pytest
+
 PAGE = (Path(__file__).parents[2] / "docs" / "fitting.md").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_the_blocks_on_campaigns_and_holds_run_one_after_another(tmp_path, monkeypatch, capsys):
     section = PAGE[PAGE.index("## Static campaigns and holds") :]
     section = section[: (section + "\n## ").index("\n## ", 3)]

@@ -106,6 +106,7 @@ def test_no_plan_lets_a_muscle_go_slack(slide):
         assert tension.min() > -0.1
 
 
+@pytest.mark.slow
 def test_an_impossible_motion_names_the_most_violated_constraint(slide):
     with pytest.raises(
         PlanError, match=r"most violated constraint is stop 2: x \(= 15 mm\)"

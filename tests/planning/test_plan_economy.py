@@ -283,6 +283,7 @@ def test_an_input_that_stays_on_its_bound_keeps_nothing_back(sign):
     assert gains(plan._solved).sum() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_mesh_split_where_inputs_cost_gains_more_than_as_many_equal_intervals():
     plant, stops = pam.AntagonisticSlide(MUSCLE, 2.0), [{"x": -0.01}, {"x": 0.01}]
     wanted = {"duration": 0.3, "minimise": "work"}
@@ -354,6 +355,7 @@ def test_a_saved_plan_of_least_work_is_loaded_with_its_objective(tmp_path):
         assert again.verified
 
 
+@pytest.mark.slow
 def test_the_least_air_is_what_the_supply_gives_along_the_motion():
     plant = pam.HangingLoad(MUSCLE, 10.0, feed=pam.feeds.SpoolValve())
     plan = pam.plan(

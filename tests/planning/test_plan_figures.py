@@ -50,6 +50,7 @@ def test_the_work_of_lifting_a_load_is_its_weight_times_the_way():
     assert work == pytest.approx(20.0 * GRAVITY * 0.015, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_work_is_counted_of_each_muscle_where_it_is_given():
     """Muscles of unequal length and strength: forces and speeds by hand."""
     plant = pam.AntagonisticSlide(bought(LONG), 2.0, 0.10, muscle2=bought(THIN))

@@ -314,6 +314,7 @@ def test_the_command_plans_and_writes(capsys, tmp_path):
     assert table["time"][-1] == pytest.approx(plan.duration)
 
 
+@pytest.mark.slow
 def test_an_impossible_motion_has_exit_code_1_and_names_the_conflict(capsys, tmp_path):
     file = written(tmp_path, 'duration = "30 ms"\nmethod = { intervals = 10 }', PLANT, STOPS)
     code, out, err = run(capsys, "plan", file, "--log", "--explain")

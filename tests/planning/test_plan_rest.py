@@ -131,6 +131,7 @@ def test_where_nothing_can_rest_it_is_said():
         pam.plan(plant, [{"y": 1.0}, {"y": 0.5}])
 
 
+@pytest.mark.slow
 def test_a_level_without_a_position_stands_where_an_input_can_hold_it():
     plant = pam.Plant("lag")
     y, u = plant.state("y"), plant.input("u", min=-1.0, max=1.0)
@@ -193,6 +194,7 @@ def test_a_plan_begins_with_the_memory_it_is_given_and_settled_creep(lossy, memo
     assert np.all(np.abs(motion.array(MEMORIES)) <= 1.05)
 
 
+@pytest.mark.slow
 def test_a_plan_with_slipping_memory_is_verified(lossy):
     plan = pam.plan(lossy, WAY)
     assert plan.verified
@@ -447,6 +449,7 @@ def test_what_has_slid_begins_at_the_envelope_of_a_pressure_that_is_the_input():
         assert -1.03 * held <= plan.trajectory[name][0] <= -0.98 * held
 
 
+@pytest.mark.slow
 def test_a_pair_that_chooses_its_pressures_begins_at_their_envelopes():
     slip = pam.losses.MaxwellSlip((4.0,), (0.003,), per_pressure=1.5e-6)
     plant = pam.AntagonisticSlide("DMSP-20-400N", 3.0, losses=slip, feed=pam.feeds.Regulator())
@@ -461,6 +464,7 @@ def test_a_pair_that_chooses_its_pressures_begins_at_their_envelopes():
 
 
 @pytest.mark.parametrize("reached", [0.0, 0.3])
+@pytest.mark.slow
 def test_a_muscle_behind_a_tendon_was_contracted_before_as_far_as_it_rests(reached):
     # a stop says where the load is; where the muscle's end is follows from the tendon
     muscle = pam.muscle("DMSP-20-300")

@@ -103,6 +103,7 @@ def test_pressures_that_all_plants_share_are_not_copied(plant, robust):
     assert copy.positions == plant.positions
 
 
+@pytest.mark.slow
 def test_a_cycle_closes_for_each_plant(plant):
     asked = {"duration": (0.02, 0.5), "cyclic": True, "method": METHOD, "share": None}
     found = robust_plan(plant, STOPS, draws=draws(plant, 2, 1), spread={"x": 1.5e-4}, **asked)

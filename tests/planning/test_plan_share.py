@@ -56,6 +56,7 @@ def test_the_back_off_in_time_is_that_of_the_normal_distribution(seed):
     assert again == pytest.approx(true, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_back_off_from_a_limit_is_that_of_the_normal_distribution():
     """As far as it goes in 1 s with x < 3 for 95 %: short of it by 1.645/2."""
     spread, stops = [None, {"x": 50.0}], [{"x": 0.0}, {"x": (0.0, 5.0)}]
@@ -151,6 +152,7 @@ def test_a_sample_that_was_never_used_confirms_the_share(plant, found):  # noqa:
     assert found.price > 0
 
 
+@pytest.mark.slow
 def test_scipy_judges_other_plants_alike(plant):  # noqa: F811
     """Plants of a seed that the plan did not see, each integrated by SciPy."""
     arguments = {"spread": {"x": WIDTH}, "duration": (0.02, 0.5), "method": METHOD}

@@ -315,6 +315,7 @@ def test_a_bound_on_a_state_holds_between_the_points_too(points):
     assert plan.replay.trajectory["x"].max() <= 1 / 9 + 1e-5
 
 
+@pytest.mark.slow
 def test_a_joint_of_set_pressures_with_hysteresis_is_planned_without_wandering_off():
     """Wide roundings of Bouc-Wen's speed would lead z along the root of the rate; SciPy replays."""
     muscle, loss = pam.muscle("DMSP-20-400N"), pam.losses.BoucWen(6.0, 0.0084)
@@ -500,6 +501,7 @@ def by_valve():
 UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
 
 
+@pytest.mark.slow
 def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatch):
     from pam_ocp.planning.solvers import side_by_side
 

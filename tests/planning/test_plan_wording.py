@@ -446,6 +446,7 @@ def test_a_bound_of_one_number_is_named_where_it_leaves_no_motion(slide, capfd):
     assert printed.out + printed.err == ""  # CasADi's lines on more equations than unknowns
 
 
+@pytest.mark.slow
 def test_a_leg_of_one_interval_of_constant_inputs_is_named(slide):
     words = r"Leg 1 has 1 interval, .*method=Collocation\(intervals=50"
     with pytest.raises(pam.PlanError, match=words):

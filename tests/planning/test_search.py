@@ -160,6 +160,7 @@ def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch:
 
 
 @pytest.mark.parametrize("projection", ["feasible", "nearest"])
+@pytest.mark.slow
 def test_where_costs_lead_nowhere_the_next_motion_that_keeps_the_constraints_goes_on(
     projection: str, monkeypatch: Any
 ) -> None:

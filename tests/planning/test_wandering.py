@@ -52,6 +52,7 @@ def kkt(program, outcome):
     return max(float(np.max(b, initial=0.0)) for b in beyond), float(still.max())
 
 
+@pytest.mark.slow
 def test_a_flat_optimum_ends_at_a_place_and_is_an_optimum():
     program = work_program(16)
     solver = Ipopt(program)

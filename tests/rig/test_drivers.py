@@ -127,6 +127,7 @@ def test_opc_ua_reads_and_writes_the_nodes_of_a_server():
     assert seen["a"] >= 1.0
 
 
+@pytest.mark.slow
 def test_a_server_of_opc_ua_outlives_values_of_bad_quality_and_leaves_no_thread():
     """A damaged frame may write one: seen after some minutes of a bad line."""
     asyncua = pytest.importorskip("asyncua")

@@ -156,6 +156,7 @@ def test_commands_in_c_keep_ranges_and_rates_as_in_python(plant, law, library):
 
 
 @pytest.mark.parametrize("kind", ["udp", "serial"])
+@pytest.mark.slow
 def test_a_controller_in_c_moves_a_twin_and_leaves_it_vented(bench, plant, law, kind, tmp_path):
     if kind == "serial":
         pytest.importorskip("serial")
@@ -210,6 +211,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_second_processor_bridges_the_pauses_of_the_first(bench, law):
     """A process of higher priority takes the first one for 60 ms of each 160."""
     allowed = sorted(os.sched_getaffinity(0))

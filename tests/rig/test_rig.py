@@ -95,6 +95,7 @@ def test_calibrations_lead_from_volts_to_si_and_back(plant):
     assert np.max(twin.motion()["muscle.command"]) == pytest.approx(2e5)
 
 
+@pytest.mark.slow
 def test_records_are_whole_lines_that_readers_and_fits_take(made, plant, tmp_path):
     rig, _ = made(record=tmp_path / "runs")
     rig.arm()
@@ -164,6 +165,7 @@ def test_homing_doubts_a_valve_that_does_nothing(made):
     assert any("nothing moved with muscle.command" in words for words in found.doubts)
 
 
+@pytest.mark.slow
 def test_identification_finds_what_the_twin_has(plant):
     clock = pam.rig.SimulatedClock()
     readings = [
@@ -231,6 +233,7 @@ def test_learning_brings_the_error_of_a_sine_down_to_a_fifth(seed):
     assert np.sqrt(np.mean(error**2)) < 1.5 * min(found.errors)
 
 
+@pytest.mark.slow
 def test_a_load_that_swings_long_is_learned_and_each_run_begins_at_rest():
     """85 kg on a muscle, which swing on for seconds after a motion: decay at 0.59/s."""
     rig, _, model = twin_at_random(66)

@@ -71,6 +71,7 @@ def bench(tmp_path):
         twin.wait()
 
 
+@pytest.mark.slow
 def test_a_rig_is_checked_run_and_vented_from_the_command_line(bench, capsys, monkeypatch):
     monkeypatch.chdir(bench.parent)
     assert main(["rig", "check", str(bench), "--duration", "0.3", "--json"]) == 0

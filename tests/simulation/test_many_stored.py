@@ -249,6 +249,7 @@ def test_a_case_whose_worker_was_killed_by_chance_is_tried_again(tmp_path, monke
     assert (tmp_path / "once").exists()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_cases(tmp_path):
     def peak(count, **place):
         tracemalloc.start()

@@ -66,6 +66,7 @@ def test_the_linearised_plant_swings_as_its_stiffness_says(made: Any) -> None:
 
 
 @pytest.mark.usefixtures("plain_pictures")
+@pytest.mark.slow
 def test_a_load_in_place_of_a_second_muscle_and_what_the_user_says(tmp_path: Path) -> None:
     options: Any = {"law": "six-parameter", "counterforce": "load", "mass": "20 kg"}
     made = quick(TABLE, tmp_path, rest_length=LENGTH, stops=["10 mm", "30 mm"], **options)
@@ -130,6 +131,7 @@ def test_nothing_is_replaced_unasked_and_wrong_words_are_refused(tmp_path: Path)
 
 
 @pytest.mark.usefixtures("plain_pictures")
+@pytest.mark.slow
 def test_the_command_says_what_it_assumed(tmp_path: Path, capsys: Any) -> None:
     given = [
         TABLE,

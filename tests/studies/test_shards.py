@@ -37,6 +37,7 @@ def test_shards_that_cannot_be_are_refused(text):
 
 
 @pytest.mark.usefixtures("plain_pictures")
+@pytest.mark.slow
 def test_merged_shards_are_the_study_in_one_go_and_missing_ones_are_named(tmp_path):
     study, out, cache = loads(tmp_path, 2), tmp_path / "out", tmp_path / "kept"
     with pytest.raises(InputError, match="no shard has run here"):

@@ -592,6 +592,7 @@ def test_a_change_in_a_module_that_a_named_file_imports_is_seen(tmp_path, monkey
 
 
 @pytest.mark.usefixtures("plain_pictures")
+@pytest.mark.slow
 def test_a_file_that_own_code_names_is_seen_and_what_it_hides_is_done_anew(tmp_path, monkeypatch):
     own_study(
         tmp_path,
