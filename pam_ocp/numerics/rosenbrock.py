@@ -71,7 +71,7 @@ def ros2_with_slopes(
         return ca.horzcat(ca.jacobian(value, z), ca.SX(value.numel(), more))
 
     def at(value: list[ca.SX], symbol: ca.SX, place: ca.SX) -> list[ca.SX]:
-        return list(ca.substitute(value, [symbol], [place]))
+        return list(ca.substitute(value, [symbol], [ca.densify(place)]))
 
     jacobian = ca.jacobian(first, x)
     matrix = ca.SX.eye(x.numel()) - GAMMA * h * jacobian

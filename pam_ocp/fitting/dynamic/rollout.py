@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import FitError
+from ...core.errors import FitError, InputError
 from ...core.stop import check, native
 from ...numerics.rosenbrock import ros2, ros2_with_slopes
 from ...plants.plant import Plant
@@ -34,6 +34,11 @@ ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""
 MEMORY = 3e7
 """Bytes that the states and sensitivities of the runs of one call may take."""
+MANY = 10_000
+"""Steps of all runs from which the step is compiled, where there is a compiler. Whatever the plant,
+this pays in some tens of evaluations: both times grow with the number of its instructions (1e-3 s
+to compile one, 1e-8 s to interpret it, a sixth of that compiled).
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +74,7 @@ class Rollout:
         every = np.ones(len(runs.names)) if weigh is None else weigh
         self.weights = np.sqrt(runs.weights / len(runs.names))[..., None] * every
         self._whole: dict[Any, ca.Function] = {}
-        self._sampled: dict[bool, ca.Function] = {}
+        self._sampled: dict[tuple[bool, bool], ca.Function] = {}
         self._steps: tuple[bytes, list[Array]] = (b"", [])
         self._late = _late(plant, runs, unknowns, self._rig)
         self._count = runs.steps + len(self._late)
@@ -211,11 +216,16 @@ class Rollout:
 
     def states(self, z: Array) -> Iterator[tuple[_Part, Array]]:
         """(part, states (m, K, nx)) at the samples."""
-        for part, x, _ in self._run(z, False):
+        for part, x, _ in self._run(z, False, every=True):
             yield part, x
 
-    def _run(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
-        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it."""
+    def _run(
+        self, z: Array, deep: bool, every: bool = False
+    ) -> Iterator[tuple[_Part, Array, Array]]:
+        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it.
+
+        every : also the states that the outputs do not depend on, which else stay where they begin.
+        """
         runs, ny = self.runs, len(self.runs.names)
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
@@ -234,22 +244,25 @@ class Rollout:
             arguments = (start, u, y.reshape(ny + 1, -1), np.concatenate([shared, delays]))
             x, both = (
                 np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
-                for found in native(self._along(deep, total, m), *arguments)
+                for found in native(self._along(deep, total, m, every), *arguments)
             )
             yield part, x, both
 
-    def _along(self, deep: bool, samples: int, count: int) -> ca.Function:
-        key = (deep, samples, count)
+    def _along(self, deep: bool, samples: int, count: int, every: bool = False) -> ca.Function:
+        key = (deep, samples, count, every)
         if key not in self._whole:
-            self._whole[key] = self._one(deep).mapaccum(samples).map(count)
+            self._whole[key] = self._one(deep, every).mapaccum(samples).map(count)
         return self._whole[key]
 
-    def _one(self, deep: bool) -> ca.Function:
+    def _one(self, deep: bool, every: bool) -> ca.Function:
         """From sample to sample, with sensitivities where it is ``deep``; made when it is used."""
-        if deep not in self._sampled:
-            given = self._plant, self.runs, self._unknowns, self._rig, self._count
-            self._sampled[deep] = _function(*given, self._static, deep)
-        return self._sampled[deep]
+        if (deep, every) not in self._sampled:
+            given = self._plant, self.runs, self._unknowns, self._rig
+            step, read = _functions(*given, self._static, deep, every)
+            if self._count * (self.runs.length + self.runs.warm).sum() > MANY:
+                step = _compiled(step)
+            self._sampled[deep, every] = _sampled(step, read, self._count)
+        return self._sampled[deep, every]
 
     def _driven(self, z: Array) -> tuple[list[Array], Array]:
         """What drives the steps of all records at the dead times of z, and these [s]."""
@@ -383,17 +396,18 @@ def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], sample
 
 
 # ---- expressions --------------------------------------------------------------------------
-def _function(
+def _functions(
     plant: Plant,
     runs: Runs,
     unknowns: RunUnknowns,
     rig: Rig,
-    steps: int,
     static: bool,
     deep: bool,
-) -> ca.Function:
-    """From sample to sample, without or with sensitivities: (state, inputs, (measured, whether it
-    corrects), (z, dead times)) -> (state, outputs).
+    every: bool,
+) -> tuple[ca.Function, ca.Function]:
+    """Without or with sensitivities, a step: (state, inputs, (z, dead times)) -> (state), and what
+    is read at a sample: (state, inputs, (measured, whether it corrects), (z, dead times)) ->
+    (state, outputs).
 
     What drives a step are inputs at its begin and end, its length, and, where a dead time is
     sought, what these gain per second of it; the dead times are those at which the values hold.
@@ -412,8 +426,11 @@ def _function(
         own = ca.horzcat(ca.jacobian(value, z), ca.SX.zeros(value.numel(), more))
         return ca.jacobian(value, x) @ s + own
 
+    wanted = range(nx) if every or static else _needed(plant, runs.names)
+    rows = [i if i in wanted else nx for i in range(nx)]
+
     def rates(q: ca.SX, inputs: ca.SX) -> ca.SX:
-        return plant.function(q, inputs, p)[0]
+        return ca.vertcat(plant.function(q, inputs, p)[0], ca.SX(1, 1))[rows]
 
     if static:  # a step of Newton's method towards rest
         slope = ca.jacobian(rates(x, late), x)
@@ -440,13 +457,13 @@ def _function(
     if not deep:
         step = ca.Function("step", [x, u, given], [after], {"cse": True})
         read = ca.Function("read", [x, u, measured, given], [corrected, y])
-        return _sampled("move", step, read, per_step, steps)
+        return step, read
     slopes = along(corrected) if runs.warm else s
     wide, after = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(after_slopes))
     both = ca.vertcat(corrected, ca.vec(slopes)), ca.vertcat(y, ca.vec(ca.densify(along(y))))
     step = ca.Function("deep_step", [wide, u, given], [after], {"cse": True})
     read = ca.Function("deep_read", [wide, u, measured, given], [*both])
-    return _sampled("tangent", step, read, per_step, steps)
+    return step, read
 
 
 def _driving(unknowns: RunUnknowns, z: ca.SX, at: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -466,17 +483,38 @@ def _driving(unknowns: RunUnknowns, z: ca.SX, at: ca.SX, u: ca.SX) -> tuple[ca.S
     return *moved, h + ca.dot(gained[:, 2], shift)
 
 
-def _sampled(
-    name: str, step: ca.Function, read: ca.Function, per_step: int, steps: int
-) -> ca.Function:
+def _needed(plant: Plant, names: Sequence[str]) -> set[int]:
+    """The states that these variables depend on, directly or through others' rates."""
+    seen = ca.vertcat(*(plant.expression(name) for name in names))
+    rates = plant.function(plant.x, plant.u, plant.p)[0]
+    direct = np.array(ca.DM(ca.jacobian(seen, plant.x).sparsity(), 1), dtype=bool)
+    over = np.array(ca.DM(ca.jacobian(rates, plant.x).sparsity(), 1), dtype=bool)
+    found = set(np.flatnonzero(direct.any(axis=0)).tolist())
+    while more := set(np.flatnonzero(over[sorted(found)].any(axis=0)).tolist()) - found:
+        found |= more
+    return found
+
+
+def _compiled(step: ca.Function) -> ca.Function:
+    """As machine code; itself where there is no compiler."""
+    from ...export.machine import machine_function  # loaded where runs are long
+
+    try:
+        return machine_function(step, build=True) or step
+    except InputError:
+        return step
+
+
+def _sampled(step: ca.Function, read: ca.Function, steps: int) -> ca.Function:
     """All steps of one sampling interval, then what is measured at its end."""
+    per_step = step.size1_in(1)
     x = ca.MX.sym("x", step.size1_in(0))
     u = ca.MX.sym("u", per_step * steps)
     measured, given = ca.MX.sym("measured", read.size1_in(2)), ca.MX.sym("given", step.size1_in(2))
     columns = ca.reshape(u, per_step, steps)
     end = step.fold(steps)(x, columns, given) if steps > 1 else step(x, columns, given)
     after, y = read(end, columns[:, steps - 1], measured, given)
-    return ca.Function(name, [x, u, measured, given], [after, y])
+    return ca.Function("sampled", [x, u, measured, given], [after, y])
 
 
 def _gains(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> ca.SX:
