@@ -62,8 +62,8 @@ def add_ladder(commands: Any) -> None:
     ladder = commands.add_parser(
         "ladder",
         help="select a model for records: static, or with lag, friction, hysteresis, creep",
-        description="Compare nested models (static, + lag, + dead time, + slew limit, + "
-        "friction, + memory, + creep) by their predictions of parts of the "
+        description="Compare nested models (static, + lag, + unequal lags, + dead time, "
+        "+ slew limit, + friction, + memory, + creep) by their predictions of parts of the "
         "records that were left out.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

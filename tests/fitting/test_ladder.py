@@ -15,6 +15,7 @@ import pam_ocp as pam
 from pam_ocp.cli.main import main
 from pam_ocp.core.errors import FitError, InputError, OutOfTime, UnknownNameError
 from pam_ocp.fitting import Ladder, Rung, fit_ladder
+from pam_ocp.fitting.dynamic.ladder import rungs_of
 from pam_ocp.fitting.dynamic.rungs import HISTORY, RungModel, Task, model_of
 
 F = pam.feeds
@@ -222,6 +223,47 @@ def test_more_than_the_record_asks_for_is_not_chosen(record: pam.Trajectory) -> 
     found = climbed(record, rungs=("dead time", "friction"))
     assert found.chosen.name == "dead time"
     assert found["friction"].score > 0.98 * found["dead time"].score
+
+
+def joint(**more: Any) -> pam.Plant:
+    return pam.AntagonisticJoint("DMSP-20-200N", 0.05, 0.025, damping=0.3, **more)
+
+
+def test_two_muscles_have_lags_of_their_own_on_a_rung() -> None:
+    """Truth by SciPy: two first-order lags; the plant's joint is held, so pressures are alone."""
+    t = np.arange(400) * 0.01
+    rng = np.random.default_rng(5)
+    levels = rng.uniform(1e5, 4e5, (9, 2))
+    u = levels[np.minimum((t / 0.45).astype(int), 8)]
+    lags, p = (0.06, 0.21), np.empty((len(t), 2))
+    p[0] = u[0]
+    for k in range(len(t) - 1):
+        p[k + 1] = u[k] + (p[k] - u[k]) * np.exp(-0.01 / np.array(lags))
+    p += 100.0 * rng.standard_normal(p.shape)
+    plant = joint()
+    names = [f"muscle{i}.{what}" for what in ("command", "pressure") for i in (1, 2)]
+    variables = [plant.variable(n) for n in names]
+    columns = dict(zip(names, np.hstack([u, p]).T, strict=True))
+    record = pam.Trajectory(t, columns, variables, "previous")
+    found = fit_ladder(joint, record, rungs=["lag", "unequal lags"], dynamic=(), folds=3)
+    assert [r.name for r in found.rungs] == ["lag", "+ unequal lags"]
+    rung = found["+ unequal lags"]
+    for i, lag in enumerate(lags, 1):
+        assert rung.coefficients[f"muscle{i}.lag"].value == pytest.approx(lag, rel=0.01)
+    assert found.chosen is rung
+    single = rungs_of(partial(pam.HangingLoad, "DMSP-20-200N", 5.0), names=["lag", "unequal lags"])
+    assert [r.name for r in single] == ["lag"]
+
+
+def test_a_free_mass_is_tried_lighter_and_heavier() -> None:
+    lag, memory = rungs_of(joint, ["inertia"], names=["lag", "memory"])
+    scaled = [s for s in lag.starts if "inertia" in s]
+    assert sorted({round(s["inertia"], 12) for s in scaled}) == [0.015, 0.05, 0.15, 0.5]
+    assert [s["damping"] for s in scaled] == pytest.approx([6 * s["inertia"] for s in scaled])
+    assert any("inertia" not in s for s in memory.starts)  # from what the rung before found
+    assert any(s.get("inertia", 0.0) > 0.4 and s["muscle1.slip1_force"] > 0 for s in memory.starts)
+    (known,) = rungs_of(joint, names=["lag"])
+    assert not any("inertia" in s for s in known.starts)
 
 
 @pytest.mark.slow

@@ -47,8 +47,14 @@ from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
 
 __all__ = ["LADDER", "Builder", "Ladder", "fit_ladder"]
 
-LADDER = ("static", "lag", "dead time", "slew", "friction", "memory", "creep")
+LAGS = ("lag", "venting_lag")
+LADDER = ("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory", "creep")
 """What there is to climb, in this order."""
+SCALES = (0.3, 1.0, 3.0, 10.0)
+"""Times a free mass or inertia, and the damping with it, where a rung brings what dissipates: what
+stands still tells nothing of it, and minima lie between light and damped (it creeps) and heavy (it
+swings); without friction the former is often the better one, with it the latter.
+"""
 SLIP_YIELDS = (0.003, 0.015)
 """Contractions at which the elements of the memory slide; their forces are fitted."""
 
@@ -102,8 +108,8 @@ def fit_ladder(
         muscle's coefficients); they begin where ``build`` sets them.
     feed : the regulator on which rungs are built: its gain, base, lags; by default ``Regulator()``.
     dynamic : parameters freed from the second rung on; by default the plant's damping.
-    rungs : which to climb, of "static", "lag", "dead time", "slew", "friction", "memory" (slip)
-        and "creep". Parameters of these, such as the lags of two muscles, count as equal.
+    rungs : which to climb, of "static", "lag", "unequal lags", "dead time", "slew", "friction",
+        "memory" (slip) and "creep". Other parameters of these count as equal in two muscles.
     outputs : what is compared; by default all states and outputs that the records hold.
     folds : of parts of the records (at least 3), each predicted once by a fit to the others. Whole
         records are the parts where there are as many, else each is cut.
@@ -314,7 +320,14 @@ def rungs_of(
             own += ["creep1_stiffness", "creep1_time"]
         plant = build(feed=replace(regulator, **parts), losses=losses)
         static = name == "static"
+        if name == "unequal lags":
+            if len(_tied(plant, "lag")) < 2:
+                continue
+            own = [n for k in own for n in (_tied(plant, k) if k in LAGS else (k,))]
         chosen = [*_present(plant, free)]
+        if name in ("friction", "memory") or (not static and all(r.static for r in found)):
+            scales = _scaled(plant, free, dynamic)
+            starts += [{**a, **b} for b in scales for a in starts[1:] or starts]
         if not static:
             moving = ("damping", "damping_ratio") if dynamic is None else dynamic
             chosen += _present(plant, moving, dynamic is not None)
@@ -327,9 +340,20 @@ def rungs_of(
 
 
 def _tied(plant: Plant, key: str) -> tuple[str, ...]:
-    """All parameters called so, of whatever muscle: equal in a ladder."""
-    names = [v.name for v in plant.parameters if v.name.rpartition(".")[2] == key]
+    """All parameters called so, of whatever muscle: equal in a ladder; or the one of that name."""
+    names = [v.name for v in plant.parameters if key in (v.name, v.name.rpartition(".")[2])]
     return tuple(names)
+
+
+def _scaled(
+    plant: Plant, free: Sequence[Any], dynamic: Sequence[Any] | None
+) -> list[dict[str, float]]:
+    """Starts that are lighter and heavier than the plant, where its mass or inertia is free."""
+    if not {"mass", "inertia"} & {*free, *(dynamic or ())}:
+        return []
+    names = {"mass", "inertia", "damping"} & {v.name for v in plant.parameters}
+    values = {n: float(plant.variable(n).start or 0.0) for n in sorted(names)}
+    return [{n: v * factor for n, v in values.items()} for factor in SCALES]
 
 
 def _present(
