@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
+from pam_ocp.fitting.dynamic import rollout as rollout_module
 from pam_ocp.fitting.dynamic.experiment import groups
 from pam_ocp.fitting.dynamic.free_run_fit import fit_free_run, free_run
 from pam_ocp.fitting.dynamic.rig import unknowns_of
@@ -106,6 +107,46 @@ def test_the_slope_over_everything_is_that_of_finite_differences() -> None:
         assert cost == pytest.approx(residuals @ residuals)
         np.testing.assert_allclose(gradient, exact.T @ residuals, rtol=1e-9, atol=1e-15)
         np.testing.assert_allclose(square, exact.T @ exact, rtol=1e-9, atol=1e-15)
+
+
+def pressures(names: list[str]) -> tuple[Rollout, Any]:
+    """Free runs of a load whose lag and damping are sought; the pressure needs no load."""
+    plant = pam.HangingLoad("DMSP-20-200N", mass=5.0, damping=60.0)
+    t = np.arange(0, 1.2, 0.01)
+    u = np.where(t < 0.5, 1.5e5, 3e5)
+    run = pam.simulate(plant, {"muscle.command": u}, t=t)
+    columns = {n: run[n] for n in ("muscle.command", "x", "muscle.pressure")}
+    record = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    runs = runs_of(plant, [record], None, None, names, 3, 4)
+    free = groups(plant, ["muscle.lag", "damping"])
+    unknowns, rig = unknowns_of(plant, free, names, 1, 0.01)
+    return Rollout(plant, runs, unknowns, rig), unknowns.guess
+
+
+def test_states_that_the_outputs_do_not_need_stand_still_and_change_nothing() -> None:
+    (alone, z), (both, _) = pressures(["muscle.pressure"]), pressures(["x", "muscle.pressure"])
+    np.testing.assert_allclose(alone.predicted(z)[..., 0], both.predicted(z)[..., 1], rtol=1e-12)
+    slopes = both.jacobian(z).reshape(-1, 2, len(z))[:, 1] * np.sqrt(2)
+    np.testing.assert_allclose(alone.jacobian(z), slopes, rtol=1e-9, atol=1e-12)
+    for (_, one), (_, other) in zip(alone.states(z), both.states(z), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)  # asked for, they all move
+
+
+def test_a_compiled_step_says_what_the_interpreted_one_says(monkeypatch) -> None:
+    plain, z = pressures(["x"])
+    wanted, slopes = plain.predicted(z), plain.jacobian(z)
+    called = []
+    monkeypatch.setattr(rollout_module, "MANY", 0)
+    original = rollout_module._compiled
+    monkeypatch.setattr(
+        rollout_module, "_compiled", lambda f: called.append(original(f)) or called[-1]
+    )
+    quick, _ = pressures(["x"])
+    np.testing.assert_allclose(quick.predicted(z), wanted, rtol=1e-12)
+    np.testing.assert_allclose(quick.jacobian(z), slopes, rtol=1e-9, atol=1e-12)
+    if not all(f.class_name().endswith("External") for f in called):
+        pytest.skip("no C compiler here")
+    assert len(called) == 2
 
 
 def test_gain_and_offset_of_a_sensor_come_back() -> None:

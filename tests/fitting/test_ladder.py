@@ -253,6 +253,8 @@ def test_two_muscles_have_lags_of_their_own_on_a_rung() -> None:
     assert found.chosen is rung
     single = rungs_of(partial(pam.HangingLoad, "DMSP-20-200N", 5.0), names=["lag", "unequal lags"])
     assert [r.name for r in single] == ["lag"]
+    with pytest.raises(InputError, match='"unequal lags" without "lag"'):
+        rungs_of(joint, names=["static", "unequal lags"])
 
 
 def test_a_free_mass_is_tried_lighter_and_heavier() -> None:
@@ -262,6 +264,8 @@ def test_a_free_mass_is_tried_lighter_and_heavier() -> None:
     assert [s["damping"] for s in scaled] == pytest.approx([6 * s["inertia"] for s in scaled])
     assert any("inertia" not in s for s in memory.starts)  # from what the rung before found
     assert any(s.get("inertia", 0.0) > 0.4 and s["muscle1.slip1_force"] > 0 for s in memory.starts)
+    tied = rungs_of(joint, [["inertia"], ["muscle1.a5", "muscle2.a5"]], names=["lag"])
+    assert tied[0].starts == lag.starts
     (known,) = rungs_of(joint, names=["lag"])
     assert not any("inertia" in s for s in known.starts)
 

@@ -47,9 +47,10 @@ from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
 
 __all__ = ["LADDER", "Builder", "Ladder", "fit_ladder"]
 
-LAGS = ("lag", "venting_lag")
 LADDER = ("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory", "creep")
 """What there is to climb, in this order."""
+LAGS = ("lag", "venting_lag")
+"""Equal in all muscles on the rung "lag", and each muscle's own on "unequal lags"."""
 SCALES = (0.3, 1.0, 3.0, 10.0)
 """Times a free mass or inertia, and the damping with it, where a rung brings what dissipates: what
 stands still tells nothing of it, and minima lie between light and damped (it creeps) and heavy (it
@@ -283,6 +284,8 @@ def rungs_of(
     steps = [n for n in LADDER if n in names]
     if not steps:
         raise InputError(f"rungs is empty: name some of {', '.join(LADDER)}")
+    if "unequal lags" in steps and "lag" not in steps:
+        raise InputError('rungs has "unequal lags" without "lag", from which it begins; name both')
     found: list[Rung] = []
     parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
     losses: tuple[Any, ...] = ()
@@ -327,6 +330,7 @@ def rungs_of(
         chosen = [*_present(plant, free)]
         if name in ("friction", "memory") or (not static and all(r.static for r in found)):
             scales = _scaled(plant, free, dynamic)
+            # the first of several starts is the rung before, which has its own mass
             starts += [{**a, **b} for b in scales for a in starts[1:] or starts]
         if not static:
             moving = ("damping", "damping_ratio") if dynamic is None else dynamic
@@ -349,7 +353,8 @@ def _scaled(
     plant: Plant, free: Sequence[Any], dynamic: Sequence[Any] | None
 ) -> list[dict[str, float]]:
     """Starts that are lighter and heavier than the plant, where its mass or inertia is free."""
-    if not {"mass", "inertia"} & {*free, *(dynamic or ())}:
+    sought = [g for e in (free, dynamic or ()) for g in groups(plant, _present(plant, e))]
+    if not {"mass", "inertia"} & {plant.parameters[m].name for g in sought for m in g.members}:
         return []
     names = {"mass", "inertia", "damping"} & {v.name for v in plant.parameters}
     values = {n: float(plant.variable(n).start or 0.0) for n in sorted(names)}

@@ -229,7 +229,7 @@ class Rollout:
         runs, ny = self.runs, len(self.runs.names)
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
-        self._came_to(z, x0, s0, deep)
+        self._came_to(z, x0, s0, deep, every)
         shared = z[: self._unknowns.shared]
         for part in self._parts[deep]:
             check()
@@ -248,7 +248,7 @@ class Rollout:
             )
             yield part, x, both
 
-    def _along(self, deep: bool, samples: int, count: int, every: bool = False) -> ca.Function:
+    def _along(self, deep: bool, samples: int, count: int, every: bool) -> ca.Function:
         key = (deep, samples, count, every)
         if key not in self._whole:
             self._whole[key] = self._one(deep, every).mapaccum(samples).map(count)
@@ -307,7 +307,7 @@ class Rollout:
             slopes[:, place, u.shared + k] = u.scale[u.shared + k]
         return x0, slopes
 
-    def _came_to(self, z: Array, x0: Array, slopes: Array, deep: bool) -> None:
+    def _came_to(self, z: Array, x0: Array, slopes: Array, deep: bool, every: bool) -> None:
         """Puts hidden states of runs in the middle of a record to where the plant has come by then:
         from start to start along the inputs, all other states set anew at each of them.
         """
@@ -324,7 +324,7 @@ class Rollout:
                 start = np.concatenate([start, slopes[before].T.ravel()])
             u = _windows(driven, runs, np.array([before]), count)
             nothing = np.zeros((len(runs.names) + 1, count))
-            end = native(self._along(deep, count, 1), start, u, nothing, given)[0]
+            end = native(self._along(deep, count, 1, every), start, u, nothing, given)[0]
             last = np.asarray(end)[:, -1]
             nx = x0.shape[1]
             x0[row, hidden] = last[hidden]
