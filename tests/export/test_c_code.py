@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 
+import casadi as ca
 import numpy as np
 import pytest
 from c_program import (
@@ -39,6 +40,7 @@ from pam_ocp.control import (
     lqr,
 )
 from pam_ocp.control.references import sine
+from pam_ocp.core.block import Block
 from pam_ocp.core.errors import InputError
 from pam_ocp.core.exceptions import WriteError
 from pam_ocp.export.c_code import vectors
@@ -328,10 +330,6 @@ def test_what_cannot_be_written_is_refused_in_one_sentence(tmp_path):
 
 def test_vectors_end_where_rounding_spoils_them(tmp_path):
     """x -> 4 x (1 - x) doubles an error in each step: from 1e-16 to 1e-6 in some 33 of them."""
-    import casadi as ca
-
-    from pam_ocp.core.block import Block
-
     x = ca.SX.sym("x")
     none = ca.SX.zeros(0, 1)
     chaotic = Block(
@@ -351,10 +349,39 @@ def test_vectors_end_where_rounding_spoils_them(tmp_path):
             assert "passed" in selftest(folder, "chaos")
 
 
+def test_what_rounding_may_turn_over_is_not_compared_in_single_precision():
+    """Passes of x = cos(x) until it moves by less than a few units in the last place."""
+    x, moved, count = ca.SX.sym("x"), ca.SX.sym("moved"), ca.SX.sym("count")
+    body = ca.Function("b", [x, moved, count], [ca.cos(x), ca.cos(x) - x, count + 1])
+    y, last, passes = x, ca.SX(1), ca.SX(0)
+    for _ in range(60):
+        z = body(y, last, passes)
+        going = ca.fabs(last) > 1.5e-7
+        y, last, passes = (
+            ca.if_else(going, new, old) for new, old in zip(z, (y, last, passes), strict=True)
+        )
+    memory, none = ca.SX.sym("m"), ca.SX.sym("none", 0)
+    sure = ca.if_else(x > 0, 2, 3)
+    made = Block(
+        "passes",
+        1e-3,
+        (pam.Variable("x", "input", start=0.5, nominal=1.0),),
+        tuple(pam.Variable(n, "output") for n in ("passes", "sure")),
+        (),
+        (pam.Variable("m", "state", start=0.0),),
+        ca.Function("step", [memory, x, none], [memory, ca.vertcat(passes, sure)]),
+    )
+    given = np.linspace(0.2, 1.2, 20)[:, None]
+    expected = vectors.outputs_of(made, given, single=True)
+    told = vectors.sensitivity(made, given, expected, 2.0**-23, single=True)[1]
+    assert np.isnan(told[:, 0]).any()
+    assert np.array_equal(told[:, 1], expected[:, 1])
+
+
 def test_a_step_beyond_the_budget_is_not_read_instruction_by_instruction(monkeypatch):
     made = pid_block()
     inputs = vectors.inputs_of(made, 3, 0)
-    assert vectors.single_outputs(made, inputs).shape == (3, len(made.outputs))
+    assert vectors.single_outputs(made, inputs).shape == (vectors.DRAWS, 3, len(made.outputs))
     monkeypatch.setattr(vectors, "BUDGET", 10)
     monkeypatch.setattr(vectors, "_program", lambda step: pytest.fail("it was read"))
     assert vectors.single_outputs(made, inputs) is None

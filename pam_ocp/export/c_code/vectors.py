@@ -19,61 +19,66 @@ __all__ = ["inputs_of", "outputs_of", "sensitivity", "single_outputs"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-BUDGET = 2_000_000
-"""Instructions that are carried out, at most (about a second)."""
+BUDGET = 1_000_000
+"""Instructions that are carried out, at most (about ten seconds)."""
+
+DRAWS = 8
+"""Runs in single precision at once: the first as IEEE 754 rounds, in the others each result is off
+by a unit in its last place or not, at random, unless it is whole (as other orders of sums and other
+C libraries round)."""
 
 _F: Any = np.float32
-_ONE: dict[str, Callable[[Any], Any]] = {
-    "ASSIGN": lambda x: x,
-    "NEG": lambda x: -x,
+_ROUNDED: dict[str, Callable[..., Any]] = {
+    "ADD": np.add,
+    "SUB": np.subtract,
+    "MUL": np.multiply,
+    "DIV": np.divide,
+    "SQ": np.square,
+    "INV": np.reciprocal,
+    "SQRT": np.sqrt,
+    "POW": np.power,
+    "CONSTPOW": np.power,
     "EXP": np.exp,
     "LOG": np.log,
-    "SQRT": np.sqrt,
-    "SQ": lambda x: x * x,
-    "TWICE": lambda x: x + x,
     "SIN": np.sin,
     "COS": np.cos,
     "TAN": np.tan,
     "ASIN": np.arcsin,
     "ACOS": np.arccos,
     "ATAN": np.arctan,
-    "FLOOR": np.floor,
-    "CEIL": np.ceil,
-    "FABS": abs,
-    "SIGN": np.sign,
-    "INV": lambda x: _F(1) / x,
     "SINH": np.sinh,
     "COSH": np.cosh,
     "TANH": np.tanh,
     "LOG1P": np.log1p,
     "EXPM1": np.expm1,
-    "NOT": lambda x: _F(x == 0),
+    "ATAN2": np.arctan2,
+    "HYPOT": np.hypot,
 }
-_TWO: dict[str, Callable[[Any, Any], Any]] = {
-    "ADD": lambda x, y: x + y,
-    "SUB": lambda x, y: x - y,
-    "MUL": lambda x, y: x * y,
-    "DIV": lambda x, y: x / y,
-    "POW": np.power,
-    "CONSTPOW": np.power,
-    "LT": lambda x, y: _F(x < y),
-    "LE": lambda x, y: _F(x <= y),
-    "EQ": lambda x, y: _F(x == y),
-    "NE": lambda x, y: _F(x != y),
-    "AND": lambda x, y: _F(x != 0 and y != 0),
-    "OR": lambda x, y: _F(x != 0 or y != 0),
+_EXACT: dict[str, Callable[..., Any]] = {
+    "ASSIGN": np.positive,
+    "NEG": np.negative,
+    "TWICE": lambda x: x + x,
+    "FLOOR": np.floor,
+    "CEIL": np.ceil,
+    "FABS": np.abs,
+    "SIGN": np.sign,
+    "NOT": np.logical_not,
+    "LT": np.less,
+    "LE": np.less_equal,
+    "EQ": np.equal,
+    "NE": np.not_equal,
+    "AND": np.logical_and,
+    "OR": np.logical_or,
     "FMOD": np.fmod,
     "COPYSIGN": np.copysign,
     "FMIN": np.fmin,
     "FMAX": np.fmax,
-    "ATAN2": np.arctan2,
-    "HYPOT": np.hypot,
-    "IF_ELSE_ZERO": lambda x, y: y if x != 0 else _F(0),
+    "IF_ELSE_ZERO": lambda x, y: np.where(x != 0, y, _F(0)),
 }
 
 
 def single_outputs(block: Block, inputs: Array) -> Array | None:
-    """Outputs (steps, outputs) in single precision, of as many steps as the budget allows.
+    """Outputs (draws, steps, outputs) in single precision, of as many steps as the budget allows.
 
     None where the step is not made of plain operations (tables, linear solvers), or of too many.
     """
@@ -89,52 +94,67 @@ def single_outputs(block: Block, inputs: Array) -> Array | None:
     steps = min(len(inputs), BUDGET // max(len(program), 1))
     if steps < 1:
         return None
-    memory, parameters = (block.start(k).astype(_F) for k in ("memory", "parameters"))
+    random = np.random.default_rng(0)
+    memory, parameters = (
+        np.repeat(block.start(k).astype(_F)[:, None], DRAWS, axis=1)
+        for k in ("memory", "parameters")
+    )
     rows = []
     with np.errstate(all="ignore"):
         for row in inputs[:steps].astype(_F):
-            memory, outputs = _carried_out(program, step.sz_w(), [memory, row, parameters], block)
-            rows.append(outputs.astype(float))
-    return np.array(rows)
+            given = [memory, np.repeat(row[:, None], DRAWS, axis=1), parameters]
+            units = random.integers(-1, 2, (len(program), DRAWS)).astype(_F)
+            units[:, 0] = 0
+            factors = 1 + units * np.finfo(_F).eps
+            results = [np.zeros((len(v), DRAWS), _F) for v in (block.memory, block.outputs)]
+            _carry_out(program, step.sz_w(), given, results, factors)
+            memory, outputs = results
+            rows.append(outputs.T.astype(float))
+    return np.stack(rows, axis=1)
 
 
 def _program(step: ca.Function) -> list[tuple[Any, ...]] | None:
     """(kind, operation or constant, places read, places written) of each instruction."""
-    names = {getattr(ca, f"OP_{n}"): f for n, f in (*_ONE.items(), *_TWO.items())}
-    known: dict[int, Any] = names
+    known: dict[int, Any] = {
+        getattr(ca, f"OP_{name}"): (kind, operation)
+        for kind, table in (("rounded", _ROUNDED), ("exact", _EXACT))
+        for name, operation in table.items()
+    }
     found: list[tuple[Any, ...]] = []
     for k in range(step.n_instructions()):
         code = step.instruction_id(k)
         reads, writes = step.instruction_input(k), step.instruction_output(k)
         if code == ca.OP_CONST:
             with np.errstate(over="ignore"):  # what is too large for it is infinite
-                found.append(("constant", _F(step.instruction_constant(k)), (), writes))
+                constant = np.full(DRAWS, step.instruction_constant(k), _F)
+            found.append(("constant", constant, (), writes))
         elif code == ca.OP_INPUT:
             found.append(("input", None, reads, writes))
         elif code == ca.OP_OUTPUT:
             found.append(("output", None, reads, writes))
         elif code in known:
-            found.append(("operation", known[code], reads, writes))
+            found.append((*known[code], reads, writes))
         else:
             return None
     return found
 
 
-def _carried_out(
-    program: list[tuple[Any, ...]], size: int, given: list[Any], block: Block
-) -> tuple[Any, Any]:
-    w: list[Any] = [_F(0)] * size
-    results = [np.zeros(len(block.memory), _F), np.zeros(len(block.outputs), _F)]
-    for kind, what, reads, writes in program:
-        if kind == "operation":
-            w[writes[0]] = what(*(w[i] for i in reads))
+def _carry_out(
+    program: list[tuple[Any, ...]], size: int, given: list[Any], results: list[Any], factors: Any
+) -> None:
+    w: list[Any] = [np.zeros(DRAWS, _F)] * size
+    for (kind, what, reads, writes), factor in zip(program, factors, strict=True):
+        if kind == "rounded":
+            value = what(*(w[i] for i in reads))
+            w[writes[0]] = np.where(value == np.rint(value), value, value * factor)
+        elif kind == "exact":
+            w[writes[0]] = what(*(w[i] for i in reads)).astype(_F, copy=False)
         elif kind == "constant":
             w[writes[0]] = what
         elif kind == "input":
             w[writes[0]] = given[reads[0]][reads[1]]
         else:
             results[writes[0]][writes[1]] = w[reads[0]]
-    return results[0], results[1]
 
 
 REACH = 0.3
@@ -207,16 +227,19 @@ def sensitivity(
     nominal = np.array([v.nominal for v in block.outputs])
     flags = np.all(expected == np.round(expected), axis=0)
     runs = [outputs_of(block, inputs, 4 * digits, single)]
-    found = single_outputs(block, inputs) if single else None
-    if found is not None:
-        runs.append(found)
+    drawn = single_outputs(block, inputs) if single else None
+    if drawn is not None:
+        runs.append(drawn[0])
     told, errors = expected.copy(), np.zeros(len(expected))
-    if single:  # flags are sure as far as every operation was carried out
-        told[0 if found is None else len(found) :, flags] = np.nan
     for run in runs:
         wanted = expected[: len(run)]
         off = np.abs(run - wanted)
         size = np.max((off / (nominal + np.abs(wanted)))[:, ~flags], axis=1, initial=0.0)
         errors[: len(run)] = np.maximum(errors[: len(run)], size)
         told[: len(run)][(off > 0) & flags] = np.nan
+    if single:  # flags are sure as far as every operation was carried out, by all draws
+        sure = 0 if drawn is None else drawn.shape[1]
+        told[sure:, flags] = np.nan
+        if drawn is not None:
+            told[:sure][np.any(drawn != expected[:sure], axis=0) & flags] = np.nan
     return np.maximum.accumulate(errors), told
