@@ -10,6 +10,7 @@ from .blocks.chain import chain as chain
 from .blocks.guard import Guard as Guard
 from .blocks.making import BlockController as BlockController
 from .blocks.making import block as block
+from .blocks.plant_block import plant_block as plant_block
 from .compensation import HysteresisCompensation as HysteresisCompensation
 from .controller_plants import pid_controller as pid_controller
 from .controller_plants import state_feedback_controller as state_feedback_controller

@@ -35,7 +35,16 @@ from ..simulation.simulator import evaluated
 from .controller import Observer
 from .references import Source, source
 
-__all__ = ["Actuators", "FmuSide", "HasSide", "PlantSide", "Sensors", "Side", "side_of"]
+__all__ = [
+    "Actuators",
+    "FmuSide",
+    "HasSide",
+    "PlantSide",
+    "Sensors",
+    "Side",
+    "side_of",
+    "start_values",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -153,7 +162,7 @@ class PlantSide(Side):
         wrong = [n for n in given if plant.variable(n).causality != "parameter"]
         if wrong:
             raise InputError(f"parameters: {wrong[0]} is a {plant.variable(wrong[0]).causality}")
-        self.plant = plant.with_values({**given, **_start(plant, start)})
+        self.plant = plant.with_values({**given, **start_values(plant, start)})
         self.name = plant.name
         self.variables = (*plant.states, *plant.inputs, *plant.outputs)
         self.inputs = {v.name: float(v.start or 0.0) for v in self.plant.inputs}
@@ -256,7 +265,7 @@ class FmuSide(Side):
         return Trajectory(grid, columns, self.variables, "previous")
 
 
-def _start(plant: Plant, start: Given | None) -> dict[str, Any]:
+def start_values(plant: Plant, start: Given | None) -> dict[str, Any]:
     """Start values of states and inputs; of an operating point those that the plant has."""
     given = by_name("start", start)
     own = {v.name for v in (*plant.states, *plant.inputs)}
