@@ -63,8 +63,8 @@ def add_ladder(commands: Any) -> None:
         "ladder",
         help="select a model for records: static, or with lag, friction, hysteresis, creep",
         description="Compare nested models (static, + lag, + unequal lags, + dead time, "
-        "+ slew limit, + friction, + memory, + creep) by their predictions of parts of the "
-        "records that were left out.",
+        "+ slew limit, + friction, + memory, + memory per pressure, + force law, + creep) by "
+        "their predictions of parts of the records that were left out.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -257,6 +257,25 @@ def test_two_muscles_have_lags_of_their_own_on_a_rung() -> None:
         rungs_of(joint, names=["static", "unequal lags"])
 
 
+def test_hysteresis_grows_with_pressure_and_the_force_law_is_freed_on_rungs() -> None:
+    names = ["lag", "memory", "memory per pressure", "force law", "creep"]
+    found = dict(zip(names, rungs_of(joint, ["inertia", "muscle1.a5"], names=names), strict=True))
+    loss = found["memory per pressure"].plant
+    assert loss.variable("muscle1.slip_per_pressure").start > 0
+    assert found["memory per pressure"].starts[0]["muscle2.slip_per_pressure"] == 0
+    law = [
+        n
+        for entry in found["force law"].free
+        for n in ([entry] if isinstance(entry, str) else entry)
+    ]
+    assert {f"muscle{i}.a{k}" for i in (1, 2) for k in range(1, 7)} <= set(law)
+    assert len(set(law)) == len(law)
+    for name, free in ((n, r.free) for n, r in found.items()):
+        assert ("inertia" in free) == (name not in ("force law", "creep"))  # it sets the scale
+    with pytest.raises(InputError, match='"memory per pressure" without "memory"'):
+        rungs_of(joint, names=["lag", "memory per pressure"])
+
+
 def test_a_free_mass_is_tried_lighter_and_heavier() -> None:
     lag, memory = rungs_of(joint, ["inertia"], names=["lag", "memory"])
     scaled = [s for s in lag.starts if "inertia" in s]

@@ -32,6 +32,7 @@ from ...core.interrupts import interruptible
 from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared
 from ...core.trajectory import Trajectory
+from ...muscles.law import LAWS
 from ...plants.feeds import DeadTime, Regulator
 from ...plants.losses import CoulombFriction, Creep, MaxwellSlip
 from ...plants.plant import Plant
@@ -47,10 +48,16 @@ from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
 
 __all__ = ["LADDER", "Builder", "Ladder", "fit_ladder"]
 
-LADDER = ("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory", "creep")
+LADDER = (
+    *("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory"),
+    *("memory per pressure", "force law", "creep"),
+)
 """What there is to climb, in this order."""
+BEGINS = {"unequal lags": "lag", "memory per pressure": "memory"}
+"""Rungs that begin from another one, without which there is none."""
 LAGS = ("lag", "venting_lag")
 """Equal in all muscles on the rung "lag", and each muscle's own on "unequal lags"."""
+MASSES = {"mass", "inertia"}
 SCALES = (0.3, 1.0, 3.0, 10.0)
 """Times a free mass or inertia, and the damping with it, where a rung brings what dissipates: what
 stands still tells nothing of it, and minima lie between light and damped (it creeps) and heavy (it
@@ -110,7 +117,9 @@ def fit_ladder(
     feed : the regulator on which rungs are built: its gain, base, lags; by default ``Regulator()``.
     dynamic : parameters freed from the second rung on; by default the plant's damping.
     rungs : which to climb, of "static", "lag", "unequal lags", "dead time", "slew", "friction",
-        "memory" (slip) and "creep". Other parameters of these count as equal in two muscles.
+        "memory" (slip), "memory per pressure" (in proportion to 1 + c p), "force law" (all its
+        coefficients of each muscle; a mass or inertia stays as found, since it and they have no
+        common scale) and "creep". Other parameters of these count as equal in two muscles.
     outputs : what is compared; by default all states and outputs that the records hold.
     folds : of parts of the records (at least 3), each predicted once by a fit to the others. Whole
         records are the parts where there are as many, else each is cut.
@@ -284,8 +293,11 @@ def rungs_of(
     steps = [n for n in LADDER if n in names]
     if not steps:
         raise InputError(f"rungs is empty: name some of {', '.join(LADDER)}")
-    if "unequal lags" in steps and "lag" not in steps:
-        raise InputError('rungs has "unequal lags" without "lag", from which it begins; name both')
+    for later, first in BEGINS.items():
+        if later in steps and first not in steps:
+            raise InputError(
+                f'rungs has "{later}" without "{first}", from which it begins; name both'
+            )
     found: list[Rung] = []
     parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
     losses: tuple[Any, ...] = ()
@@ -314,6 +326,12 @@ def rungs_of(
             losses += (MaxwellSlip((2.0, 2.0), SLIP_YIELDS, edge=1.0),)
             starts = [{"slip1_force": v, "slip2_force": v} for v in (0.0, 1.0, 6.0)]
             own += ["slip1_force", "slip2_force"]
+        elif name == "memory per pressure":
+            losses = tuple(
+                replace(e, per_pressure=1e-6) if isinstance(e, MaxwellSlip) else e for e in losses
+            )
+            starts = [{"slip_per_pressure": v} for v in (0.0, 3e-6, 3e-5)]
+            own += ["slip_per_pressure"]
         elif name == "creep":
             losses += (Creep((200.0,), (1.0,)),)
             starts = [
@@ -328,6 +346,10 @@ def rungs_of(
                 continue
             own = [n for k in own for n in (_tied(plant, k) if k in LAGS else (k,))]
         chosen = [*_present(plant, free)]
+        if name == "force law":
+            own += sorted(_coefficients(plant) - _members(plant, chosen))
+        if "force law" in steps[: steps.index(name) + 1]:
+            chosen = [e for e in chosen if not MASSES & _members(plant, [e])]
         if name in ("friction", "memory") or (not static and all(r.static for r in found)):
             scales = _scaled(plant, free, dynamic)
             # the first of several starts is the rung before, which has its own mass
@@ -353,12 +375,27 @@ def _scaled(
     plant: Plant, free: Sequence[Any], dynamic: Sequence[Any] | None
 ) -> list[dict[str, float]]:
     """Starts that are lighter and heavier than the plant, where its mass or inertia is free."""
-    sought = [g for e in (free, dynamic or ()) for g in groups(plant, _present(plant, e))]
-    if not {"mass", "inertia"} & {plant.parameters[m].name for g in sought for m in g.members}:
+    sought = [g for e in (free, dynamic or ()) for g in _present(plant, e)]
+    if not MASSES & _members(plant, sought):
         return []
-    names = {"mass", "inertia", "damping"} & {v.name for v in plant.parameters}
+    names = (MASSES | {"damping"}) & {v.name for v in plant.parameters}
     values = {n: float(plant.variable(n).start or 0.0) for n in sorted(names)}
     return [{n: v * factor for n, v in values.items()} for factor in SCALES]
+
+
+def _members(plant: Plant, entries: Sequence[str | Sequence[str]]) -> set[str]:
+    """Names of all parameters that entries of free name."""
+    return {plant.parameters[m].name for g in groups(plant, entries) for m in g.members}
+
+
+def _coefficients(plant: Plant) -> set[str]:
+    """Names of the coefficients of all muscles' force laws."""
+    known = {v.name for v in plant.parameters}
+    found: set[str] = set()
+    for muscle in {n.rpartition(".")[0] for n in known if "." in n}:
+        laws = [{v.name for v in k.coefficient_variables(f"{muscle}.")} for k in LAWS.values()]
+        found |= max((law for law in laws if law <= known), key=len, default=set())
+    return found
 
 
 def _present(
