@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...numerics.buffered import Buffered
 from ..transcription.derivatives import Block, stage_blocks
+from ..transcription.solution import Places
 from ..transcription.transcription import Group, Program
 
 __all__ = ["Condensed", "Interval", "Layout", "Values"]
@@ -61,19 +62,16 @@ class Layout:
         return self.carried + self.nu
 
     @classmethod
-    def of(cls, program: Program, blocks: list[Block]) -> Layout:
+    def of(cls, program: Program) -> Layout:
         problem, mesh, n = program.problem, program.mesh, program.nlp["x"].numel()
-        nx, inputs = len(problem.plant.states), len(problem.plant.inputs)
-        shared = len(problem.legs) + len(problem.design) + problem.m.numel()
-        widths = [inputs * len(mesh.form.input_taus(i.degree)) for i in mesh.intervals]
+        places = Places.of(problem, mesh)
+        nx, shared, widths = places.nx, sum(places.tail), [size[1] for size in places.sizes]
         stage, place = np.full(n, NONE, dtype=np.intp), np.zeros(n, dtype=np.intp)
         first_input = 2 * nx + shared + 1
-        for block, group in zip(blocks, program.groups, strict=True):
-            for own, k in zip(block.unknowns.T, group.members, strict=True):
-                end = nx + group.rows  # as many defects as states at points
-                stage[own[end - nx : end]], place[own[end - nx : end]] = k + 1, np.arange(nx)
-                u = own[end : end + widths[k]]
-                stage[u], place[u] = k, first_input + np.arange(widths[k])
+        for k, width in enumerate(widths):
+            end, u = places.begin(k + 1), places.inputs(k)
+            stage[end], place[end] = k + 1, np.arange(nx)
+            stage[u], place[u] = k, first_input + np.arange(width)
         stage[n - shared :], place[n - shared :] = ALL, nx + np.arange(shared)
         stage[:nx], place[:nx] = ALL, nx + shared + np.arange(nx)
         return cls(nx, max(widths), shared, len(widths), stage, place)
@@ -235,7 +233,7 @@ class Condensed:
         blocks = stage_blocks(program)
         if sum(b.rows.shape[0] * b.unknowns.size for b in blocks) > LARGEST:
             return None
-        layout = Layout.of(program, blocks)
+        layout = Layout.of(program)
         other = _Other(program, layout)
         if not other.fits:
             return None

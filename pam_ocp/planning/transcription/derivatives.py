@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..problem.problem import Problem
+from .solution import Places
 from .stage import Stage
 from .transcription import Program, with_design
 
@@ -153,16 +154,8 @@ def _gathered(vector: ca.MX, at: Index) -> ca.MX:
 def stage_blocks(program: Program) -> list[Block]:
     """Where the unknowns and rows of each group's intervals stand in the program."""
     problem, mesh = program.problem, program.mesh
-    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
-    own = [
-        nx * len(mesh.form.state_taus(i.degree))
-        + nu * len(mesh.form.input_taus(i.degree))
-        + len(problem.auxiliaries) * mesh.form.cost_points(i.degree)
-        for i in mesh.intervals
-    ]
-    begins = nx + np.concatenate([[0], np.cumsum(own)]).astype(np.intp)
-    points = [nx * len(mesh.form.state_taus(i.degree)) for i in mesh.intervals]
-    common = np.arange(begins[-1], program.nlp["x"].numel())
+    places = Places.of(problem, mesh)
+    every, common = np.arange(places.count), np.arange(places.begins[-1], places.count)
     budgets = program.nlp["g"].numel() - len(problem.budgets) + np.arange(len(problem.budgets))
     lengths, starts = mesh.clock(problem.time_nominals)
     found = []
@@ -170,9 +163,8 @@ def stage_blocks(program: Program) -> list[Block]:
         unknowns, rows, n = [], [], len(group.members)
         size = len(group.stage.conditions)
         for j, k in enumerate(group.members):
-            end = nx if k == 0 else begins[k - 1] + points[k - 1]
-            own_part = np.arange(begins[k], begins[k] + own[k])
-            unknowns.append(np.concatenate([np.arange(end - nx, end), own_part, common]))
+            own = every[places.begins[k] : places.begins[k + 1]]
+            unknowns.append(np.concatenate([every[places.begin(k)], own, common]))
             defects = group.first_row + group.rows * j + np.arange(group.rows)
             path = group.first_row + group.rows * n + size * j + np.arange(size)
             rows.append(np.concatenate([defects, path, budgets]))
