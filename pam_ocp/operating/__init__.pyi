@@ -14,8 +14,8 @@ from .linear import linearize_grid as linearize_grid
 from .linear import modes as modes
 from .moments import StaticOptimisation as StaticOptimisation
 from .moments import static_optimisation as static_optimisation
-from .nlsys import as_nlsys as as_nlsys
 from .operating_point import OperatingPoint as OperatingPoint
+from .plant_system import as_nlsys as as_nlsys
 from .resting_point import EquilibriumError as EquilibriumError
 from .resting_point import equilibrium as equilibrium
 from .several import equilibria as equilibria
