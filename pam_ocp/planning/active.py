@@ -12,6 +12,7 @@ from ..plants.plant import Plant
 from .arcs_found import Chains, limits_of
 from .problem.limits import common_limits
 from .problem.problem import Condition, Leg, Symbols
+from .replay import values_along
 from .transcription.mesh import INTERIOR, Arc
 
 if TYPE_CHECKING:
@@ -112,8 +113,7 @@ def _values(plan: Plan, path: list[Condition], rows: NDArray[np.intp]) -> Array:
         values = np.asarray(plant.function(x, u, plant.vector("parameter"))[2], float)
         return values[[names.index(c.label) for c in path]]
     given = problem.arguments(plant, motion.t[rows], x, u, np.array(plan._peaks))
-    function = problem.function("path", [c.expression for c in path])
-    return np.asarray(function(*given), float)
+    return values_along(problem, plant, [c.expression for c in path], given)
 
 
 def _of(plan: Plan, condition: Condition, values: Array, rows: NDArray[np.intp]) -> list[Limit]:

@@ -20,6 +20,7 @@ from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...plants.plant import Plant
 from ..problem.problem import Leg, Problem
+from ..replay import values_along
 from ..result import Plan
 from .spread import Spread, drawn, spread_of
 
@@ -251,15 +252,11 @@ def _along(
     if not path:
         return found
     x, u = (motion.array(motion.named(c))[inside].T for c in ("state", "input"))
-    function = plant.cached(
-        ("share", problem, tuple(path)),
-        lambda: problem.conditions("path", path),
-    )
     given = problem.arguments(plant, motion.t[inside], x, u, peaks)
-    values = np.asarray(function(*given), float)
-    for condition, row in zip(path, values, strict=True):
-        low, high = condition.low / condition.nominal, condition.high / condition.nominal
-        found.append((condition.label, float(np.max(np.maximum(low - row, row - high)))))
+    values = values_along(problem, plant, [c.expression for c in path], given)
+    for c, row in zip(path, values, strict=True):
+        beyond = float(np.max(np.maximum(c.low - row, row - c.high)))
+        found.append((c.label, beyond / c.nominal))
     return found
 
 
@@ -455,6 +452,3 @@ class RobustPlan:
             shares = "".join(f"{100 * self._within(s):>14.0f} %" for s in both)
             lines.append(f"{'within at all stops':<30}{shares}")
         return "\n".join(lines)
-
-
-Array: TypeAlias = NDArray[np.float64]
