@@ -1,14 +1,47 @@
-"""What tests of the planner's search begin with."""
+"""What tests of the planner begin with: a mass that is pushed, programs, searches, SciPy's word."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import pam_ocp as pam
 from pam_ocp.planning.candidate import Engine
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.result import Solved
 from pam_ocp.planning.search import Search
 from pam_ocp.planning.stages import recorded
+
+
+def pushed(limit: float, mass: float | None = None, **more: dict[str, Any]) -> pam.Plant:
+    """x' = v and v' = u, or u / mass, with |u| <= limit. more : of the variables, by name."""
+    plant = pam.Plant("cart")
+    x, v = (plant.state(n, unit=unit, **more.get(n, {})) for n, unit in (("x", "m"), ("v", "m/s")))
+    u = plant.input("u", unit="N", min=-limit, max=limit, **more.get("u", {}))
+    m = 1.0 if mass is None else plant.parameter("mass", mass, unit="kg", min=0.1, max=10.0)
+    plant.der(x, v)
+    plant.der(v, u / m)
+    return plant
+
+
+def by_scipy(plan: pam.planning.Plan) -> np.ndarray:
+    """States in nominals where a plan's held inputs change, and at its end, from its own start:
+    SciPy's Radau, of the plant's own function.
+    """
+    plant, motion = plan.plant, plan.trajectory
+    nominal, p = plant.vector("state", attribute="nominal"), plant.vector("parameter")
+    found = [motion.array([v.name for v in plant.states])[0] / nominal]
+    breaks, held = motion.signals.breaks, motion.signals.coefficients[:, 0]
+    for begin, end, u in zip(breaks[:-1], breaks[1:], held, strict=True):
+
+        def rate(t: float, z: np.ndarray, u: np.ndarray = u) -> np.ndarray:
+            return np.asarray(plant.function(z * nominal, u, p)[0]).ravel() / nominal
+
+        run = solve_ivp(rate, (begin, end), found[-1], "Radau", rtol=1e-8, atol=1e-8)
+        found.append(run.y[:, -1])
+    return np.array(found)
 
 
 def engine_of(planner: Planner) -> Engine:

@@ -21,7 +21,7 @@ from ..core.stop import turns, verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..operating.linear import LinearAlong, held, linearize_along, no_influence
-from ..operating.stuck import Stuck
+from ..operating.operating_point import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
 from .blocks.draft import Draft, Symbol, about, as_output

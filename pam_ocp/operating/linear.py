@@ -264,7 +264,7 @@ def linearize(
     stuck : leave out held memories (hysteresis). In small motion about an equilibrium they stick
         and are springs; as states they bring a pole at zero each that no input reaches, and design
         by Riccati equations wants them out (``lqr`` and ``kalman`` see to it themselves). Transfer
-        functions are the same; see :mod:`pam_ocp.operating.stuck`.
+        functions are the same; see :mod:`pam_ocp.operating.operating_point`.
 
     units : {variable: unit} in which signals and states count, as {"x": "mm", "muscle.pressure":
         "bar"}, or "display" for bar, mm and deg throughout; by default SI. Numbers of like size

@@ -1,4 +1,4 @@
-"""A plant as python-control's NonlinearIOSystem. Apart from nlsys.py: it loads python-control."""
+"""as_nlsys: a plant as one of python-control's own systems (which this loads)."""
 
 from __future__ import annotations
 
@@ -11,26 +11,98 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError
-from ..plants.plant import Plant
+from ..core.errors import InputError, require_positive, require_tolerance
+from ..core.stop import verb
+from ..numerics.buffered import Buffered
+from ..plants.inversion import Inversion
+from ..plants.plant import Plant, Values
 from ..simulation.sampled import SampledPlant
 from ..simulation.simulator import simulate
+from .linear import chosen_signals, point_of
+from .resting_point import OperatingPoint
 
-__all__ = ["PlantSystem"]
+__all__ = [
+    "PlantSystem",
+    "as_nlsys",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
-class _Buffers(threading.local):
-    """A CasADi function with memory for its arguments and result, once for each thread.
+@verb
+def as_nlsys(
+    plant: Plant,
+    at: OperatingPoint | Values | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    dt: float | None = None,
+    rtol: float = 1e-9,
+) -> PlantSystem:
+    """The plant as python-control's NonlinearIOSystem, on CasADi functions without conversions.
 
-    A call by ``Function.buffer()`` converts nothing and takes 0.6 us where the usual one takes 26,
-    but writes to fixed memory: threads (and copies of a system) must not share it.
+    at : an OperatingPoint, or values by name (also of parameters); by default the start values.
+        Inputs left out of ``inputs`` are held at its values.
+    inputs, outputs : names to keep; by default all inputs, and all states and outputs. Of a plant
+        fed by valves the inputs are the openings (``muscle_opening``), which have a slope through
+        zero, unless commands are named; ``pam.plants.Inversion(plant).commands(...)`` gives the
+        commands.
+        ``inputs=[]`` gives an autonomous system, as ``phase_plane_plot`` wants it.
+
+    Signals and parameters keep the plant's names with ``_`` for ``.`` (python-control reads a dot
+    as system.signal); SI units in ``system.units``. Parameters change by python-control's
+    ``params`` (``{"mass": 3.0}``); names that are not the plant's are passed over, as
+    python-control's interconnections hand all parameters to every system. ``system.x0`` and
+    ``system.u0`` hold the point ``at``; ``control.linearize`` of the system uses exact Jacobians.
+
+    dt : sampling time [s] for a discrete-time system: its update is the plant's motion over one
+        sample under held inputs, integrated at the relative tolerance ``rtol``. python-control then
+        calls one compiled function for each sample, also in a loop with sampled controllers.
+        Default: continuous time.
+
+    Which call for which purpose: ``system.response(t, u)`` is the quickest for the plant alone (the
+    plant's own integrator, nothing called in between); ``control.input_output_response`` of a
+    system with ``dt`` for held inputs and sampled loops; that of a continuous one for everything
+    else. There python-control integrates by default to rtol 1e-3: give ``solve_ivp_kwargs={"rtol":
+    1e-9, "atol": 1e-9 * nominal}`` where figures matter. It joins samples of inputs by straight
+    lines, as ``response`` does (held when the system has a ``dt``). One system may be used by
+    several threads at once as long as ``params`` stay the same; copies are independent.
+
+    Raises InputError or UnknownNameError for names that are not the plant's.
+
+    Examples
+    --------
+    >>> import control
+    >>> system = pam.operating.as_nlsys(plant, point)
+    >>> t = np.linspace(0, 1, 11)
+    >>> held = np.full(11, system.u0[0])
+    >>> run = control.input_output_response(system, t, held, system.x0)
+    >>> bool(np.ptp(run.outputs[0]) < 1e-5)  # it stays at rest
+    True
+    """
+    plant, x, u = point_of(plant, at)
+    inversion = Inversion(plant)
+    if inversion and (inputs is None or any(inversion.opening_of(n) for n in inputs)):
+        u = inversion.rows(u[None, :], x=x[None, :])[0]
+        plant, x = inversion.inner, inversion.inside(x)
+    return PlantSystem(
+        plant,
+        x,
+        u,
+        chosen_signals("inputs", plant, inputs, ("input",)),
+        chosen_signals("outputs", plant, outputs, ("state", "output")),
+        None if dt is None else require_positive("dt", dt, "s"),
+        require_tolerance("rtol", rtol),
+    )
+
+
+class _Buffers(threading.local):
+    """A CasADi function on fixed memory, once for each thread: these (and copies of a system) must
+    not share it.
     """
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function
-        # one closure: look-ups in a thread's own attributes are slow. The holder must stay alive
+        # one closure: look-ups in a thread's own attributes are slow
         self.holder, self.run = _runner(function)
 
     def __deepcopy__(self, memo: Any) -> _Buffers:
@@ -40,15 +112,10 @@ class _Buffers(threading.local):
         return type(self), (self.function,)
 
 
-def _runner(function: ca.Function) -> tuple[Any, Callable[[Array, Array, Array], Array]]:
+def _runner(function: ca.Function) -> tuple[Buffered, Callable[[Array, Array, Array], Array]]:
     """The holder of the memory, and (x, u, p) -> the function's first result."""
-    buffer: Any = function.buffer()
-    holder, call = buffer
-    own_x, own_u, own_p = own = [np.zeros(function.numel_in(i)) for i in range(3)]
-    result: Array = np.zeros(function.numel_out(0))
-    for i, argument in enumerate(own):
-        holder.set_arg(i, memoryview(argument))  # type: ignore[arg-type]
-    holder.set_res(0, memoryview(result))  # type: ignore[arg-type]
+    holder = Buffered(function)
+    (own_x, own_u, own_p), call, result = holder.arguments, holder.call, holder.results[0][:, 0]
     known: Array | None = None  # the parameters that own_p holds, by identity
 
     def run(x: Array, u: Array, p: Array) -> Array:

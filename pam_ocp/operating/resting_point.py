@@ -15,8 +15,7 @@ from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .held import Memory
 from .operating_point import OperatingPoint, require_point_of
-from .rest import TOLERANCE, Expressions, posed
-from .rest_search import ROUGH, Search
+from .rest import ROUGH, TOLERANCE, Expressions, Rest, posed
 
 __all__ = [
     "TOLERANCE",
@@ -101,15 +100,15 @@ def equilibrium(
         left = inversion.left(inner)
         if len(plant.inputs) != len(inversion.inner.inputs):  # two valves for one opening are exact
             return left
-        return _polished(left, posed(Search, plant, wanted, free, expressions, memory))
-    search = posed(Search, plant, wanted, free, expressions, memory)
+        return _polished(left, posed(plant, wanted, free, expressions, memory))
+    search = posed(plant, wanted, free, expressions, memory)
     point, nearest = search.solve(guess)
     if point is None:
         raise EquilibriumError(why_not(search, nearest))
     return point
 
 
-def _polished(near: OperatingPoint, search: Search) -> OperatingPoint:
+def _polished(near: OperatingPoint, search: Rest) -> OperatingPoint:
     """A point whose commands were inverted, brought to rest: where a dead zone is rounded, they
     are not exact.
     """
@@ -119,7 +118,7 @@ def _polished(near: OperatingPoint, search: Search) -> OperatingPoint:
 
 
 # ---- when there is none -------------------------------------------------------------------------
-def why_not(search: Search, nearest: Array) -> str:
+def why_not(search: Rest, nearest: Array) -> str:
     """What cannot be met, and for each condition the value that the others would allow."""
     plant = search.plant
     wanted = [_said(plant, n, v) for n, v in search.values.items()] + _kept(search)
@@ -140,7 +139,7 @@ def why_not(search: Search, nearest: Array) -> str:
     )
 
 
-def _kept(search: Search) -> list[str]:
+def _kept(search: Rest) -> list[str]:
     """What memories keep, as far as it is not what they start with."""
     moved = {n: v for n, v in search.pinned.items() if v != (search.plant.variable(n).start or 0.0)}
     if len(moved) > 3:
@@ -153,7 +152,7 @@ def _said(plant: Plant, name: str, value: float) -> str:
     return f"{name} = {plant.variable(name).exactly(value) if name in known else f'{value:.6g}'}"
 
 
-def _remedy(search: Search, name: str) -> str:
+def _remedy(search: Rest, name: str) -> str:
     """What to change for condition ``name`` to be met, or the value of it that the others allow.
 
     Each remedy has been tried: "" where none is sound.
@@ -184,7 +183,7 @@ def _remedy(search: Search, name: str) -> str:
     return ""
 
 
-def _beyond(search: Search, point: Array, name: str) -> list[str]:
+def _beyond(search: Rest, point: Array, name: str) -> list[str]:
     """The inputs of a point that lie beyond their range (states only where no input does)."""
     variables = (*search.plant.states, *search.plant.inputs)
     found = [
@@ -197,7 +196,7 @@ def _beyond(search: Search, point: Array, name: str) -> list[str]:
 
 
 def _tried(
-    search: Search, name: str, value: float, point: Array, high: Array
+    search: Rest, name: str, value: float, point: Array, high: Array
 ) -> tuple[float, Array] | None:
     """The value as it will be printed, and the equilibrium there; None when there is none.
 

@@ -12,6 +12,7 @@ from ..plants.plant import Plant
 from .arcs_found import Chains, limits_of
 from .problem.limits import common_limits
 from .problem.problem import Condition, Leg, Symbols
+from .replay import values_along
 from .transcription.mesh import INTERIOR, Arc
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def _values(plan: Plan, path: list[Condition], rows: NDArray[np.intp]) -> Array:
     motion, plant, problem = plan.replay.trajectory, plan.plant, plan._problem
     if not path:
         return np.zeros((0, len(rows)))
-    x, p = motion.array(motion.named("state")).T[:, rows], plant.vector("parameter")
+    x = motion.array(motion.named("state")).T[:, rows]
     signals = motion.signals
     assert signals is not None  # a plan's inputs are known in between
     u = signals(
@@ -109,14 +110,10 @@ def _values(plan: Plan, path: list[Condition], rows: NDArray[np.intp]) -> Array:
     ).T  # behind a jump, however its time is rounded
     if problem is None:
         names = [v.name for v in plant.constraints]
-        values = np.asarray(plant.function(x, u, p)[2], float)
+        values = np.asarray(plant.function(x, u, plant.vector("parameter"))[2], float)
         return values[[names.index(c.label) for c in path]]
-    times = motion.t[rows]
-    profiles = [profile(times) for profile in problem.profiles]
-    r = np.vstack(profiles) if profiles else np.zeros((0, len(times)))
-    peaks = np.array(plan._peaks)
-    function = problem.function("path", [c.expression for c in path])
-    return np.asarray(function(x, u, p, times[None], r, np.array(problem.aims), peaks), float)
+    given = problem.arguments(plant, motion.t[rows], x, u, np.array(plan._peaks))
+    return values_along(problem, plant, [c.expression for c in path], given)
 
 
 def _of(plan: Plan, condition: Condition, values: Array, rows: NDArray[np.intp]) -> list[Limit]:

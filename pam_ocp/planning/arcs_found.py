@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..judge.statement import TIME
 from .problem.problem import Condition, Leg, Problem
+from .transcription.solution import Places
 from .transcription.stage import nominals
 
 if TYPE_CHECKING:
@@ -165,16 +166,15 @@ def _points(found: Solved) -> list[_Point]:
     """The points of a solution by Radau's points with polynomial inputs, not guarded."""
     program, outcome = found.program, found.outcome
     problem, mesh = program.problem, program.mesh
-    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
-    path = _path_rows(found)
+    places, path = Places.of(problem, mesh), _path_rows(found)
+    nx, nu = places.nx, places.nu
     points: list[_Point] = []
-    at, begin, column = nx, 0.0, 1
+    begin, column = 0.0, 1
     low, high = program.bounds()
     for k, interval in enumerate(mesh.intervals):
         h = float(found.solution.durations[interval.leg] * interval.fraction)
         taus = mesh.form.state_taus(interval.degree)
-        count = len(taus)
-        inputs = at + nx * count
+        at, inputs = places.states(k).start, places.inputs(k).start
         leg = problem.legs[interval.leg]
         for j, tau in enumerate(taus):
             own = np.r_[at + nx * j : at + nx * (j + 1), inputs + nu * j : inputs + nu * (j + 1)]
@@ -193,7 +193,6 @@ def _points(found: Solved) -> list[_Point]:
                 )
             )
             column += 1
-        at = inputs + nu * count + len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
         begin += h
     return points
 
@@ -222,16 +221,15 @@ def _path_rows(found: Solved) -> dict[int, Array]:
     g = np.asarray(values(found.outcome.w, program.parameters()), float).ravel()
     low, high = program.limits()
     every = np.array([g, found.outcome.lam_g, low, high])
-    result, at = {}, 0
-    for row in program.rows:
+    result = {}
+    for row, own in program.placed():
         if row.kind == "path":
-            block = every[:, at : at + row.size].reshape(4, len(row.members), -1)
+            block = every[:, own].reshape(4, len(row.members), -1)
             for i, k in enumerate(row.members):
                 interval = program.mesh.intervals[k]
                 size = len(program.problem.legs[interval.leg].path)
                 points = len(program.mesh.form.state_taus(interval.degree))
                 result[k] = block[:, i, : size * points].reshape(4, points, size)
-        at += row.size
     return result
 
 
@@ -321,16 +319,8 @@ def _held(
     if not touches:
         return frozenset()
     pressed = [sum(p.active.get(t, 0.0) for p in run) for t in touches]
-    middle = run[len(run) // 2]
-    at = arguments(problem, found, middle.t, middle.column)
+    middle, solution = run[len(run) // 2], found.solution
+    time, states = np.array([middle.t]), solution.states[middle.column]
+    at = problem.arguments(problem.plant, time, states, solution.inputs(time)[0], solution.peaks)
     kept = chains.independent([limits[t.place] for t in touches], at, pressed)
     return frozenset(touches[i] for i in kept)
-
-
-def arguments(problem: Problem, found: Solved, t: float, column: int) -> tuple[Array, ...]:
-    """Of a Problem's function, at one of a solution's points."""
-    solution = found.solution
-    r = np.array([float(np.asarray(profile(np.array([t]))).item()) for profile in problem.profiles])
-    p = problem.plant.vector("parameter")
-    u = solution.inputs(np.array([t]))[0]
-    return solution.states[column], u, p, np.array([t]), r, np.array(problem.aims), solution.peaks

@@ -28,7 +28,7 @@ from .solvers.solver import SETTLED, STUCK, Outcome
 from .stages import Stage, stage
 from .transcription.guess import from_solution
 from .transcription.mesh import Form, Mesh
-from .transcription.solution import pack, unpack
+from .transcription.solution import Places, pack, unpack
 from .transcription.stage import between_points
 from .transcription.transcription import Program, Row, smoothed_at, transcribe
 
@@ -341,22 +341,18 @@ def gains(found: Solved) -> Array | None:
 
 def _spread(found: Solved) -> tuple[Array, list[int]]:
     """(unknowns with each input at all points of its interval, where these stand)."""
-    mesh, problem, w = found.program.mesh, found.program.problem, found.outcome.w
-    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
-    parts, places, old, new = [w[:nx]], [], nx, nx
-    for interval in mesh.intervals:
-        states = nx * len(mesh.form.state_taus(interval.degree))
-        others = len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
-        values = len(mesh.form.input_taus(interval.degree))
-        end = old + states + nu * values
-        inputs = w[old + states : end].reshape(values, nu)
-        taus = mesh.form.collocated(interval.degree).tolist()
-        at = [np.asarray(mesh.form.weights(interval.degree, tau)).ravel() for tau in taus]
-        parts += [w[old : old + states], (np.array(at) @ inputs).ravel(), w[end : end + others]]
-        places.append(new + states)
-        old = end + others
-        new += states + nu * interval.degree + others
-    return np.concatenate([*parts, w[old:]]), places
+    form, w = found.program.mesh.form, found.outcome.w
+    old = Places.of(found.program.problem, found.program.mesh)
+    parts, places, size = [w[: old.nx]], [], old.nx
+    for k, interval in enumerate(found.program.mesh.intervals):
+        inputs = w[old.inputs(k)].reshape(-1, old.nu)
+        taus = form.collocated(interval.degree).tolist()
+        at = [np.asarray(form.weights(interval.degree, tau)).ravel() for tau in taus]
+        own = [w[old.states(k)], (np.array(at) @ inputs).ravel(), w[old.auxiliaries(k)]]
+        places.append(size + len(own[0]))
+        size += sum(map(len, own))
+        parts += own
+    return np.concatenate([*parts, w[old.begins[-1] :]]), places
 
 
 def _changes(found: Solved) -> tuple[Array, Array]:

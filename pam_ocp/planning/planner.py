@@ -37,12 +37,12 @@ from .problem.formulation import formulate
 from .problem.problem import follows_inputs
 from .result import Plan, Solved
 from .search import Found, Search
-from .settings import SETTINGS, UNBOUNDED, Settings
+from .settings import SETTINGS, UNBOUNDED
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import advice, explanation
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
-from .stages import Stage, WorkIsSpent, as_data, recorded
+from .stages import WorkIsSpent, as_data, recorded
 from .starts import MOST
 from .transcription.mesh import Arcs, Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
@@ -330,22 +330,6 @@ class Planner:
         changed: Mapping[str, Any],
         time_limit: float | None,
     ) -> Plan:
-        settings = SETTINGS if time_limit is None else UNBOUNDED
-        with recorded(settings.most_work) as stages:
-            asked = values, guess, tolerance, starts, changed, time_limit
-            return self._found(*asked, stages, settings)
-
-    def _found(
-        self,
-        values: Values | None,
-        guess: Plan | None,
-        tolerance: float | None,
-        starts: int | None,
-        changed: Mapping[str, Any],
-        time_limit: float | None,
-        stages: list[Stage],
-        settings: Settings,
-    ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
             require_positive("tolerance", tolerance)
@@ -354,25 +338,29 @@ class Planner:
             require_count("starts", starts, 1, MOST)
         program = self._with(values, changed)
         statement = replace(self._statement, **changed)
-        engine = Engine(program, self._solver, self._backend, stages, settings)
-        search = Search(engine, statement, starts, tolerance)
-        near, last = (guess._near(program), guess._solved) if guess is not None else (None, None)
-        try:
-            found = search.best(near, last, self._finer)
-        except WorkIsSpent:
-            name = program.problem.plant.name
-            raise PlanError(f"no plan was found for {name}: {SPENT}. {advice(program)}") from None
-        except TimeIsUp:
-            if time_limit is None:  # somebody else's limit
-                raise
-            raise _nothing_yet(program.problem.plant, advice(program)) from None
-        if found.best is None:
-            if found.cut:  # before it came to that
-                search.diagnosed()
-            raise self._failure(found, statement, self._figures(search, begin))
-        first = found.first or (guess._coarse if guess is not None else None)
-        assemble = functools.partial(self._assembled, statement, search, begin, tolerance, first)
-        return self._result(search, assemble, tolerance)
+        settings = SETTINGS if time_limit is None else UNBOUNDED
+        with recorded(settings.most_work) as stages:
+            engine = Engine(program, self._solver, self._backend, stages, settings)
+            search = Search(engine, statement, starts, tolerance)
+            near = None if guess is None else guess._near(program)
+            last = None if guess is None else guess._solved
+            try:
+                found = search.best(near, last, self._finer)
+            except WorkIsSpent:
+                name = program.problem.plant.name
+                why = f"no plan was found for {name}: {SPENT}. {advice(program)}"
+                raise PlanError(why) from None
+            except TimeIsUp:
+                if time_limit is None:  # somebody else's limit
+                    raise
+                raise _nothing_yet(program.problem.plant, advice(program)) from None
+            if found.best is None:
+                if found.cut:  # before it came to that
+                    search.diagnosed()
+                raise self._failure(found, statement, self._figures(search, begin))
+            first = found.first or (guess._coarse if guess is not None else None)
+            asked = statement, search, begin, tolerance, first
+            return self._result(search, functools.partial(self._assembled, *asked), tolerance)
 
     def _failure(self, found: Found, statement: Statement, figures: Mapping[str, Any]) -> PlanError:
         """Why there is no plan."""

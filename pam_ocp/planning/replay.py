@@ -275,10 +275,7 @@ class _Check:
 
     def _arguments(self, t: Array, x: Array, u: Array) -> tuple[Array, ...]:
         """Of a Problem's function, at columns of times, states and inputs."""
-        profiles = [profile(t) for profile in self.problem.profiles]
-        r = np.vstack(profiles) if profiles else np.zeros((0, len(t)))
-        p = self.plant.vector("parameter")
-        return x, u, p, t[None], r, np.array(self.problem.aims), self.solution.peaks
+        return self.problem.arguments(self.plant, t, x, u, self.solution.peaks)
 
     def _values(self, expressions: Sequence[ca.SX], t: Array, x: Array, u: Array) -> Array:
         """Of expressions at columns of times, states and inputs."""

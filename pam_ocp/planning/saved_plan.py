@@ -259,13 +259,11 @@ def _require_solution(path: str, program: Program, solution: Solution) -> None:
     nlp = program.nlp
     values = ca.Function("values", [nlp["x"], nlp["p"]], [nlp["g"]])
     g = np.asarray(values(w, program.parameters()), float).ravel()
-    at = 0
     low, high = program.limits()
     missed = np.maximum(low - g, g - high)
     words = {"defect": "its states do not follow from its inputs", "closing": "its cycle is open"}
-    for row in program.rows:
-        own = missed[at : at + row.size]
-        at += row.size
+    for row, place in program.placed():
+        own = missed[place]
         i = int(np.argmax(np.where(np.isnan(own), np.inf, own))) if row.size else 0
         if row.size and not own[i] <= AGREE:
             condition = row.condition(i)

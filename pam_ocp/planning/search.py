@@ -28,7 +28,7 @@ from .solvers.ipopt_options import Start
 from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome
 from .stages import WorkIsSpent, limited, stage
-from .starts import Ends, Task, number_of_starts, tasks
+from .starts import Task, figures_of, number_of_starts, tasks
 from .transcription.guess import by_leading, by_rests, by_stops, from_solution, wants_balance
 from .transcription.mesh import BY_ARCS, Mesh, guarded, merged
 from .transcription.solution import unpack
@@ -78,7 +78,7 @@ class Found:
     def figures(self) -> dict[str, Any]:
         """Of the starts, where there were several."""
         ends = (*self.outcomes, *self.opened)
-        return Ends(ends).figures() if len(ends) > 1 else {}
+        return figures_of(ends) if len(ends) > 1 else {}
 
 
 class Search:

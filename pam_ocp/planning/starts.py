@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -17,7 +18,7 @@ from .solvers.solver import Outcome
 from .transcription.guess import by_stops, wants_balance
 from .transcription.mesh import Mesh
 
-__all__ = ["MOST", "Ends", "Task", "number_of_starts", "tasks"]
+__all__ = ["MOST", "Task", "figures_of", "number_of_starts", "tasks"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -49,34 +50,23 @@ class Task:
     start: Start
 
 
-@dataclass(frozen=True)
-class Ends:
-    """Where the starts ended."""
-
-    outcomes: tuple[Outcome, ...]
-
-    @property
-    def solved(self) -> list[int]:
-        """Numbers of the starts that led to a solution, the best first."""
-        found = [i for i, o in enumerate(self.outcomes) if o.success]
-        return sorted(found, key=lambda i: self.outcomes[i].objective)
-
-    def figures(self) -> dict[str, Any]:
-        """For a plan's statistics: each end, and how far apart they lay, as part of the best."""
-        each = [
-            {
-                "objective": o.objective,
-                "status": o.status,
-                "solved": o.success,
-                "iterations": o.iterations,
-            }
-            for o in self.outcomes
-        ]
-        values = [self.outcomes[i].objective for i in self.solved]
-        apart = float("nan")
-        if values:
-            apart = (values[-1] - values[0]) / max(abs(values[0]), 1e-12)
-        return {"starts": each, "starts_apart": apart}
+def figures_of(ends: Sequence[Outcome]) -> dict[str, Any]:
+    """For a plan's statistics: where each start ended, and how far apart the solutions lay, as part
+    of the best.
+    """
+    each = [
+        {
+            "objective": o.objective,
+            "status": o.status,
+            "solved": o.success,
+            "iterations": o.iterations,
+        }
+        for o in ends
+    ]
+    values, apart = sorted(o.objective for o in ends if o.success), float("nan")
+    if values:
+        apart = (values[-1] - values[0]) / max(abs(values[0]), 1e-12)
+    return {"starts": each, "starts_apart": apart}
 
 
 def tasks(problem: Problem, mesh: Mesh, starts: int) -> list[Task]:

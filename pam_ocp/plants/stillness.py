@@ -141,7 +141,10 @@ class _Region:
         for _ in range(2):
             inverse = np.linalg.pinv(slopes * free[:, None, :], rcond=1e-10)
             to = at - (inverse @ missed.T[:, :, None])[:, :, 0] * self.nominal
-            free &= ~(low & (to < self.low) | high & (to > self.high))
+            pressed = free & (low & (to < self.low) | high & (to > self.high))
+            if not pressed.any():
+                break
+            free &= ~pressed
         return np.asarray(np.where(self.free, np.clip(to, self.low, self.high), at).T)
 
     def moved(self, z: Array) -> Pattern:

@@ -21,17 +21,30 @@ from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from .integrate import COMPILED_PART, Integration
 from .reducers import GRAMMAR, Reduction, parsed
-from .running import Case, Simulation
 from .simulator import evaluated, simulate, start_of, times_of
 
-__all__ = ["BATCH", "Batch", "Keep", "Numbers", "Rows", "batches", "keep_of"]
+__all__ = [
+    "BATCH",
+    "CASE_KEYS",
+    "Batch",
+    "Case",
+    "Keep",
+    "Numbers",
+    "Result",
+    "Rows",
+    "Simulation",
+    "batches",
+    "keep_of",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 Keep: TypeAlias = "Mapping[str, str | Callable[[Trajectory], float]]"
+Case: TypeAlias = Mapping[str, Any]
+Result: TypeAlias = "Trajectory | Exception"
 
 BATCH = 250
 """Cases of a batch: some tenths of a second of work, and small beside what a worker is."""
-KEYS = ("parameters", "start", "inputs")
+CASE_KEYS = ("parameters", "start", "inputs")
 CAUSALITY = {"parameters": "parameter", "start": "state", "inputs": "input"}
 USUAL: Mapping[str, tuple[Any, ...]] = {
     "events": ((), [], ""),
@@ -41,6 +54,26 @@ USUAL: Mapping[str, tuple[Any, ...]] = {
     "time_limit": (None,),
 }
 """With other values of these arguments, cases are simulated one by one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A plant and what is the same for all its cases; called with a case."""
+
+    plant: Plant
+    common: Mapping[str, Any]
+
+    def __call__(self, case: Case) -> Trajectory:
+        return simulate(self.plant, **self.arguments(case))
+
+    def arguments(self, case: Case) -> dict[str, Any]:
+        """Of simulate, for one case."""
+        arguments = dict(self.common)
+        for key in CASE_KEYS:
+            if key in case:
+                both = isinstance(case[key], Mapping) and isinstance(arguments.get(key), Mapping)
+                arguments[key] = {**arguments[key], **case[key]} if both else case[key]
+        return arguments
 
 
 # ---- cases in rows -------------------------------------------------------------------------------
@@ -113,9 +146,9 @@ def _batch(first: int, cases: tuple[Case, ...]) -> Batch:
 
 def _columns(case: Case) -> tuple[tuple[str, str], ...] | None:
     """What a case names, where that is numbers alone."""
-    if not all(isinstance(case.get(k, {}), Mapping) for k in KEYS):
+    if not all(isinstance(case.get(k, {}), Mapping) for k in CASE_KEYS):
         return None
-    names = tuple((k, n) for k in KEYS for n in case.get(k, {}))
+    names = tuple((k, n) for k in CASE_KEYS for n in case.get(k, {}))
     return names if all(isinstance(n, str) for _, n in names) else None
 
 

@@ -25,24 +25,26 @@ from ..core.progress import Bar, working
 from ..core.shown import shown
 from ..core.stores import Folder, Store, folder_of, write_bytes
 from ..core.tasks import Task
-from .batches import BATCH, Batch, Numbers, Rows, batches
-from .folder import (
+from .batches import BATCH, Batch, Case, Numbers, Rows, batches
+from .reducers import Reduction
+from .statistics import SobolCases, SobolIndices, Statistic
+from .stored import (
     about_file,
     arrow,
     digest_held,
+    file_of,
     files_of,
-    metadata,
+    frame_of,
     opened_folder,
+    pandas,
     part_of,
+    parts_of,
     read_table,
     revived,
     study_of,
+    warn_of_doubts,
     write_study,
 )
-from .reducers import Reduction
-from .running import Case
-from .statistics import SobolCases, SobolIndices, Statistic
-from .stored import warn_of_doubts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -102,7 +104,7 @@ class KeptNumbers:
         place = folder_of("folder", folder)
         content = study_of(place, FORMAT)
         names, found = tuple(content["names"]), _Taken(content["names"], False)
-        for part in _parts(place):
+        for part in parts_of(place, FORMAT):
             table = read_table(part, list(names))
             columns = {n: table.column(n).to_numpy() for n in names}
             for _ in found.count_all(columns):
@@ -129,7 +131,7 @@ class KeptNumbers:
                 )
             raise UnknownNameError("number that is kept", name, self.rows or self.names)
         parts = []
-        for part in _parts(self.folder):
+        for part in parts_of(self.folder, FORMAT):
             known = [n for n in about_file(part)["columns"] if n not in ("case", "error")]
             if name not in known:
                 raise UnknownNameError("number that is kept", name, known)
@@ -142,7 +144,7 @@ class KeptNumbers:
         if self.folder is None:
             return self.errors
         failed: dict[int, Exception] = {}
-        for part in _parts(self.folder):
+        for part in parts_of(self.folder, FORMAT):
             if about_file(part)["failed"]:
                 table = read_table(part, ["case", "error"])
                 pairs = zip(
@@ -159,14 +161,12 @@ class KeptNumbers:
 
     def frame(self) -> pd.DataFrame:
         """All rows as a DataFrame: case, parameters, numbers (and errors, from a folder)."""
-        try:
-            import pandas as pd
-        except ImportError:
-            raise InputError("frame needs pandas: pip install pam_ocp[studies]") from None
         if self.folder is not None:
-            tables = [read_table(p).to_pandas() for p in _parts(self.folder)]
-            return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
-        return pd.DataFrame({"case": np.arange(self.count), **(self.rows or {})})
+            return frame_of(parts_of(self.folder, FORMAT))
+        found: pd.DataFrame = pandas().DataFrame(
+            {"case": np.arange(self.count), **(self.rows or {})}
+        )
+        return found
 
     def __str__(self) -> str:
         where = "" if self.folder is None else f", in {self.folder}"
@@ -174,13 +174,6 @@ class KeptNumbers:
         lines = [f"{self.count - failed} of {self.count} simulations done{where}"]
         lines += [f"{name}: {found}" for name, found in self.statistics.items()]
         return "\n".join(lines)
-
-
-def _parts(folder: Folder) -> list[Folder]:
-    count = study_of(folder, FORMAT)["parts"]
-    if count is None:
-        return sorted(files_of(folder).rglob("part-*.parquet"), key=str)
-    return [part_of(folder, i) for i in range(count)]
 
 
 # ---- the run -------------------------------------------------------------------------------------
@@ -463,8 +456,6 @@ class _Going:
 
 def _file(parts: Sequence[Rows], digest: str) -> bytes:
     """Rows as a Parquet file."""
-    import pyarrow as pa
-
     count = sum(len(r.batch) for r in parts)
     first = parts[0].batch.first
     taken = _Taken(list(parts[0].numbers), True)
@@ -472,22 +463,16 @@ def _file(parts: Sequence[Rows], digest: str) -> bytes:
         taken.take(rows)
     columns: dict[str, Any] = {"case": np.arange(first, first + count)}
     columns |= taken.rows or {}
-    told = [None] * count
+    told: list[str | None] = [None] * count
     for i, error in taken.errors.items():
-        told[i] = f"{type(error).__name__}: {error}"  # type: ignore[call-overload]
+        told[i] = f"{type(error).__name__}: {error}"
     about = {"digest": digest, "first": first, "count": count, "failed": len(taken.errors)}
     about["columns"] = [*columns, "error"]
-    arrays = [
-        pa.Array.from_buffers(pa.from_numpy_dtype(c.dtype), len(c), [None, pa.py_buffer(c)])
-        for c in columns.values()
-    ]
-    table = pa.Table.from_arrays(
-        [*arrays, pa.array(told, pa.string())], names=[*columns, "error"], metadata=metadata(about)
+    return file_of(
+        columns,
+        about,
+        {"error": told},
+        compression="zstd",
+        use_dictionary=[n for n in columns if n != "case"],
+        column_encoding={"case": "DELTA_BINARY_PACKED"},
     )
-    content = pa.BufferOutputStream()
-    delta = {"case": "DELTA_BINARY_PACKED"}
-    apart = [n for n in columns if n != "case"]
-    arrow().write_table(
-        table, content, compression="zstd", use_dictionary=apart, column_encoding=delta
-    )
-    return bytes(content.getvalue())

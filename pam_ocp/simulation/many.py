@@ -21,10 +21,9 @@ from ..core.shown import shown
 from ..core.stores import Store, folder_of
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
-from .batches import Keep, Numbers, keep_of
+from .batches import CASE_KEYS, Case, Keep, Numbers, Simulation, keep_of
 from .integrate import Integration
 from .kept import KeptNumbers, keep_numbers
-from .running import CASE_KEYS, Case, Simulation
 from .simulator import simulate
 from .statistics import SobolCases
 from .stored import StoredSimulations, store

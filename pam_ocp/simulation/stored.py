@@ -2,49 +2,61 @@
 
 A file says in its metadata from which cases and arguments it was made (a digest of both, and of all
 code that they lead to), so that a run that was broken off goes on where it stood. Rows hold the
-case's number, the time and all variables; the inputs between the samples are not kept.
+case's number, the time and all variables; the inputs between the samples are not kept. The folder
+may be one of this machine or in an object store.
 """
 
 from __future__ import annotations
 
+import json
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core import exceptions
+from ..core.atomic import in_use
 from ..core.cases import Loop
-from ..core.digest import Digest, digest_of
-from ..core.errors import InputError
+from ..core.digest import Digest, built_with, digest_of, own_digest
+from ..core.errors import InputError, PamError, WriteError
+from ..core.files import json_of, read_json, reading, require_format, spelled, write_json
 from ..core.progress import working
 from ..core.shown import shown
-from ..core.stores import Folder, folder_of, write_bytes
+from ..core.stores import Folder, Remote, folder_of, opened, write_bytes
 from ..core.tasks import Task, split
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
-from .folder import (
-    about_file,
-    arrow,
-    digest_held,
-    files_of,
-    metadata,
-    opened_folder,
-    part_of,
-    read_table,
-    revived,
-    said,
-    study_of,
-    write_study,
-)
-from .running import Case, Result, Simulation
+from .batches import Case, Result, Simulation
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["StoredSimulations", "store", "warn_of_doubts"]
+__all__ = [
+    "FILES",
+    "StoredSimulations",
+    "about_file",
+    "arrow",
+    "digest_held",
+    "file_of",
+    "files_of",
+    "frame_of",
+    "opened_folder",
+    "pandas",
+    "part_of",
+    "parts_of",
+    "read_table",
+    "revived",
+    "said",
+    "store",
+    "study_of",
+    "warn_of_doubts",
+    "write_study",
+]
 
 FORMAT = "pam_ocp simulations 1"
 CHUNK = 100
@@ -144,10 +156,7 @@ class StoredSimulations:
     @property
     def parts(self) -> tuple[Folder, ...]:
         """The files, in the order of their cases."""
-        count = study_of(self.folder, FORMAT)["parts"]
-        if count is None:
-            return tuple(sorted(files_of(self.folder).rglob("part-*.parquet"), key=str))
-        return tuple(part_of(self.folder, i) for i in range(count))
+        return parts_of(self.folder, FORMAT)
 
     def __len__(self) -> int:
         return sum(about_file(p)["count"] for p in self.parts)
@@ -188,14 +197,7 @@ class StoredSimulations:
 
         This does hold everything in memory; name few variables of a large study.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise InputError("frame needs pandas: pip install pam_ocp[studies]") from None
-        columns = None if names is None else ["case", "time", *names]
-        frames = [read_table(p, columns).to_pandas() for p in self.parts]
-        filled = [f for f in frames if len(f)]
-        return pd.concat(filled, ignore_index=True) if filled else pd.DataFrame()
+        return frame_of(self.parts, None if names is None else ["case", "time", *names])
 
     def __str__(self) -> str:
         failures = self.failures
@@ -215,8 +217,6 @@ class _Encoded:
     columns: Sequence[str]
 
     def __call__(self, task: Task, results: Sequence[Result]) -> bytes:
-        import pyarrow as pa
-
         done = [(task.first + i, r) for i, r in enumerate(results) if isinstance(r, Trajectory)]
         lengths = [len(t.t) for _, t in done]
         data = {"case": np.repeat(np.array([i for i, _ in done], dtype=np.int64), lengths)}
@@ -235,15 +235,7 @@ class _Encoded:
             "variables": [asdict(v) for v in done[0][1].variables] if done else [],
             "interpolation": done[0][1].interpolation if done else "previous",
         }
-        # pa.table(data) would load pandas, in each worker anew: as much as a dozen simulations
-        columns = [
-            pa.Array.from_buffers(pa.from_numpy_dtype(c.dtype), len(c), [None, pa.py_buffer(c)])
-            for c in data.values()
-        ]
-        table = pa.Table.from_arrays(columns, names=list(data), metadata=metadata(about))
-        content = pa.BufferOutputStream()
-        arrow().write_table(table, content)
-        return bytes(content.getvalue())
+        return file_of(data, about)
 
 
 def _stacked(columns: Sequence[Any]) -> Any:
@@ -257,3 +249,213 @@ def _plain(parameters: Any) -> dict[str, float]:
 
 def _of_task(arguments: str, task: Task) -> Digest:
     return digest_of([arguments, task.first, list(task.cases)])
+
+
+STUDY = "study.json"
+FILES = "cases"
+BLOCK = 1000
+"""Files per folder."""
+SOURCES = "files of pam_ocp"
+REMEDY = "give an empty folder, or one that simulate_many(into=...) wrote"
+
+
+def files_of(folder: Folder) -> Folder:
+    """Where the Parquet files are: alone, as readers want them (once they lay beside the study)."""
+    apart = folder / FILES
+    return apart if isinstance(apart, Remote) or apart.is_dir() else folder
+
+
+def part_of(folder: Folder, index: int) -> Folder:
+    """The file of a part."""
+    files = files_of(folder)
+    name = f"part-{index:06d}.parquet"
+    return files / name if files == folder else files / f"block-{index // BLOCK:04d}" / name
+
+
+def parts_of(folder: Folder, form: str) -> tuple[Folder, ...]:
+    """The files, in the order of their cases; of a run that was broken off, those there are."""
+    count = study_of(folder, form)["parts"]
+    if count is None:
+        return tuple(sorted(files_of(folder).rglob("part-*.parquet"), key=str))
+    return tuple(part_of(folder, i) for i in range(count))
+
+
+def study_of(folder: Folder, form: str) -> dict[str, Any]:
+    """What study.json says. Raises InputError where it is none of this form."""
+    path, kind = folder / STUDY, "a folder of simulations"
+    if isinstance(path, Path):
+        return read_json(path, kind, form, REMEDY)
+    with reading(str(path), kind, REMEDY):
+        content = json_of(path.read_bytes())
+    return require_format(str(path), content, kind, form, REMEDY)
+
+
+def said(folder: Folder) -> str:
+    """For a message."""
+    return spelled(folder) if isinstance(folder, Path) else str(folder)
+
+
+@contextmanager
+def opened_folder(
+    folder: Folder, form: str, arguments: str, chunk: int | None, usual: int
+) -> Iterator[int]:
+    """Make the folder, or see that it holds this study: cases per file (None: as before).
+
+    While it is open no other process of this machine may work on it. Raises InputError.
+    """
+    if not (folder / STUDY).exists():
+        _made(folder)
+    with in_use(folder) if isinstance(folder, Path) else nullcontext():
+        if not (folder / STUDY).exists():
+            write_study(folder, form, arguments, chunk or usual, None)
+            yield chunk or usual
+            return
+        content = study_of(folder, form)
+        other = _changed(content.get("program") or {}, _program())
+        if other:
+            raise InputError(
+                f"into = {said(folder)} holds simulations of another program ({other}); give "
+                "another folder, or delete this one"
+            )
+        if content["arguments"] != arguments:
+            raise InputError(
+                f"into = {said(folder)} holds simulations of another plant or with other "
+                "arguments; give another folder, or delete this one"
+            )
+        chunk = chunk or int(content["chunk"])
+        write_study(folder, form, arguments, chunk, None)
+        yield chunk
+
+
+def _made(folder: Folder) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        empty = not any(p for p in folder.iterdir() if not p.name.startswith("."))
+        if empty:
+            (folder / FILES).mkdir(exist_ok=True)
+    except WriteError:
+        raise
+    except OSError as error:
+        raise InputError(f"into = {said(folder)}: {error.strerror}; {REMEDY}") from None
+    if not empty:
+        raise InputError(f"into = {said(folder)} holds other files; {REMEDY}")
+
+
+def write_study(
+    folder: Folder, form: str, arguments: str, chunk: int, parts: int | None, **more: Any
+) -> None:
+    """Write study.json; ``parts`` is None until all are there."""
+    content = {"format": form, "arguments": arguments, "chunk": chunk, "parts": parts, **more}
+    content["program"] = _program()
+    path = folder / STUDY
+    if isinstance(path, Path):
+        write_json(path, content)
+        return
+    write_bytes(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode())
+
+
+# ---- one file -----------------------------------------------------------------------------------
+def arrow(what: str = "simulate_many(into=...)") -> Any:
+    """pyarrow's Parquet. Raises InputError where it is not installed."""
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(f"{what} needs pyarrow: pip install pam_ocp[studies]") from None
+    return pyarrow.parquet
+
+
+def read_table(path: Folder, columns: Sequence[str] | None = None) -> Any:
+    """A file as a table of pyarrow's, or columns of it."""
+    with opened(path) as file:
+        return arrow().read_table(file, columns=columns)
+
+
+def frame_of(parts: Sequence[Folder], columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """Files as one DataFrame, or columns of them."""
+    pd = pandas()
+    frames = [read_table(p, columns).to_pandas() for p in parts]
+    filled = [f for f in frames if len(f)]
+    return pd.concat(filled, ignore_index=True) if filled else pd.DataFrame()
+
+
+def pandas() -> Any:
+    """Raises InputError where it is not installed."""
+    try:
+        import pandas
+    except ImportError:
+        raise InputError("frame needs pandas: pip install pam_ocp[studies]") from None
+    return pandas
+
+
+def file_of(
+    columns: Mapping[str, Any],
+    about: Mapping[str, Any],
+    texts: Mapping[str, Sequence[str | None]] | None = None,
+    **options: Any,
+) -> bytes:
+    """NumPy's columns, then texts, as a Parquet file that says ``about`` of itself; ``options``: of
+    pyarrow's write_table.
+    """
+    import pyarrow as pa
+
+    # pa.table(columns) would load pandas, in each worker anew: as much as a dozen simulations
+    arrays = [
+        pa.Array.from_buffers(pa.from_numpy_dtype(c.dtype), len(c), [None, pa.py_buffer(c)])
+        for c in columns.values()
+    ]
+    texts = texts or {}
+    table = pa.Table.from_arrays(
+        [*arrays, *(pa.array(t, pa.string()) for t in texts.values())],
+        names=[*columns, *texts],
+        metadata={b"pam_ocp": json.dumps(about).encode()},
+    )
+    content = pa.BufferOutputStream()
+    arrow().write_table(table, content, **options)
+    return bytes(content.getvalue())
+
+
+def about_file(path: Folder) -> dict[str, Any]:
+    """What a file says about itself. Raises InputError when it is none of ours."""
+    try:
+        with opened(path) as file:
+            content = json.loads(arrow().read_schema(file).metadata[b"pam_ocp"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path} cannot be read ({error}); delete it and run the same simulate_many again"
+        ) from None
+    return dict(content)
+
+
+def digest_held(path: Folder) -> str | None:
+    """The digest of a whole file; None where there is none or it is damaged."""
+    try:
+        if not path.is_file():
+            return None
+        read_table(path)  # a damaged page shows only when it is read
+        return str(about_file(path)["digest"])
+    except (InputError, OSError, ValueError):
+        return None
+
+
+def revived(error: Sequence[str]) -> Exception:
+    """The error of a case, by its class and its sentence."""
+    kind, message = error
+    known = getattr(exceptions, kind, None)
+    if known in (InputError, exceptions.SimulationError):
+        return known(message)  # type: ignore[no-any-return]
+    return PamError(message if known is not None else f"{kind}: {message}")
+
+
+# ---- digests ------------------------------------------------------------------------------------
+def _program() -> dict[str, str]:
+    """What computes: packages by version, pam_ocp by the content of its files, too."""
+    return {**built_with("casadi", "numpy", "scipy"), SOURCES: own_digest()}
+
+
+def _changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """In what a program differs from this one; empty where it does not."""
+    return ", ".join(
+        n if n == SOURCES else f"{n} {before.get(n, 'of an unknown version')}, not {now[n]}"
+        for n in now
+        if before.get(n) != now[n]
+    )

@@ -23,7 +23,7 @@ from pam_ocp.core.lazy import lazily
 from pam_ocp.core.stop import TimeIsUp, check, deadline, limited, native, spared, verb
 from pam_ocp.fitting.static import force_fit
 from pam_ocp.numerics.continuation import Walk
-from pam_ocp.operating.rest_search import Search
+from pam_ocp.operating.rest import Rest
 from pam_ocp.planning import Collocation
 from pam_ocp.plants import RegulatedLoad
 from pam_ocp.vibration import hopf_bifurcation
@@ -310,7 +310,7 @@ def test_a_search_for_points_of_rest_keeps_what_it_has(monkeypatch):
     plant = pam.HangingLoad("DMSP-20-300")
     at = {"muscle.command": 3e5}
     (whole,) = pam.operating.equilibria(plant, at)
-    over_at_call(monkeypatch, Search, "newton", 3)
+    over_at_call(monkeypatch, Rest, "newton", 3)
     found = pam.operating.equilibria(plant, at, time_limit=1000.0)
     assert found.ended == "time_limit = 1000 s was over"
     assert [p["x"] for p in found] == pytest.approx([whole["x"]], rel=1e-9)

@@ -15,7 +15,7 @@ import pytest
 
 from pam_ocp.export import cache
 from pam_ocp.export.compile import _environment, compile_library, native
-from pam_ocp.planning.solvers.compiled import _stored
+from pam_ocp.planning.solvers.solver import _stored
 
 SOURCES = {"own.c": '__attribute__((visibility("default"))) int own(void) { return 7; }\n'}
 STRANGER = 54321

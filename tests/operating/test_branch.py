@@ -6,8 +6,8 @@ from conftest import BAR
 
 import pam_ocp as pam
 from pam_ocp import InputError
-from pam_ocp.operating.branch import equilibrium_branch
 from pam_ocp.operating.resting_point import EquilibriumError
+from pam_ocp.operating.several import equilibrium_branch
 
 
 def cusp(**bounds):

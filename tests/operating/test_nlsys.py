@@ -11,7 +11,7 @@ from conftest import BAR, flat
 
 import pam_ocp as pam
 from pam_ocp import InputError
-from pam_ocp.operating.nlsys import as_nlsys
+from pam_ocp.operating.plant_system import as_nlsys
 
 
 def tight(plant, rtol=1e-11):

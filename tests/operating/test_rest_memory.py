@@ -14,9 +14,8 @@ from scipy.optimize import brentq
 import pam_ocp as pam
 from pam_ocp import InputError, vibration
 from pam_ocp.operating import EquilibriumError
-from pam_ocp.operating.branch import equilibrium_branch
 from pam_ocp.operating.held import carried, held
-from pam_ocp.operating.several import equilibria, equilibrium_path
+from pam_ocp.operating.several import equilibria, equilibrium_branch, equilibrium_path
 from pam_ocp.plants.regulated import RegulatedLoad
 
 GRAVITY = 9.80665

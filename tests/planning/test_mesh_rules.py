@@ -1,10 +1,12 @@
 """The rules of a mesh: points, weights, and where refinement puts more of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import searches
 from numpy.polynomial import Polynomial, legendre
-from searches import solved
+from searches import pushed, solved
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
@@ -101,8 +103,10 @@ def test_the_clock_counts_each_leg_in_its_own_duration():
 
 
 def test_an_interval_that_exceeds_a_limit_is_watched_then_with_a_margin_then_split():
-    one = Interval(0, 0.6, 8)
+    one, other = Interval(0, 0.6, 8), Interval(0, 0.4, 8)
     beyond = [{"x": 0.02, "v": 0.0005}]
+    both = watched(mesh(RADAU, other, one, other), [{}, *beyond, {}], 1e-3).intervals
+    assert both == (other, replace(one, watched=(("x", 0.0),)), other)
     first = watched(mesh(RADAU, one), beyond, 1e-3)
     assert first.intervals[0].watched == (("x", 0.0),)
     second = watched(first, [{"x": 0.02}], 1e-3)
@@ -212,10 +216,7 @@ def test_a_mesh_that_is_finer_for_states_only_has_the_same_optimum_where_states_
     minimise,
 ):
     # v' = u, x' = v: cubic polynomials hold the states of any held input
-    plant = pam.Plant("mass")
-    x, v, u = plant.state("x"), plant.state("v"), plant.input("u", min=-9.0, max=9.0)
-    plant.der(x, v)
-    plant.der(v, u)
+    plant = pushed(9.0)
     stops = [{"x": 0.0}, {"x": 1.0}]
     method = Collocation(6, 3)
     planner = pam.Planner(plant, stops, duration=1.0, minimise=minimise, method=method)

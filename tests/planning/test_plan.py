@@ -152,14 +152,6 @@ def test_what_cannot_be_meant_is_refused(slide, stops, arguments, message):
         pam.plan(slide, stops, **arguments)
 
 
-@pytest.mark.parametrize(
-    "arguments", [{"intervals": 0}, {"degree": 0}, {"degree": 10}, {"control": "cubic"}]
-)
-def test_a_method_that_does_not_exist_is_refused(arguments):
-    with pytest.raises(InputError):
-        Collocation(**arguments)
-
-
 def test_a_plant_without_inputs_can_be_timed():
     """A pendulum-free check of the transcription: x' = -x from 1 to 1/e takes one second."""
     plant = pam.Plant("decay")

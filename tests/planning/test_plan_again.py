@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from searches import pushed
 
 import pam_ocp as pam
 from pam_ocp import Collocation
@@ -21,14 +22,7 @@ FAR = [{"x": 0.0}, {"x": 0.3}]
 @pytest.fixture(scope="module")
 def cart() -> pam.Plant:
     """x'' = u / mass: everything about its motions is known."""
-    plant = pam.Plant("cart")
-    x = plant.state("x", unit="m")
-    v = plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N", min=-2.0, max=2.0)
-    mass = plant.parameter("mass", 1.0, unit="kg", min=0.1, max=10.0)
-    plant.der(x, v)
-    plant.der(v, u / mass)
-    return plant
+    return pushed(2.0, mass=1.0)
 
 
 def test_a_fixed_duration_may_change_and_the_mesh_stays(cart):

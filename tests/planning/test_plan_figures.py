@@ -8,6 +8,7 @@ import pytest
 from fibres import LONG, THIN, bought
 from hand_equations import GRAVITY
 from scipy.integrate import trapezoid
+from searches import pushed
 
 import pam_ocp as pam
 
@@ -99,11 +100,8 @@ def test_air_and_exergy_are_what_the_supply_gives(term):
 
 def mass_on_rails(high):
     """x'' = u with a path constraint of its own on v."""
-    plant = pam.Plant("mass")
-    x, v = plant.state("x", unit="m", nominal=0.5), plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N", min=-20.0, max=20.0)
-    plant.der(x, v)
-    plant.der(v, u)
+    plant = pushed(20.0, x={"nominal": 0.5})
+    x = plant.expression("x")
     plant.constraint("room", x * (1 - x), unit="m2", nominal=0.25, max=high)
     return plant
 
@@ -131,12 +129,7 @@ def test_a_constraint_of_ones_own_is_watched_between_points_too():
 
 def rails(limit=20.0):
     """x'' = u, nothing else."""
-    plant = pam.Plant("rails")
-    x, v = plant.state("x", unit="m", nominal=0.5), plant.state("v", unit="m/s", nominal=2.0)
-    u = plant.input("u", unit="N", min=-limit, max=limit, nominal=4.0)
-    plant.der(x, v)
-    plant.der(v, u)
-    return plant
+    return pushed(limit, x={"nominal": 0.5}, v={"nominal": 2.0}, u={"nominal": 4.0})
 
 
 def test_every_leg_is_watched():

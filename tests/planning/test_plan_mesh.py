@@ -76,22 +76,6 @@ def test_an_excess_is_that_of_the_polynomial_itself(by_valve):
     assert seen == pytest.approx(expected, abs=5e-3 * max(expected))
 
 
-def test_what_is_seen_beyond_its_limit_is_checked_then_held_back_then_split():
-    mesh = METHOD.mesh(1)
-    beyond = [{}] * 3 + [{"u": 0.01}] + [{}] * 3
-    checked = rules.watched(mesh, beyond, 1e-3)
-    assert [i.watched for i in checked.intervals] == [()] * 3 + [(("u", 0.0),)] + [()] * 3
-    back = rules.watched(checked, beyond, 1e-3)
-    assert back.intervals[3].watched == (("u", pytest.approx(rules.MARGIN * 0.01)),)
-    far = rules.watched(back, [{}] * 3 + [{"u": 1.0}] + [{}] * 3, 1e-3)
-    assert len(far.intervals) == 8
-    assert sum(i.fraction for i in far.intervals) == pytest.approx(1.0)
-    assert rules.watched(mesh, [{"u": 9e-4}] * 7, 1e-3) == mesh
-    held = rules.held(mesh)
-    assert held.form.control == "constant"
-    assert len(held.intervals) == 7 * 8
-
-
 @pytest.mark.slow
 def test_kinks_are_narrowed_on_meshes_that_resolve_the_motion_with_as_many_inputs_as_asked_for():
     # a slide that swings while pressures cost little

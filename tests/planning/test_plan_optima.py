@@ -7,19 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
+from searches import pushed
 
 import pam_ocp as pam
 from pam_ocp import Collocation
-
-
-def double_integrator(limit):
-    plant = pam.Plant("double_integrator")
-    x, v = plant.state("x"), plant.state("v")
-    u = plant.input("u", min=-limit, max=limit)
-    plant.der(x, v)
-    plant.der(v, u)
-    return plant
-
 
 REST = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
 
@@ -27,9 +18,7 @@ REST = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
 @pytest.mark.parametrize("points", ["radau", "gauss"])
 def test_least_time_of_the_double_integrator(points):
     """T = 2 sqrt(d/a) (Bryson, Ho, Applied Optimal Control, 1975); the switch is on the mesh."""
-    plan = pam.plan(
-        double_integrator(1.0), REST, rest=False, method=Collocation(10, 3, points=points)
-    )
+    plan = pam.plan(pushed(1.0), REST, rest=False, method=Collocation(10, 3, points=points))
     assert plan.duration == pytest.approx(2.0, rel=1e-6)
     assert plan.trajectory["u"][[0, -1]] == pytest.approx([1.0, -1.0], abs=1e-6)
 
@@ -40,7 +29,7 @@ def test_bryson_denham(points):
     method = Collocation(30, 3, "linear", points)  # the contact's ends 1/3, 2/3 are on the mesh
     asked = {"duration": 1.0, "minimise": {"effort": 0.5}, "bounds": {"x": (None, 1 / 9)}}
     ends = [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}]
-    plan = pam.plan(double_integrator(20.0), ends, rest=False, method=method, **asked)
+    plan = pam.plan(pushed(20.0), ends, rest=False, method=method, **asked)
     assert plan.objective == pytest.approx(4.0, rel=1e-6)
 
 

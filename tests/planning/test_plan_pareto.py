@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from searches import pushed
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
@@ -14,12 +15,7 @@ LIMIT, DISTANCE = 100.0, 1.0
 
 
 def double_integrator():
-    plant = pam.Plant("double_integrator")
-    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N", min=-LIMIT, max=LIMIT)
-    plant.der(x, v)
-    plant.der(v, u)
-    return plant
+    return pushed(LIMIT)
 
 
 STOPS = [{"x": 0.0, "v": 0.0}, {"x": DISTANCE, "v": 0.0}]
@@ -115,30 +111,11 @@ def test_what_cannot_be_swept_is_refused(slide, arguments, message):
         pareto(slide, stops, **{"method": Collocation(10), **arguments})
 
 
-def test_a_planner_with_polynomial_inputs_takes_other_budgets_and_bounds():
-    """Inputs are guarded between their points: their limits are renewed with the others."""
-    asked = {"rest": False, "bounds": {"u": (-50.0, 50.0)}, "method": METHOD}
-    planner = pam.Planner(double_integrator(), STOPS, minimise="time", **asked)
-    first = planner()
-    again = planner(bounds={"u": (-12.5, 12.5)}, guess=first)
-    assert first.duration == pytest.approx(2 * np.sqrt(DISTANCE / 50.0), rel=1e-6)
-    assert again.duration == pytest.approx(2 * np.sqrt(DISTANCE / 12.5), rel=1e-6)
-
-
 def test_a_budget_of_time_ends_a_motion_of_least_effort():
     asked = {"rest": False, "minimise": "effort", "budgets": {"time": 0.8}, "method": METHOD}
     plan = pam.plan(double_integrator(), [STOPS[0], {"x": 0.4}, STOPS[1]], **asked)
     assert sum(plan.durations) == pytest.approx(0.8, rel=1e-7)
     assert plan.objective == pytest.approx(12 / 0.8**3, rel=1e-6)  # passing 0.4 costs nothing
-
-
-def test_phases_with_limits_of_their_own_keep_them_between_polynomial_points():
-    """Guarded inputs: the limit of one leg is not taken for that of the other."""
-    phases = [pam.Phase(bounds={"u": (-10.0, 10.0)}), None]
-    there = {"rest": False, "method": METHOD, "phases": phases}
-    plan = pam.plan(double_integrator(), [*STOPS, STOPS[0]], **there)
-    slow, quick = (2 * np.sqrt(DISTANCE / limit) for limit in (10.0, LIMIT))
-    assert plan.durations == pytest.approx((slow, quick), rel=1e-5)
 
 
 def test_plans_of_a_front_that_are_not_verified_are_marked(slide):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from searches import search_of
+from searches import pushed, search_of
 
 import pam_ocp as pam
 from pam_ocp.planning import replay
@@ -19,12 +19,7 @@ from pam_ocp.planning.transcription.mesh import Collocation, Shooting, merged
 
 
 def cart():
-    plant = pam.Plant("cart")
-    x, v = plant.state("x"), plant.state("v")
-    u = plant.input("u", min=-10.0, max=10.0)
-    plant.der(x, v)
-    plant.der(v, u)
-    return plant
+    return pushed(10.0)
 
 
 def program(**wish):

@@ -11,7 +11,7 @@ from test_plan_robust import METHOD, STOPS, WIDTH, draws, plant  # noqa: F401 - 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, PlanError, PlanWarning
 from pam_ocp.planning.studies.robust import robust_plan
-from pam_ocp.planning.studies.share import Share
+from pam_ocp.planning.studies.robust_result import Share
 
 
 def pushed_mass():

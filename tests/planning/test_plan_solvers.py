@@ -134,15 +134,9 @@ def test_fatrop_is_ipopt_and_says_so():
     assert found.objective == pytest.approx(planner("radau")().objective, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"solver": "snopt"}, "choose one of ipopt"),
-    ],
-)
-def test_a_choice_that_cannot_be_meant_is_refused(arguments, message):
-    with pytest.raises(InputError, match=message):
-        planner("radau", **arguments)()
+def test_a_choice_that_cannot_be_meant_is_refused():
+    with pytest.raises(InputError, match="choose one of ipopt"):
+        planner("radau", solver="snopt")
 
 
 # ---- compiled -----------------------------------------------------------------------------------
@@ -228,7 +222,8 @@ def test_starts_near_an_optimum_keep_constraints_and_the_residual_they_promise(
     here, there = solver(program, guess), solver(other, guess)
     found = solver(other, here.w, start, here)
     assert found.success
-    assert solver.residual(other, found) <= most
+    numbers = solver.arguments(other, found.w)
+    assert max(solver._optimality(numbers, found.w, found.lam_g, found.lam_x)[:2]) <= most
     g = ca.Function("g", [program.nlp["x"], program.nlp["p"]], [program.nlp["g"]])
     low, high = other.limits()
     values = np.asarray(g(found.w, other.parameters()), float).ravel()

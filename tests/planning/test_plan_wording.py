@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
+from searches import pushed
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Stop
@@ -19,14 +20,8 @@ POLYNOMIAL = Collocation(6, 6, "polynomial")
 
 
 def double_integrator(limit=1.0, mass=1.0):
-    plant = pam.Plant("double_integrator")
-    x = plant.state("x", unit="m", max=10.0)
-    v = plant.state("v", unit="m/s")
-    m = plant.parameter("mass", mass, unit="kg", min=0.1, max=10.0)
-    u = plant.input("u", unit="N", min=-limit, max=limit)
-    plant.der(x, v)
-    plant.der(v, u / m)
-    plant.output("power", u * v, unit="W")
+    plant = pushed(limit, mass, x={"max": 10.0})
+    plant.output("power", plant.expression("u") * plant.expression("v"), unit="W")
     return plant
 
 

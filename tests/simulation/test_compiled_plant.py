@@ -31,14 +31,16 @@ def commands(t, seed):
 
 
 @pytest.mark.parametrize("interpolation", ["previous", "linear"])
-def test_a_compiled_slide_under_random_commands_agrees_with_scipy(slide, interpolation):
+@pytest.mark.parametrize(
+    ("way", "seed", "error"), [({"compiled": True}, 3, 1e-7), ({"method": "cvodes"}, 11, 1e-6)]
+)
+def test_a_slide_under_random_commands_agrees_with_scipy(slide, way, seed, error, interpolation):
+    """Over jumps and kinks."""
     t = np.linspace(0.0, 0.3, 7)
-    given = commands(t, 3)
-    motion = pam.simulate(slide, given, t=t, interpolation=interpolation, compiled=True)
-    signals = motion.signals
-    expected = scipy_states(slide, lambda s: signals(s)[0], t)
+    motion = pam.simulate(slide, commands(t, seed), t=t, interpolation=interpolation, **way)
+    expected = scipy_states(slide, lambda s: motion.signals(s)[0], t)
     nominal = slide.vector("state", attribute="nominal")
-    assert np.abs((motion.array(motion.named("state")) - expected) / nominal).max() < 1e-7
+    assert np.abs((motion.array(motion.named("state")) - expected) / nominal).max() < error
 
 
 def test_breaks_between_output_times_are_met(hanging):
@@ -158,13 +160,3 @@ def test_jumps_are_told_from_kinks(slide):
 
     assert jumps("linear", line) == []
     assert jumps("previous", steps) == [2, 4]
-
-
-@pytest.mark.parametrize("interpolation", ["previous", "linear"])
-def test_cvodes_agrees_with_scipy_over_jumps_and_kinks(slide, interpolation):
-    t = np.linspace(0.0, 0.3, 7)
-    given = commands(t, 11)
-    motion = pam.simulate(slide, given, t=t, interpolation=interpolation, method="cvodes")
-    expected = scipy_states(slide, lambda s: motion.signals(s)[0], t)
-    nominal = slide.vector("state", attribute="nominal")
-    assert np.abs((motion.array(motion.named("state")) - expected) / nominal).max() < 1e-6

@@ -12,8 +12,8 @@ import pytest
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.simulation.batches import BATCH, Batch, batches
-from pam_ocp.simulation.folder import part_of
 from pam_ocp.simulation.reducers import parsed
+from pam_ocp.simulation.stored import part_of
 
 T = np.linspace(0.0, 1.0, 41)
 

@@ -17,8 +17,8 @@ from ...core.stop import verb
 from ...core.variables import Variable
 from ...numerics.buffered import Buffered
 from ...operating.linear import inside, linearize
+from ...operating.operating_point import Stuck
 from ...operating.resting_point import OperatingPoint
-from ...operating.stuck import Stuck
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
 from ..blocks.chain import chain

@@ -164,21 +164,28 @@ class Problem:
         """(time, r, q, m): what expressions may depend on besides the plant's x, u and p."""
         return TIME, self.r, self.q, self.m
 
-    def function(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
-        """CasADi function (x, u, p, time, r, q, m) -> one column of the expressions."""
+    def function(self, name: str, expressions: Sequence[ca.SX], *more: ca.SX) -> ca.Function:
+        """CasADi function (x, u, p, time, r, q, m, more) -> one column of the expressions."""
         plant = self.plant
-        arguments = [plant.x, plant.u, plant.p, *self.given]
+        arguments = [plant.x, plant.u, plant.p, *self.given, *more]
         return ca.Function(
             name, arguments, [ca.vertcat(*expressions) if expressions else ca.SX(0, 1)]
         )
 
     def running(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
         """The same of running costs: (x, u, p, time, r, q, m, auxiliaries) -> one column."""
-        plant, a = self.plant, ca.vertcat(ca.SX(0, 1), *(a.symbol for a in self.auxiliaries))
-        arguments = [plant.x, plant.u, plant.p, *self.given, a]
-        return ca.Function(
-            name, arguments, [ca.vertcat(*expressions) if expressions else ca.SX(0, 1)]
-        )
+        a = ca.vertcat(ca.SX(0, 1), *(a.symbol for a in self.auxiliaries))
+        return self.function(name, expressions, a)
+
+    def arguments(
+        self, plant: Plant, t: Array, x: Array, u: Array, peaks: Array
+    ) -> tuple[Array, ...]:
+        """Of these functions, at times and columns of states and inputs; plant : whose parameters
+        count.
+        """
+        profiles = [profile(t) for profile in self.profiles]
+        r = np.vstack(profiles) if profiles else np.zeros((0, len(t)))
+        return x, u, plant.vector("parameter"), t[None], r, np.array(self.aims), peaks
 
     def explicit(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
         """Running costs with the auxiliaries' values in their place."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -19,6 +18,7 @@ from ...core.quantities import known_keys, pair, quantity, table
 from ...judge.statement import TIME, Avoid, Constraint, Phase, Profile, Stop, subject
 from ...plants.plant import Plant
 from ...plants.plant_file import plant_of, require_allowed
+from ...simulation.reducers import LONGEST, OPERATORS
 from ..transcription.mesh import Arcs, Collocation, Shooting
 from .problem import budget
 
@@ -349,17 +349,6 @@ _READERS: dict[str, Callable[[Plant, str, Any], Any]] = {
 """How each key of a problem is read."""
 
 
-_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
-}
-_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
-    ast.UAdd: operator.pos,
-    ast.USub: operator.neg,
-}
 _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "abs": (1, ca.fabs),
     "sqrt": (1, ca.sqrt),
@@ -373,9 +362,6 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "max": (2, ca.fmax),
 }
 """What may be called: number of arguments, and the function."""
-
-LONGEST = 2000
-"""Characters of an expression."""
 
 
 def expression_of(plant: Plant, text: Any, where: str = "expression") -> ca.SX:
@@ -408,11 +394,9 @@ def _value(plant: Plant, node: ast.expr, where: str) -> Any:
     if isinstance(node, ast.Name | ast.Attribute):
         name = ast.unparse(node)
         return TIME if name == "time" else plant.expression(name)
-    if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-        left, right = (_value(plant, side, where) for side in (node.left, node.right))
-        return _BINARY[type(node.op)](left, right)
-    if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
-        return _UNARY[type(node.op)](_value(plant, node.operand, where))
+    if isinstance(node, ast.BinOp | ast.UnaryOp) and type(node.op) in OPERATORS:
+        parts = [node.operand] if isinstance(node, ast.UnaryOp) else [node.left, node.right]
+        return OPERATORS[type(node.op)](*(_value(plant, part, where) for part in parts))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         return _called(plant, node.func.id, node.args, where)
     raise InputError(

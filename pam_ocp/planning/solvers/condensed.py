@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.buffered import Buffered
-from ..transcription.derivatives import Block, stage_blocks
+from ..transcription.derivatives import Block, entries_of, stage_blocks, stored
+from ..transcription.solution import Places
 from ..transcription.transcription import Group, Program
 
 __all__ = ["Condensed", "Interval", "Layout", "Values"]
@@ -61,19 +62,16 @@ class Layout:
         return self.carried + self.nu
 
     @classmethod
-    def of(cls, program: Program, blocks: list[Block]) -> Layout:
+    def of(cls, program: Program) -> Layout:
         problem, mesh, n = program.problem, program.mesh, program.nlp["x"].numel()
-        nx, inputs = len(problem.plant.states), len(problem.plant.inputs)
-        shared = len(problem.legs) + len(problem.design) + problem.m.numel()
-        widths = [inputs * len(mesh.form.input_taus(i.degree)) for i in mesh.intervals]
+        places = Places.of(problem, mesh)
+        nx, shared, widths = places.nx, sum(places.tail), [size[1] for size in places.sizes]
         stage, place = np.full(n, NONE, dtype=np.intp), np.zeros(n, dtype=np.intp)
         first_input = 2 * nx + shared + 1
-        for block, group in zip(blocks, program.groups, strict=True):
-            for own, k in zip(block.unknowns.T, group.members, strict=True):
-                end = nx + group.rows  # as many defects as states at points
-                stage[own[end - nx : end]], place[own[end - nx : end]] = k + 1, np.arange(nx)
-                u = own[end : end + widths[k]]
-                stage[u], place[u] = k, first_input + np.arange(widths[k])
+        for k, width in enumerate(widths):
+            end, u = places.begin(k + 1), places.inputs(k)
+            stage[end], place[end] = k + 1, np.arange(nx)
+            stage[u], place[u] = k, first_input + np.arange(width)
         stage[n - shared :], place[n - shared :] = ALL, nx + np.arange(shared)
         stage[:nx], place[:nx] = ALL, nx + shared + np.arange(nx)
         return cls(nx, max(widths), shared, len(widths), stage, place)
@@ -109,11 +107,11 @@ class Interval:
         self.inputs = size - shared - nx - group.rows
         slopes, (factor, multipliers, hessian) = local.slopes, local.curvature
         gradient = ca.densify(ca.gradient(local.cost, local.given[0]))
-        column = ca.vertcat(local.rows, _stored(slopes), local.cost, gradient)
+        column = ca.vertcat(local.rows, stored(slopes), local.cost, gradient)
         first = ca.Function("first", local.given, [ca.densify(column)])
-        second = ca.Function("second", [*local.given, factor, multipliers], [_stored(hessian)])
+        second = ca.Function("second", [*local.given, factor, multipliers], [stored(hessian)])
         self._first, self._second = Buffered(first.map(n)), Buffered(second.map(n))
-        self._sloped, self._curved = _entries(slopes.sparsity()), _entries(hessian.sparsity())
+        self._sloped, self._curved = entries_of(slopes.sparsity()), entries_of(hessian.sparsity())
         rows = local.rows.numel()
         self._slopes, self._hessian = np.zeros((n, rows, size)), np.zeros((n, size, size))
         self._weights = [weights.T.ravel() for weights in block.weights]
@@ -144,16 +142,6 @@ class Interval:
         return self._hessian
 
 
-def _stored(matrix: ca.SX) -> ca.SX:
-    """The stored entries as one column."""
-    return ca.densify(ca.vec(matrix.nz[:])) if matrix.nnz() else ca.SX(0, 1)
-
-
-def _entries(sparsity: ca.Sparsity) -> tuple[Index, Index]:
-    rows, columns = sparsity.get_triplet()
-    return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
-
-
 @dataclass(frozen=True)
 class Beside:
     """What no interval gives, at one point: entries of :class:`_Other`."""
@@ -176,16 +164,13 @@ class _Other:
         lam = ca.MX.sym("lam", g.numel())
         slopes, gradient = ca.jacobian(g, x), ca.jacobian(f, x)
         hessian = ca.triu(ca.hessian(f + ca.dot(lam, g), x)[0])
-        entries = [
-            ca.densify(ca.vec(e.nz[:])) if e.nnz() else ca.MX(0, 1)
-            for e in (slopes, gradient, hessian)
-        ]
+        entries = [stored(e) for e in (slopes, gradient, hessian)]
         results = [ca.densify(g), ca.densify(f), *entries]
         self._function = Buffered(ca.Function("other", [x, p, lam], results))
         self.count, self.first = g.numel(), program.nlp["g"].numel() - g.numel()
-        row, self.slope_of = _entries(slopes.sparsity())
-        self.gradient_of = _entries(gradient.sparsity())[1]
-        a, b = _entries(hessian.sparsity())
+        row, self.slope_of = entries_of(slopes.sparsity())
+        self.gradient_of = entries_of(gradient.sparsity())[1]
+        a, b = entries_of(hessian.sparsity())
         stage, place = layout.stage, layout.place
         last = layout.count
         self.rows = np.full(self.count, last, dtype=np.intp)
@@ -235,7 +220,7 @@ class Condensed:
         blocks = stage_blocks(program)
         if sum(b.rows.shape[0] * b.unknowns.size for b in blocks) > LARGEST:
             return None
-        layout = Layout.of(program, blocks)
+        layout = Layout.of(program)
         other = _Other(program, layout)
         if not other.fits:
             return None

@@ -123,15 +123,13 @@ def resolving(mesh: Mesh) -> Mesh:
 def _conflicts(program: Program, slack: Array) -> tuple[Conflict, ...]:
     """The worst row of each condition whose slack is notable."""
     worst: dict[str, Conflict] = {}
-    at = 0
-    for row in program.rows:
-        for i in np.flatnonzero(slack[at : at + row.size] > NOTABLE):
+    for row, own in program.placed():
+        for i in np.flatnonzero(slack[own] > NOTABLE):
             condition = row.condition(int(i))
             label = condition.label if condition else row.label
-            excess = float(slack[at + i])
+            excess = float(slack[own][i])
             if label not in worst or worst[label].excess < excess:
                 worst[label] = Conflict(label, excess, row.where(int(i)), condition)
-        at += row.size
     return tuple(sorted(worst.values(), key=lambda c: -c.excess))
 
 

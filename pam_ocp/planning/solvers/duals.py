@@ -86,10 +86,9 @@ def sensitivities(program: Program, outcome: Outcome) -> dict[str, float]:
 
 def stop_sensitivities(program: Program, outcome: Outcome) -> dict[str, float]:
     """{label of a condition at a stop: derivative of the objective by its value}."""
-    found, at = {}, 0
-    for row in program.rows:
-        if row.kind == "stop":
-            for i, condition in enumerate(row.conditions):
-                found[condition.label] = -float(outcome.lam_g[at + i]) / condition.nominal
-        at += row.size
-    return found
+    return {
+        condition.label: -float(push) / condition.nominal
+        for row, own in program.placed()
+        if row.kind == "stop"
+        for condition, push in zip(row.conditions, outcome.lam_g[own], strict=True)
+    }

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.buffered import Buffered
+from ..transcription.derivatives import entries_of, stored
 from ..transcription.transcription import Program
 from .condensed import Beside, Condensed, Interval, Values
 
@@ -256,8 +257,7 @@ class Optimality:
 
     def __init__(self, gradient: ca.Function, jacobian: ca.Function) -> None:
         self._gradient, self._jacobian = Buffered(gradient), _slopes(jacobian)
-        rows, columns = jacobian.sparsity_out(1).get_triplet()
-        self._rows, self._columns = np.array(rows, np.intp), np.array(columns, np.intp)
+        self._rows, self._columns = entries_of(jacobian.sparsity_out(1))
 
     def __call__(
         self, numbers: Mapping[str, Array], w: Array, lam_g: Array, lam_x: Array
@@ -287,8 +287,7 @@ def _slopes(jacobian: ca.Function) -> Buffered:
     """The values, and the slopes' entries as a column."""
     w, p = (ca.MX.sym("v", jacobian.size1_in(i)) for i in range(2))
     g, slopes = jacobian(w, p)
-    entries = slopes.nz[:] if slopes.nnz() else ca.MX(0, 1)
-    return Buffered(ca.Function("slopes", [w, p], [ca.densify(g), entries]))
+    return Buffered(ca.Function("slopes", [w, p], [ca.densify(g), stored(slopes)]))
 
 
 STEPS, PASSES = 6, 14

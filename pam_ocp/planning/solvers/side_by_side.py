@@ -33,11 +33,12 @@ from ...core.errors import PlanError
 from ...core.executors import placed
 from ...core.stop import TimeIsUp, check
 from ...numerics.blas import environment
-from ...numerics.solvers import Nlp, nlpsol
+from ...numerics.solvers import nlpsol
 from ..stages import written
 from ..starts import Task
 from ..transcription.transcription import Program
 from .solver import Ipopt, Outcome
+from .solver_server import Solves
 
 __all__ = ["solved_side_by_side", "starts_on"]
 
@@ -120,30 +121,20 @@ def _settled(
 
 
 class _Elsewhere:
-    """The problem as a function, and options of its solvers; called with a start and arguments."""
+    """What solves there; called with a start and arguments."""
 
     def __init__(self, problem: ca.Function, options: Mapping[str, Mapping[str, Any]]) -> None:
-        self._problem, self._options = problem, options
-        self._solvers: dict[str, Nlp] = {}
+        self._given = problem, options
+        self._solve = Solves(problem, options, nlpsol)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Elsewhere, (self._problem, self._options)
+        return _Elsewhere, self._given
 
     def __call__(
         self, case: tuple[str, Mapping[str, Array]]
     ) -> tuple[dict[str, Array], dict[str, Any], float]:
-        begin, (name, arguments) = time.perf_counter(), case
-        if name not in self._solvers:
-            x = ca.MX.sym("x", self._problem.size1_in(0))
-            p = ca.MX.sym("p", self._problem.size1_in(1))
-            f, g = self._problem(x, p)
-            sizes = (x.numel(), g.numel(), p.numel())
-            problem, options = {"x": x, "p": p, "f": f, "g": g}, self._options[name]
-            self._solvers[name] = nlpsol(name, "ipopt", problem, options, sizes=sizes)
-        result, stats = self._solvers[name](**arguments), self._solvers[name].stats()
-        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
-        told = {k: stats.get(k) for k in ("return_status", "success", "iter_count", "iterations")}
-        return arrays, told, time.perf_counter() - begin
+        begin = time.perf_counter()
+        return *self._solve(*case), time.perf_counter() - begin
 
 
 def _by_processes(

@@ -4,38 +4,40 @@ set of derivatives, log, live progress. Before a warm start Newton's method is t
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError
+from ...core.errors import ExportError, InputError
 from ...core.registry import Registry
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..stages import require_work, written
 from ..transcription.derivatives import derivatives, iteration_cost
 from ..transcription.transcription import Program
-from .compiled import compiled as compiled_library
-from .ipopt_options import (
-    BARRIER_OF_TIME,
-    DAMPED,
-    DEFAULTS,
-    STARTS,
-    WANDERING,
-    Start,
-)
+from .ipopt_options import BARRIER_OF_TIME, DAMPED, DEFAULTS, STARTS, WANDERING, Start
 
 if TYPE_CHECKING:  # loaded with the first re-solve
     from .newton import Newton, Optimality
 
-__all__ = ["SETTLED", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "limit"]
+__all__ = [
+    "SETTLED",
+    "SOLVERS",
+    "Ipopt",
+    "Outcome",
+    "Progress",
+    "Solver",
+    "limit",
+]
 
 LOG = logging.getLogger(__name__)
 
@@ -217,7 +219,7 @@ def _printed(iteration: int, objective: float, violation: float) -> None:
 class Ipopt:
     """IPOPT for a program, built once, for any number of solves.
 
-    compiled : the program's functions as machine code; see compiled.py.
+    compiled : the program's functions as machine code; see below.
     """
 
     def __init__(
@@ -237,7 +239,7 @@ class Ipopt:
         self._solvers: dict[str, Nlp] = {}
         self._newton: Newton | Literal["unknown"] | None = "unknown"
         if compiled:
-            self._library = compiled_library(self._solver("cold").function)
+            self._library = _library_of(self._solver("cold").function)
             self._solvers.clear()
         self._first = self._solver("cold")
 
@@ -296,18 +298,6 @@ class Ipopt:
             worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
             self._report(self._iteration, float(f), float(worst))
         self._iteration += 1
-
-    def residual(self, program: Program, outcome: Outcome) -> float:
-        """Largest violation of the constraints and of stationarity, in units of nominal."""
-        p = program.parameters()
-        gradient = np.asarray(self._first.get_function("nlp_grad_f")(outcome.w, p)[1], float)
-        g, jacobian = self._first.get_function("nlp_jac_g")(outcome.w, p)
-        slope = gradient.ravel() + np.asarray(jacobian.T @ outcome.lam_g, float).ravel()
-        values = np.asarray(g, float).ravel()
-        misses = [np.abs(slope + outcome.lam_x)]
-        for value, (low, high) in ((values, program.limits()), (outcome.w, program.bounds())):
-            misses += [low - value, value - high]
-        return max(float(np.max(miss, initial=0.0)) for miss in misses)
 
     def __call__(
         self, program: Program, guess: Array, start: Start = "cold", warm: Outcome | None = None
@@ -458,3 +448,55 @@ def _log(iterations: Mapping[str, Any]) -> tuple[dict[str, float], ...]:
         dict(zip(keys, map(float, row), strict=True))
         for row in zip(*(iterations[k] for k in keys), strict=True)
     )
+
+
+# ---- a program's functions as machine code -------------------------------------------------------
+# C by CasADi, compiled by cc or zig, kept by content. It pays where the functions cost more than
+# the linear algebra: on re-solves by shooting, 0.3 to 0.4 of the time; for collocation 0.7 to 0.9.
+# The compiler takes a few seconds, once. (``benchmarks/resolve.py``.)
+NAME = "pam_ocp_plan"
+HEAD = """\
+#ifdef __GNUC__
+#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))
+#pragma GCC diagnostic ignored "-Wint-conversion"
+#endif
+"""
+"""The compiler is told to hide what is not declared otherwise; and where a mapped function has an
+argument without entries, CasADi copies nothing to an address written as a number."""
+
+
+def _library_of(solver: ca.Function) -> str:
+    """The path of a library with a solver's problem and derivatives, for ``casadi.nlpsol(name,
+    "ipopt", path)``.
+
+    Raises InputError where there is no C compiler.
+    """
+    from ...export.cache import digest, usable_folder
+    from ...export.compile import compile_library, native
+
+    generator = ca.CodeGenerator(f"{NAME}.c")
+    generator.add(solver.oracle())
+    for name in solver.get_function():
+        generator.add(solver.get_function(name))
+    source = f"{NAME}.c"
+    try:
+        platform = native()
+        library = compile_library({source: HEAD + generator.dump()}, source, platform, NAME)
+    except ExportError as error:
+        raise InputError(f"compiled = True: {error}; or leave compiled out") from None
+    path = usable_folder("plan") / f"{digest(library)}{platform.suffix}"
+    return str(_stored(path, library))
+
+
+def _stored(path: Path, library: bytes) -> Path:
+    """The library as a whole file in the cache."""
+    from ...export.cache import write_whole
+
+    with contextlib.suppress(OSError):  # not there yet
+        if path.read_bytes() == library:
+            return path
+    try:
+        write_whole(path, library)
+    except OSError as error:
+        raise InputError(f"compiled = True: {path} cannot be written ({error.strerror})") from None
+    return path

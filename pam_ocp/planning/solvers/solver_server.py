@@ -12,10 +12,35 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
+
+
+class Solves:
+    """The problem as a function, and options of its solvers by name; called with a name and
+    arguments, it gives the solver's arrays and what it says of itself.
+    """
+
+    def __init__(
+        self, problem: ca.Function, options: Any, make: Callable[..., Any] = ca.nlpsol
+    ) -> None:
+        self.problem, self.options, self.make = problem, options, make
+        self.solvers: dict[str, Any] = {}
+
+    def __call__(self, name: str, arguments: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        if name not in self.solvers:
+            x, p = (ca.MX.sym(n, self.problem.size1_in(i)) for i, n in enumerate("xp"))
+            f, g = self.problem(x, p)
+            nlp = {"x": x, "p": p, "f": f, "g": g}
+            self.solvers[name] = self.make(name, "ipopt", nlp, self.options[name])
+        solver = self.solvers[name]
+        result = solver(**arguments)
+        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
+        keys, stats = ("return_status", "success", "iter_count", "iterations"), solver.stats()
+        return arrays, {k: stats.get(k) for k in keys}
 
 
 def watch(parent: int) -> None:
@@ -34,24 +59,13 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)
-    function, options = pickle.load(commands)
-    problem: Any = function
-    x, p = ca.MX.sym("x", function.size1_in(0)), ca.MX.sym("p", function.size1_in(1))
-    f, g = function(x, p)
-    problem = {"x": x, "p": p, "f": f, "g": g}
-    solvers: dict[str, ca.Function] = {}
+    solve = Solves(*pickle.load(commands))
     while True:
         try:
             name, arguments = pickle.load(commands)
         except EOFError:
             return
-        if name not in solvers:
-            solvers[name] = ca.nlpsol(name, "ipopt", problem, options[name])
-        result = solvers[name](**arguments)
-        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
-        stats = solvers[name].stats()
-        keys = ("return_status", "success", "iter_count", "iterations")
-        pickle.dump((arrays, {k: stats.get(k) for k in keys}), answers)
+        pickle.dump(solve(name, arguments), answers)
         answers.flush()
 
 

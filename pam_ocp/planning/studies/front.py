@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
@@ -176,7 +177,7 @@ def pareto(
         return sweep.result([sweep.point(least)], [])
     spaced = np.geomspace if low > 0 else np.linspace
     bounds = spaced(low, high, points)[-2:0:-1].tolist()
-    between = sweep.in_turn if place is None else sweep.side_by_side(place)
+    between = sweep.in_turn if place is None else partial(sweep.side_by_side, place)
     found, failures = between(bounds, last)
     ends = sweep.point(least), sweep.point(last)
     return sweep.result([ends[0], *found[::-1], ends[1]], failures)
@@ -221,13 +222,12 @@ class _Term:
             return float(np.max(plan.trajectory[self.peak]))
         solved, label = plan._solved, f"budget of {self.name}"
         assert solved is not None  # a fresh plan
-        at, nlp = 0, solved.program.nlp
-        for row in solved.program.rows:
+        nlp = solved.program.nlp
+        for row, own in solved.program.placed():
             if row.conditions and row.conditions[0].label == label:
-                g = ca.Function("g", [nlp["x"], nlp["p"]], [nlp["g"][at]])
+                g = ca.Function("g", [nlp["x"], nlp["p"]], [nlp["g"][own.start]])
                 value = float(g(solved.outcome.w, solved.program.parameters()))
                 return value * row.conditions[0].nominal
-            at += row.size
         return plan.objective * self.variable.nominal  # what is minimised alone
 
 
@@ -319,28 +319,24 @@ class _Sweep:
             found.append(self.point(near))
         return found, failures
 
-    def side_by_side(self, executor: Place) -> Callable[[Sequence[float], Plan], _Points]:
+    def side_by_side(self, executor: Place, bounds: Sequence[float], last: Plan) -> _Points:
         """The same, each from the last, on an executor."""
-
-        def points(bounds: Sequence[float], last: Plan) -> _Points:
-            names = self.first.name, self.second.name
-            # what travels knows no multipliers: so it is for all, wherever they are planned
-            work = _Alone(self.plant, self.stops, names, self.arguments, copy(last))
-            answers: dict[int, Any] = {}
-            with suppress(TimeIsUp):
-                answers.update(ending(work, bounds, executor=executor, what="plans of the front"))
-            found, failures = [], []
-            for i, bound in enumerate(bounds):
-                answer = answers.get(i, f"{deadline()} was over")
-                if isinstance(answer, Exception) and not isinstance(answer, PlanError):
-                    raise answer
-                if isinstance(answer, tuple):
-                    found.append(answer)
-                else:
-                    failures.append((bound, str(answer)))
-            return found, failures
-
-        return points
+        names = self.first.name, self.second.name
+        # what travels knows no multipliers: so it is for all, wherever they are planned
+        work = _Alone(self.plant, self.stops, names, self.arguments, copy(last))
+        answers: dict[int, Any] = {}
+        with suppress(TimeIsUp):
+            answers.update(ending(work, bounds, executor=executor, what="plans of the front"))
+        found, failures = [], []
+        for i, bound in enumerate(bounds):
+            answer = answers.get(i, f"{deadline()} was over")
+            if isinstance(answer, Exception) and not isinstance(answer, PlanError):
+                raise answer
+            if isinstance(answer, tuple):
+                found.append(answer)
+            else:
+                failures.append((bound, str(answer)))
+        return found, failures
 
     def point(self, plan: Plan) -> _Point:
         """A plan, and both objectives of it."""

@@ -30,8 +30,17 @@ from ...plants.plant import Plant, require_plant
 from ...simulation.simulator import evaluated
 from ..planner import SolveKeywords, plan
 from ..result import Plan, Solved
-from .robust_result import RobustPlan, RobustVerdict, Round
-from .share import Demand, Judged, Share, judged, missed, share_of
+from .robust_result import (
+    Demand,
+    Judged,
+    RobustPlan,
+    RobustVerdict,
+    Round,
+    Share,
+    judged,
+    missed,
+    share_of,
+)
 from .spread import Draw, Spread, drawn, ensemble_arguments, ensemble_stop, spread_of
 
 if TYPE_CHECKING:

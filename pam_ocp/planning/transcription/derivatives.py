@@ -9,20 +9,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..problem.problem import Problem
+from .solution import Places
 from .stage import Stage
 from .transcription import Program, with_design
 
-__all__ = ["Block", "derivatives", "iteration_cost", "stage_blocks"]
+__all__ = ["Block", "derivatives", "entries_of", "iteration_cost", "stage_blocks", "stored"]
 
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
+Matrix = TypeVar("Matrix", ca.SX, ca.MX)
 
 
 PER_UNKNOWN, UNCOUNTED = 4e-6, 1.2e-5
@@ -130,7 +132,7 @@ class Block:
 
     def over(self, name: str, value: ca.SX, more: list[ca.SX], given: list[ca.MX]) -> ca.MX:
         """The stored entries of ``value`` of all intervals, as one column."""
-        function = ca.Function(name, [*self.local.given, *more], [_stored(value)])
+        function = ca.Function(name, [*self.local.given, *more], [stored(value)])
         self.local.operations[name] = function.n_instructions()
         return ca.vec(function.map(self.unknowns.shape[1])(*given))
 
@@ -141,9 +143,15 @@ class Block:
         return [_gathered(w, self.unknowns), lengths, starts, p[:plain], p[plain:]]
 
 
-def _stored(matrix: ca.SX) -> ca.SX:
-    """The stored entries as one column, also those of a matrix that is one row."""
-    return ca.vec(matrix.nz[:]) if matrix.nnz() else ca.SX(0, 1)
+def stored(matrix: Matrix) -> Matrix:
+    """The stored entries as one dense column, also those of a matrix that is one row."""
+    return ca.densify(ca.vec(matrix.nz[:])) if matrix.nnz() else type(matrix)(0, 1)
+
+
+def entries_of(sparsity: ca.Sparsity) -> tuple[Index, Index]:
+    """(rows, columns) of these."""
+    rows, columns = sparsity.get_triplet()
+    return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
 
 
 def _gathered(vector: ca.MX, at: Index) -> ca.MX:
@@ -153,16 +161,8 @@ def _gathered(vector: ca.MX, at: Index) -> ca.MX:
 def stage_blocks(program: Program) -> list[Block]:
     """Where the unknowns and rows of each group's intervals stand in the program."""
     problem, mesh = program.problem, program.mesh
-    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
-    own = [
-        nx * len(mesh.form.state_taus(i.degree))
-        + nu * len(mesh.form.input_taus(i.degree))
-        + len(problem.auxiliaries) * mesh.form.cost_points(i.degree)
-        for i in mesh.intervals
-    ]
-    begins = nx + np.concatenate([[0], np.cumsum(own)]).astype(np.intp)
-    points = [nx * len(mesh.form.state_taus(i.degree)) for i in mesh.intervals]
-    common = np.arange(begins[-1], program.nlp["x"].numel())
+    places = Places.of(problem, mesh)
+    every, common = np.arange(places.count), np.arange(places.begins[-1], places.count)
     budgets = program.nlp["g"].numel() - len(problem.budgets) + np.arange(len(problem.budgets))
     lengths, starts = mesh.clock(problem.time_nominals)
     found = []
@@ -170,9 +170,8 @@ def stage_blocks(program: Program) -> list[Block]:
         unknowns, rows, n = [], [], len(group.members)
         size = len(group.stage.conditions)
         for j, k in enumerate(group.members):
-            end = nx if k == 0 else begins[k - 1] + points[k - 1]
-            own_part = np.arange(begins[k], begins[k] + own[k])
-            unknowns.append(np.concatenate([np.arange(end - nx, end), own_part, common]))
+            own = every[places.begins[k] : places.begins[k + 1]]
+            unknowns.append(np.concatenate([every[places.begin(k)], own, common]))
             defects = group.first_row + group.rows * j + np.arange(group.rows)
             path = group.first_row + group.rows * n + size * j + np.arange(size)
             rows.append(np.concatenate([defects, path, budgets]))
@@ -211,7 +210,7 @@ class _Entries:
         self.columns.append(columns)
 
     def add_matrix(self, matrix: ca.MX, first_row: int = 0) -> None:
-        rows, columns = (np.array(e, dtype=np.intp) for e in matrix.sparsity().get_triplet())
+        rows, columns = entries_of(matrix.sparsity())
         if len(rows):
             self.add(ca.vec(matrix.nz[:]), rows + first_row, columns)
 
@@ -266,10 +265,10 @@ def _jacobian(program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.
         local, given = block.local, block.given(program.problem, w, p)
         jacobian = local.slopes
         n, rows = block.unknowns.shape[1], local.rows.numel()
-        known = ca.densify(ca.vertcat(local.rows, _stored(jacobian)))
+        known = ca.densify(ca.vertcat(local.rows, stored(jacobian)))
         both = block.over("rows", known, [], given)
         both = ca.reshape(both, rows + jacobian.nnz(), n)
-        i, j = (np.array(e, dtype=np.intp) for e in jacobian.sparsity().get_triplet())
+        i, j = entries_of(jacobian.sparsity())
         values.add(ca.vec(both[:rows, :]), block.rows.T.ravel(), np.zeros(rows * n, dtype=np.intp))
         entries.add(ca.vec(both[rows:, :]), block.rows[i].T.ravel(), block.unknowns[j].T.ravel())
     first = size - len(program.problem.budgets) - other.numel()
@@ -290,10 +289,7 @@ def _hessian(
     for block in blocks:
         local, given = block.local, block.given(program.problem, w, p)
         factor, multipliers, hessian = local.curvature
-        i, j = (
-            block.unknowns[np.array(e, dtype=np.intp)].T.ravel()
-            for e in hessian.sparsity().get_triplet()
-        )
+        i, j = (block.unknowns[e].T.ravel() for e in entries_of(hessian.sparsity()))
         found = block.over(
             "curvature",
             hessian,

@@ -19,7 +19,7 @@ from ...plants.plant import Plant
 from ...plants.stillness import rest_rows, totals
 from ..problem.problem import Problem, limits
 from .mesh import Mesh
-from .solution import Solution
+from .solution import Solution, filled
 from .stage import nominals
 from .transcription import has_smoothing
 
@@ -303,17 +303,12 @@ def _sampled(
         nodes = np.clip(mesh.form.input_taus(interval.degree), 1e-6, 1 - 1e-6)
         driven.append(begin + h * nodes)
         begin += h
-    x = np.split(states(np.concatenate(at)) / x_nominal, np.cumsum([len(t) for t in at[:-1]]))
     u = np.split(
-        inputs(np.concatenate(driven)) / u_nominal, np.cumsum([len(t) for t in driven[:-1]])
+        inputs(np.concatenate(driven)) / u_nominal, np.cumsum([len(t) for t in driven[1:-1]])
     )
-    parts = [x[0].ravel()]
-    for interval, own, driving in zip(mesh.intervals, x[1:], u[1:], strict=True):
-        completed = len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
-        # a program completes the auxiliaries
-        parts += [own.ravel(), driving.ravel(), np.zeros(completed)]
-    scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
-    return np.concatenate([*parts, *scaled])
+    return filled(
+        problem, mesh, states(np.concatenate(at)) / x_nominal, u, (durations, design, peaks)
+    )
 
 
 def rest_point(problem: Problem, stop: dict[str, object]) -> Point | None:

@@ -320,9 +320,15 @@ def watched(mesh: Mesh, beyond: Sequence[Mapping[str, float]], tolerance: float)
     return Mesh(tuple(intervals), mesh.form)
 
 
-def doubled(mesh: Mesh) -> Mesh:
-    """The mesh with all intervals split in two."""
-    parts = (p for i in mesh.intervals for p in replace(i, watched=()).split(2, i.degree))
+def doubled(mesh: Mesh, least: int = 1, joined: bool = False) -> Mesh:
+    """The mesh with all intervals split in two, of a degree of at least ``least``; ``joined``: with
+    one value of held inputs for both parts.
+    """
+    parts = (
+        part
+        for i in mesh.intervals
+        for part in replace(i, watched=()).split(2, max(i.degree, least), joined)
+    )
     return Mesh(tuple(parts), mesh.form)
 
 
@@ -338,17 +344,9 @@ def coarsened(mesh: Mesh) -> Mesh:
 
 
 def halved(mesh: Mesh, joined: bool = False) -> Mesh:
-    """The mesh with all intervals split, of a high degree where inputs are simple; ``joined``: with
-    one value of held inputs for both parts.
-    """
-    shooting, simple = mesh.form.scheme == "shooting", mesh.form.control != "polynomial"
-    intervals: list[Interval] = []
-    for interval in mesh.intervals:
-        degree = interval.degree
-        if simple and not shooting:
-            degree = max(degree, HELD_SPLIT_DEGREE)
-        intervals += replace(interval, watched=()).split(2, degree, joined)
-    return Mesh(tuple(intervals), mesh.form)
+    """The same, of a high degree where inputs are simple."""
+    smooth = mesh.form.control != "polynomial" and mesh.form.scheme != "shooting"
+    return doubled(mesh, HELD_SPLIT_DEGREE if smooth else 1, joined)
 
 
 def merged(mesh: Mesh, count: int) -> Mesh:
@@ -465,12 +463,7 @@ class Arcs:
 
     def mesh(self, legs: int) -> Mesh:
         """Equal intervals on each leg, to begin with."""
-        one = (
-            Interval(leg, 1.0 / self.intervals, self.degree)
-            for leg in range(legs)
-            for _ in range(self.intervals)
-        )
-        return Mesh(tuple(one), BY_ARCS)
+        return _equal(self.intervals, self.degree, legs, BY_ARCS)
 
 
 def guarded(mesh: Mesh) -> Mesh:

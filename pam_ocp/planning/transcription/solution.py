@@ -16,34 +16,28 @@ from ..problem.problem import Problem
 from .mesh import Mesh
 from .stage import nominals
 
-__all__ = ["Solution", "Unknowns", "pack", "unpack"]
+__all__ = ["Places", "Solution", "Unknowns", "filled", "pack", "unpack"]
 
-Index: TypeAlias = NDArray[np.intp]
+Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Unknowns:
-    """Scaled unknowns of the program: the first state; states at points, inputs and auxiliaries
-    interval by interval; then durations, design, peaks.
-
-    They are one symbol, of which each part is taken at once: to put it together of hundreds takes
-    longer than all the rest of a program.
+class Places:
+    """Where the scaled unknowns of a program stand: the first state; states at points, inputs and
+    auxiliaries interval by interval; then durations, design, peaks.
     """
 
-    w: ca.MX
     begins: list[int]
-    """Where the unknowns of each interval stand; and behind the last."""
+    """Of each interval; and behind the last."""
     sizes: list[tuple[int, int, int]]
     """How many states at points, values of inputs and auxiliaries each has."""
-    values: list[int]
-    """How many values each input has in each interval."""
     nx: int
     nu: int
     tail: tuple[int, int, int]
     """How many durations, design parameters and peaks there are."""
 
     @classmethod
-    def of(cls, problem: Problem, mesh: Mesh) -> Unknowns:
+    def of(cls, problem: Problem, mesh: Mesh) -> Places:
         nx, nu, na = len(problem.plant.states), len(problem.plant.inputs), len(problem.auxiliaries)
         form = mesh.form
         of_degree = {
@@ -57,41 +51,75 @@ class Unknowns:
         sizes = [of_degree[interval.degree] for interval in mesh.intervals]
         begins = np.cumsum([nx, *(sum(size) for size in sizes)]).tolist()
         tail = len(problem.legs), len(problem.design), problem.m.numel()
-        values = [len(mesh.form.input_taus(interval.degree)) for interval in mesh.intervals]
-        return cls(ca.MX.sym("w", begins[-1] + sum(tail)), begins, sizes, values, nx, nu, tail)
+        return cls(begins, sizes, nx, nu, tail)
 
-    def _start(self, k: int) -> int:
-        """Where the state at the start of interval k stands."""
-        return 0 if k == 0 else self.begins[k - 1] + self.sizes[k - 1][0] - self.nx
+    @property
+    def count(self) -> int:
+        """Of all unknowns."""
+        return self.begins[-1] + sum(self.tail)
+
+    def begin(self, k: int) -> slice:
+        """The state at the start of interval k (its end for k = number of intervals)."""
+        end = self.nx if k == 0 else self.states(k - 1).stop
+        return slice(end - self.nx, end)
+
+    def _part(self, k: int, part: int) -> slice:
+        first = self.begins[k] + sum(self.sizes[k][:part])
+        return slice(first, first + self.sizes[k][part])
+
+    def states(self, k: int) -> slice:
+        """Of interval k, at its points; the last is its end."""
+        return self._part(k, 0)
+
+    def inputs(self, k: int) -> slice:
+        """All values of interval k."""
+        return self._part(k, 1)
+
+    def auxiliaries(self, k: int) -> slice:
+        """All of interval k."""
+        return self._part(k, 2)
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """They are one symbol, of which each part is taken at once: to put it together of hundreds
+    takes longer than all the rest of a program.
+    """
+
+    w: ca.MX
+    places: Places
+    values: list[int]
+    """How many values each input has in each interval."""
+
+    @classmethod
+    def of(cls, problem: Problem, mesh: Mesh) -> Unknowns:
+        places = Places.of(problem, mesh)
+        values = [len(mesh.form.input_taus(interval.degree)) for interval in mesh.intervals]
+        return cls(ca.MX.sym("w", places.count), places, values)
 
     def begin(self, k: int) -> ca.MX:
         """State at the start of interval k (its end for k = number of intervals)."""
-        return self.w[self._start(k) : self._start(k) + self.nx]
+        return self.w[self.places.begin(k)]
 
     def inputs(self, k: int) -> ca.MX:
         """(nu, values) of interval k."""
-        at = self.begins[k] + self.sizes[k][0]
-        return ca.reshape(self.w[at : at + self.sizes[k][1]], self.nu, self.values[k])
+        return ca.reshape(self.w[self.places.inputs(k)], self.places.nu, self.values[k])
 
     def columns(self, members: Sequence[int]) -> list[ca.MX]:
         """Starts, states, inputs and auxiliaries of intervals of one degree, a column each."""
-        states, inputs, auxiliaries = self.sizes[members[0]]
-        begins = np.array([self.begins[k] for k in members])
-        starts = np.array([self._start(k) for k in members])
+        p = self.places
         return [
-            self._gathered(starts, self.nx),
-            self._gathered(begins, states),
-            self._gathered(begins + states, inputs),
-            self._gathered(begins + states + inputs, auxiliaries),
+            self._gathered([part(k) for k in members])
+            for part in (p.begin, p.states, p.inputs, p.auxiliaries)
         ]
 
-    def _gathered(self, begins: Index, size: int) -> ca.MX:
-        at = begins[:, None] + np.arange(size)
-        return ca.reshape(self.w[at.ravel().tolist()], size, len(begins))
+    def _gathered(self, parts: Sequence[slice]) -> ca.MX:
+        at = [i for part in parts for i in range(part.start, part.stop)]
+        return ca.reshape(self.w[at], len(at) // len(parts), len(parts))
 
     @property
     def _tail(self) -> list[ca.MX]:
-        ends = np.cumsum([self.begins[-1], *self.tail]).tolist()
+        ends = np.cumsum([self.places.begins[-1], *self.places.tail]).tolist()
         return [self.w[a:b] for a, b in pairwise(ends)]
 
     @property
@@ -105,9 +133,6 @@ class Unknowns:
     @property
     def peaks(self) -> ca.MX:
         return self._tail[2]
-
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -130,26 +155,24 @@ class Solution:
 def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
     """The solution behind the scaled unknowns ``w`` of a program."""
     x_nominal, u_nominal = nominals(problem)
-    nx, nu = len(x_nominal), len(u_nominal)
-    legs, designed, peaks = len(problem.legs), len(problem.design), problem.m.numel()
-    tail = w[len(w) - legs - designed - peaks :]
+    places, form = Places.of(problem, mesh), mesh.form
+    nx, nu, (legs, designed, _) = places.nx, places.nu, places.tail
+    tail = w[places.begins[-1] :]
     durations = tail[:legs] * problem.time_nominals
     lengths = np.array([durations[i.leg] * i.fraction for i in mesh.intervals])
     breaks = np.concatenate([[0.0], np.cumsum(lengths)])
     degrees = np.array([i.degree for i in mesh.intervals])
-    form, a = mesh.form, len(problem.auxiliaries)
-    own = {  # numbers of points, of values of the inputs, of unknowns
-        d: (len(form.state_taus(d)), len(form.input_taus(d)), a * form.cost_points(d))
+    own = {  # numbers of points, of values of the inputs
+        d: (len(form.state_taus(d)), len(form.input_taus(d)))
         for d in sorted({int(d) for d in degrees})
     }
     points = np.array([own[int(d)][0] for d in degrees])
-    sizes = np.array([nx * n + nu * m + rest for n, m, rest in (own[int(d)] for d in degrees)])
-    starts = nx + np.concatenate([[0], np.cumsum(sizes[:-1])])
+    starts = np.array(places.begins[:-1])
     rows = 1 + np.concatenate([[0], np.cumsum(points[:-1])])
     t, states = np.zeros(1 + points.sum()), np.zeros((1 + points.sum(), nx))
     states[0] = w[:nx]
-    pieces = np.zeros((len(lengths), max(m for _, m, _ in own.values()), nu))
-    for d, (n, columns, _) in own.items():  # intervals of one degree at once
+    pieces = np.zeros((len(lengths), max(m for _, m in own.values()), nu))
+    for d, (n, columns) in own.items():  # intervals of one degree at once
         those = np.flatnonzero(degrees == d)
         to = rows[those, None] + np.arange(n)
         t[to] = breaks[those, None] + lengths[those, None] * form.state_taus(d)
@@ -177,17 +200,43 @@ def pack(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
     :func:`unpack`, but for auxiliaries, which are zero (Program.completed knows them).
     """
     x_nominal, u_nominal = nominals(problem)
-    states, inputs = solution.states / x_nominal, solution.inputs
-    parts, at = [states[0]], 1
+    inputs, driven = solution.inputs, []
     for k, interval in enumerate(mesh.intervals):
         h = float(solution.durations[interval.leg] * interval.fraction)
-        points = len(mesh.form.state_taus(interval.degree))
         powers = (h * mesh.form.input_taus(interval.degree)) ** np.arange(inputs.degree + 1)[
             :, None
         ]
-        values = powers.T @ inputs.coefficients[k] / u_nominal
-        auxiliaries = len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
-        parts += [states[at : at + points].ravel(), values.ravel(), np.zeros(auxiliaries)]
+        driven.append(powers.T @ inputs.coefficients[k] / u_nominal)
+    return filled(
+        problem,
+        mesh,
+        solution.states / x_nominal,
+        driven,
+        (solution.durations, solution.design, solution.peaks),
+    )
+
+
+def filled(
+    problem: Problem,
+    mesh: Mesh,
+    states: Array,
+    inputs: Sequence[Array],
+    tail: tuple[Array, Array, Array],
+) -> Array:
+    """The scaled unknowns of a program, auxiliaries zero, from scaled states at all points, scaled
+    inputs (values, nu) of each interval, and durations, design and peaks.
+    """
+    places = Places.of(problem, mesh)
+    durations, design, peaks = tail
+    w = np.zeros(places.count)
+    w[: places.nx] = states[0]
+    at = 1
+    for k, values in enumerate(inputs):
+        own = w[places.states(k)]
+        points = len(own) // max(places.nx, 1)
+        own[:] = states[at : at + points].ravel()
+        w[places.inputs(k)] = values.ravel()
         at += points
-    scaled = solution.durations / problem.time_nominals, solution.design / problem.design_nominals
-    return np.concatenate([*parts, *scaled, solution.peaks])
+    scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
+    w[places.begins[-1] :] = np.concatenate(scaled)
+    return w

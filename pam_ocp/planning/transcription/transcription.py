@@ -5,7 +5,7 @@ All unknowns are in units of the plant's nominals and ordered along the motion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -19,7 +19,7 @@ from ...core.variables import Variable
 from ...plants.plant import Plant
 from ..problem.problem import Budget, Condition, Problem, limits
 from .mesh import Interval, Mesh
-from .solution import Unknowns
+from .solution import Places, Unknowns
 from .stage import Stage, nominals
 
 __all__ = [
@@ -105,6 +105,13 @@ class Program:
     """(w, p) -> the auxiliary unknowns' values; None where there are none."""
     auxiliary: Index
     """Where these stand among the unknowns."""
+
+    def placed(self) -> Iterator[tuple[Row, slice]]:
+        """The rows, and where each stands among all constraints."""
+        at = 0
+        for row in self.rows:
+            yield row, slice(at, at + row.size)
+            at += row.size
 
     def exact(self) -> Program:
         """The program whose equations hold as they stand."""
@@ -202,15 +209,9 @@ def later(problem: Problem, mesh: Mesh) -> Program:
 
 def _auxiliary(problem: Problem, mesh: Mesh) -> Index:
     """Where the auxiliary unknowns stand among all."""
-    form, at = mesh.form, len(problem.plant.states)
-    found = [np.zeros(0, dtype=np.intp)]
-    for interval in mesh.intervals:
-        at += len(problem.plant.states) * len(form.state_taus(interval.degree))
-        at += len(problem.plant.inputs) * len(form.input_taus(interval.degree))
-        count = len(problem.auxiliaries) * form.cost_points(interval.degree)
-        found.append(np.arange(at, at + count))
-        at += count
-    return np.concatenate(found)
+    places = Places.of(problem, mesh)
+    each = np.arange(places.count)
+    return np.concatenate([each[places.auxiliaries(k)] for k in range(len(mesh.intervals))])
 
 
 def with_design(problem: Problem, p: Symbol, design: Symbol) -> Symbol:
