@@ -22,7 +22,8 @@ from ...core.calibration import scale_of
 from ...core.errors import InputError, UnknownNameError, require_positive
 from ...core.plausible import MEASURED, inside_by
 from ...core.units import unit
-from .cells import TIME_NAMES, is_empty, is_stamp, is_unit, parse_header
+from .cells import TIME_NAMES, is_empty, is_stamp, parse_header
+from .columns import column_scale
 from .raw import Doubt, RawTable
 
 __all__ = [
@@ -335,19 +336,8 @@ def read_clock(
         doubted = kind and (said is not None or (kind in DAYS and not in_days(header)))
         how = f"{header!r} is read as {kind}; say units={{'time': 's'}} if it counts seconds"
         return t, kind, ((Doubt(how),) if doubted else ())
-    scale = scale_of(place(0), wanted or said or "s", unit("s"), said)
-    if not scale.measured.compatible(unit("s")):
-        raise InputError(
-            f"{raw.label}: column {header!r} is in {wanted or said}, which is no unit of time (s); "
-            "correct the header or give units={'time': ...}"
-        )
-    if wanted and said and is_unit(said):
-        header_scale = scale_of(place(0), said, None, None)
-        if scale.formula is None and header_scale.measured.factor != scale.measured.factor:
-            raise InputError(
-                f"{raw.label}: column {header!r} says {said} but units['time'] = {wanted!r}; "
-                "correct the header or leave units away"
-            )
+    scale = column_scale(raw, header, "time", unit("s"), wanted, exact=True)
+    assert scale is not None
     return *seconds_of_numbers(scale.si(values), header, "s", settled=True), ()
 
 

@@ -27,7 +27,7 @@ from .clock import (
     read_clock,
     rows_before_jumps,
 )
-from .columns import check_size, display_of, record_scale, record_variables
+from .columns import check_size, column_scale, display_of, record_variables
 from .doubts import (
     Column,
     Understood,
@@ -358,7 +358,7 @@ def _column(
     """A column of use with its scale. Raises InputError."""
     base = unit(variable.unit) if plant is not None else None
     wanted = words.units.get(variable.name)
-    scale = record_scale(raw, header, variable.name, base, wanted, words.ambient)
+    scale = column_scale(raw, header, variable.name, base, wanted, words.ambient)
     if plant is not None:
         kind = kind_of(variable.name, variable.unit, told=True)
     else:
