@@ -10,6 +10,6 @@ from .heat import PressureHeatTransfer as PressureHeatTransfer
 from .heat import Rubber as Rubber
 from .muscle_file import load_muscle as load_muscle
 from .muscle_file import save_muscle as save_muscle
-from .parallel import in_parallel as in_parallel
 from .pneumatic_muscle import Muscle as Muscle
+from .pneumatic_muscle import in_parallel as in_parallel
 from .validity import ValidityWarning as ValidityWarning

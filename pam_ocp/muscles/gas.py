@@ -18,7 +18,7 @@ from ..core.errors import InputError, require_finite, require_numbers, require_p
 from ..core.quantities import is_quantity
 from ..core.registry import Registry
 from ..core.stop import turns
-from .law import CONTRACTIONS, FloatOrSX, at_point
+from .law import CONTRACTIONS, FloatOrSX, at_point, over_arrays
 from .pneumatic_muscle import Muscle
 
 __all__ = [
@@ -229,10 +229,8 @@ def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> A
     """
     symbol = ca.SX.sym("kappa")
     expression = (volume or ConsistentVolume()).filled(muscle, symbol, _number)
-    values = np.asarray(require_numbers("kappa", kappa, "1", *CONTRACTIONS))
-    found = ca.Function("volume", [symbol], [ca.SX(expression)])(values.reshape(1, -1))
-    array = np.asarray(found, dtype=float).reshape(values.shape)
-    return array if array.ndim else float(array)
+    values = require_numbers("kappa", kappa, "1", *CONTRACTIONS)
+    return over_arrays(ca.Function("volume", [symbol], [ca.SX(expression)]), 0, values)
 
 
 @with_kinds
@@ -421,10 +419,7 @@ def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None)
     absolute = pressure + chamber.ambient
     compressed = chamber.exponent * absolute * chamber.slope / chamber.volume
     k = -(slopes[0] - slopes[1] * compressed) / muscle.rest_length
-    both = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(kappa, dtype=float))
-    found = ca.Function("k", [pressure, contraction], [k])(*(b.reshape(1, -1) for b in both))
-    array = np.asarray(found, dtype=float).reshape(both[0].shape)
-    return array if array.ndim else float(array)
+    return over_arrays(ca.Function("k", [pressure, contraction], [k]), 0, p, kappa)
 
 
 # ---- flow ---------------------------------------------------------------------------------------

@@ -27,7 +27,6 @@ from ..core.errors import InputError, require_numbers, require_positive
 from ..core.registry import Registry
 from ..core.stop import locked
 from ..core.variables import Variable
-from .inverse import first_zero, solve_pressure
 from .validity import Validity
 
 __all__ = ["LAWS", "FloatOrSX", "ForceLaw", "SixParameterLaw", "clamp", "coefficient", "register"]
@@ -44,6 +43,9 @@ LARGEST_CONTRACTION = 0.45
 
 CONTRACTIONS = (-1.0, 1.0)
 """Beyond, a contraction is none: percent, or a length."""
+
+LOWEST, HIGHEST = -1e6, 1e8
+"""Where an inverse pressure is looked for [Pa gauge]."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -208,6 +210,9 @@ class ForceLaw(ABC):
         p, kappa = at_point(p, kappa)
         if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa)):
             self.validity.check(f"{self.name} law", p, kappa)
+        return self._number(index, p, kappa)
+
+    def _number(self, index: int, p: Any, kappa: Any) -> Any:
         return evaluate(self.function(), index, p, kappa, list(self.values.values()))
 
     # ---- what a law answers -------------------------------------------------------------
@@ -230,10 +235,10 @@ class ForceLaw(ABC):
     def pressure(self, tension: Any, kappa: Any) -> Any:
         """Gauge pressure [Pa] at which the muscle pulls with ``tension`` [N] at ``kappa``.
 
-        Exact, p = (F - H)/G, for a law that is affine in pressure, also for symbols; else a
-        safeguarded Newton iteration on numbers. InputError where pressure does not raise the
-        force (G <= 0: for the six-parameter law beyond kappa of about 0.31), or where no
-        pressure gives the tension.
+        Exact, p = (F - H)/G, for a law that is affine in pressure, also for symbols; else the
+        root in a bracket, of numbers. InputError where pressure does not raise the force (G <= 0:
+        for the six-parameter law beyond kappa of about 0.31), or where no pressure gives the
+        tension.
         """
         tension = require_numbers("force", tension, "N")
         kappa = require_numbers("kappa", kappa, "1", *CONTRACTIONS)
@@ -245,9 +250,8 @@ class ForceLaw(ABC):
                     f"pressure(): the {self.name} law has no closed inverse; give numbers, or put "
                     "the equation force = ... to your solver"
                 )
-            return solve_pressure(self.function(), self.values, tension, kappa, self.name)
-        slope = evaluate(self.function(), 2, 0.0, kappa, list(self.values.values()))
-        offset = evaluate(self.function(), 0, 0.0, kappa, list(self.values.values()))
+            return self._pressure_by_root(tension, kappa)
+        slope, offset = self._number(2, 0.0, kappa), self._number(0, 0.0, kappa)
         if not symbolic and np.any(np.asarray(slope) <= 0):
             raise InputError(
                 f"kappa = {np.max(np.asarray(kappa)):g}: pressure does not raise the force of this "
@@ -255,6 +259,28 @@ class ForceLaw(ABC):
             )
         result = (tension - offset) / slope
         return float(result) if isinstance(result, np.ndarray) and not result.ndim else result
+
+    def _pressure_by_root(self, tension: Any, kappa: Any) -> Any:
+        from scipy.optimize import brentq
+
+        def inverse(wanted: float, contraction: float) -> float:
+            def excess(p: float) -> float:
+                return float(self._number(0, p, contraction)) - wanted
+
+            low, high = 0.0, 1e5
+            while excess(high) < 0 and high < HIGHEST:
+                high *= 2
+            while excess(low) > 0 and low > LOWEST:
+                low = 2 * low - 1e5
+            if excess(high) < 0 or excess(low) > 0:
+                raise InputError(
+                    f"{self.name} law: no pressure up to {HIGHEST / 1e5:g} bar gives a force of "
+                    f"{wanted:g} N at kappa = {contraction:g}; ask for less contraction"
+                )
+            return float(brentq(excess, low, high, xtol=1e-12, rtol=1e-14))
+
+        found = np.vectorize(inverse, otypes=[float])(tension, kappa)
+        return found if found.ndim else float(found)
 
     def blocked_force(self, p: Any) -> Any:
         """Tension at rest length [N]."""
@@ -265,15 +291,18 @@ class ForceLaw(ABC):
 
         NaN when it is slack already at kappa = 0, or taut up to 0.45. Arrays go through.
         """
-        values = list(self.values.values())
 
         def largest(pressure: float) -> float:
-            return first_zero(
-                lambda k: evaluate(self.function(), 0, pressure, k, values), LARGEST_CONTRACTION
-            )
+            low, high = 0.0, LARGEST_CONTRACTION
+            for _ in range(5):  # a 450th of the bracket each time, which ends at 2e-14
+                grid = np.linspace(low, high, 451)
+                slack = np.nonzero(self._number(0, pressure, grid) <= 0)[0]
+                if not slack.size or slack[0] == 0:
+                    return math.nan
+                low, high = grid[slack[0] - 1], grid[slack[0]]
+            return float(low + high) / 2
 
-        p = gauge(p)
-        found = np.vectorize(largest, otypes=[float])(np.asarray(p, dtype=float))
+        found = np.vectorize(largest, otypes=[float])(gauge(p))
         return found if found.ndim else float(found)
 
     # ---- energy ----------------------------------------------------------------------------
@@ -322,13 +351,20 @@ def evaluate(function: ca.Function, index: int, p: Any, kappa: Any, rest: list[A
     """
     if any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
         return function(p, kappa, ca.vertcat(*rest))[index]
-    pressures, contractions = np.broadcast_arrays(
-        np.asarray(p, dtype=float), np.asarray(kappa, dtype=float)
-    )
-    if pressures.size == 0:
-        return np.empty(pressures.shape)
-    result = function(pressures.reshape(1, -1), contractions.reshape(1, -1), ca.DM(rest))[index]
-    array = np.asarray(result, dtype=float).reshape(pressures.shape)
+    return over_arrays(function, index, p, kappa, constants=(ca.DM(rest),))
+
+
+def over_arrays(
+    function: ca.Function, index: int, *arrays: Any, constants: tuple[Any, ...] = ()
+) -> Any:
+    """Output ``index`` of ``function(*arrays, *constants)``, the arrays broadcast; a float for
+    numbers.
+    """
+    rows = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in arrays))
+    if rows[0].size == 0:
+        return np.empty(rows[0].shape)
+    found = function.call([*(ca.DM(row.reshape(1, -1)) for row in rows), *constants])[index]
+    array = np.asarray(found, dtype=float).reshape(rows[0].shape)
     return array if array.ndim else float(array)
 
 

@@ -5,6 +5,7 @@ command.
 from __future__ import annotations
 
 import os
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -27,24 +28,8 @@ from .pneumatic_muscle import Muscle
 __all__ = ["ENDINGS", "ending_of", "load_muscle", "save_muscle"]
 
 FORMAT = "pam_ocp muscle 1"
-_PLAIN = (
-    "rest_length",
-    "diameter",
-    "slack_width",
-    "name",
-    "source",
-    "note",
-    "mass",
-    "construction",
-    "obtained",
-    "mass_per_length",
-    "end_mass",
-    "burst_pressure",
-    "pull_off",
-)
 _RANGES = ("pressure_range", "contraction_range")
-
-
+_PLAIN = tuple(f.name for f in fields(Muscle) if f.name not in ("law", *_RANGES))
 ENDINGS = (".toml", ".json")
 
 

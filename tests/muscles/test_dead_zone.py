@@ -51,6 +51,7 @@ def test_two_ways_differ_by_the_opening_and_are_apart_beyond_a_thousandth():
     for opening in (-0.4, -1.1e-3, 1.1e-3, 0.7):
         filling, venting = (float(e) for e in WAYS(opening))
         assert (filling, venting) == pytest.approx((max(opening, 0), max(-opening, 0)), abs=1e-15)
+    assert [float(e) for e in WAYS(0.0)] == [0.0, 0.0]
     slopes = ca.Function("slopes", [c], [ca.jacobian(way, c) for way in two_ways(c)])
     assert [float(e) for e in slopes(0.0)] == pytest.approx([0.5, -0.5])
     for part in (-0.6, 0.2, 0.8):

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -107,12 +106,8 @@ class HildebrandtLaw(ForceLaw):
         return self.c0 * kappa + self.c1 * kappa**2 / 2 + self.c2 * kappa**3 / 3
 
 
-# diameter: a0, a1, a3; b1 [N/kPa], b2 [1/(m kPa)] of the blocked force
-_SCALED = {
-    "10": (0.568208, 4.254425, 0.559728, 0.4895, 0.03068),
-    "20": (0.257853, 6.476614, 1.320877, 1.4877, 0.0248),
-    "40": (0.122366, 10.471434, 2.023288, 6398.4 / 620 / (math.pi / 2), 1e6),
-}
+_SCALED = {"10": "DMSP-10-scaled", "20": "DMSP-20-scaled", "40": "DMSP-40"}
+"""Published sets: diameter [mm] -> where the catalogue has it."""
 
 
 @register
@@ -172,10 +167,12 @@ class LengthScaledLaw(ForceLaw):
         cls, diameter: str, rest_length: FloatOrSX, max_contraction_ratio: FloatOrSX = 0.25
     ) -> LengthScaledLaw:
         """The set for "10", "20" or "40" (mm) at a rest length [m] and free contraction."""
+        from ..catalogue import catalogue_entry
+
         if str(diameter) not in _SCALED:
             raise UnknownNameError("diameter [mm] of the length-scaled law", diameter, _SCALED)
-        a0, a1, a3, b1, b2 = _SCALED[str(diameter)]
-        return cls(a0, a1, a3, b1 * 1e-3, b2 * 1e-3, max_contraction_ratio, rest_length)
+        own = {"max_contraction_ratio": max_contraction_ratio, "rest_length": rest_length}
+        return cls(**{**catalogue_entry(_SCALED[str(diameter)])["coefficients"], **own})
 
 
 _THREE_ELEMENT = "Reynolds, Repperger, Phillips, Bandry, Ann. Biomed. Eng. 31 (2003) 310-317"

@@ -1,4 +1,5 @@
-"""Laws whose form the user chooses: polynomials, B-splines, an expression of one's own.
+"""Laws whose form the user chooses: polynomials, B-splines, an expression of one's own; and laws
+around a law: a bladder that must be filled before it pulls, ends that do not contract.
 
 Each function here makes a subclass of ForceLaw, so that everything that takes a law's class
 (fits, catalogues, plants) takes these too.
@@ -9,9 +10,9 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import Field
+from dataclasses import Field, field, fields, make_dataclass
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -20,16 +21,18 @@ from ...core.arguments import with_kinds
 from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.expressions import expression_of
 from ...core.stop import turns
-from ..law import LAWS, ForceLaw, coefficient
+from ..law import LAWS, ForceLaw, clamp, coefficient
 from ..validity import Validity
-from .around import AROUND
-from .made import made_law
 
 __all__ = [
+    "bladder_law",
+    "ends_law",
     "law_named",
     "own_law",
     "polynomial_law",
     "spline_law",
+    "with_bladder",
+    "with_ends",
 ]
 
 _TYPICAL = {"g": ("N/Pa", 3e-3, "gain G"), "h": ("N", 300.0, "force at zero pressure H")}
@@ -98,7 +101,7 @@ def _polynomial_law(gain_degree: int, offset_degree: int) -> type[ForceLaw]:
         # contractions are about 1/4, so the i-th coefficient is about 4^i times the constant
         return coefficient(unit, size * 4.0**i, f"{words}, contraction to the power {i}")
 
-    return made_law(
+    return _made_law(
         f"PolynomialLaw{gain_degree}{offset_degree}",
         {f"{c}{i}": described(c, i) for c, degree in degrees.items() for i in range(degree + 1)},
         formula=lambda law, p, kappa: polynomial(law, "g", kappa) * p + polynomial(law, "h", kappa),
@@ -150,14 +153,13 @@ def _spline_law(breaks: tuple[float, ...], degree: int) -> type[ForceLaw]:
             total += law._gain_integral(start, end)
         return total
 
-    fields = {
-        f"{letter}{i}": coefficient(unit, size, f"{words}, B-spline {i}")
-        for letter, (unit, size, words) in _TYPICAL.items()
-        for i in range(count)
-    }
-    return made_law(
+    return _made_law(
         f"SplineLaw{degree}",
-        fields,
+        {
+            f"{letter}{i}": coefficient(unit, size, f"{words}, B-spline {i}")
+            for letter, (unit, size, words) in _TYPICAL.items()
+            for i in range(count)
+        },
         formula=lambda law, p, kappa: spline(law, "g", kappa) * p + spline(law, "h", kappa),
         gain_area=area,
         name=f"spline-{degree}:{','.join(map(repr, breaks))}",
@@ -245,7 +247,7 @@ def own_law(
         expression_of(f"law {name!r}", formula, ca.SX.sym("p"), ca.SX.sym("kappa"), **symbols)
     if not coefficients:
         raise InputError("coefficients is empty: name at least one, as {'area': coefficient(...)}")
-    law = made_law(
+    law = _made_law(
         "OwnLaw",
         dict(coefficients),
         formula=lambda law, p, kappa: formula(p, kappa, **law.values),
@@ -284,3 +286,222 @@ def _from_expression(expression: ca.SX, names: tuple[str, ...]) -> Callable[...,
 
 def _degree(argument: str, value: int) -> int:
     return require_count(argument, value, 0, 12)
+
+
+# ---- classes that are made at run time -----------------------------------------------------------
+def _made_law(
+    class_name: str,
+    coefficients: Mapping[str, Any],
+    *,
+    remake: tuple[Callable[..., type[ForceLaw]], tuple[Any, ...]] | None = None,
+    **members: Any,
+) -> type[ForceLaw]:
+    """A frozen dataclass of this name with ForceLaw as its base."""
+    if remake is not None:  # classes made at run time are pickled as the call that makes them
+        members["made_by"] = remake
+        members["__reduce__"] = lambda law: (_remade, (*remake, tuple(law.values.values())))
+    return cast(
+        type[ForceLaw],
+        make_dataclass(
+            class_name,
+            [(n, float, f) for n, f in coefficients.items()],
+            bases=(ForceLaw,),
+            namespace={"__doc__": members["title"], "__module__": __name__, **members},
+            frozen=True,
+        ),
+    )
+
+
+def _remade(factory: Callable[..., type[ForceLaw]], arguments: Any, values: Any) -> ForceLaw:
+    return factory(*arguments)(*values)
+
+
+# ---- laws around a law ---------------------------------------------------------------------------
+WIDTH = 2e3
+"""Half width [Pa] over which a bladder begins to pull."""
+
+
+@with_kinds
+def bladder_law(law: type[ForceLaw]) -> type[ForceLaw]:
+    """The class of laws F(max(p - threshold, 0), kappa): a bladder with a dead pressure.
+
+    Below the threshold the pressure goes into the bladder alone, until it touches the braid; above,
+    it is as much less. Rounded off by the polynomial of the clamp within ``threshold_width``.
+    Coefficients besides those of ``law``: ``threshold`` [Pa], which a fit may determine, and the
+    fixed ``threshold_width``.
+
+    The volume consistent with it is that of ``law``: what the bladder takes up below the threshold
+    is left out. Source: dead pressure of bladders, B. Tondu, J. Intell. Mater. Syst. Struct. 23
+    (2012) 225-253 (abstract read); the form is our reconstruction.
+
+    Examples
+    --------
+    >>> law = pam.laws.bladder_law(pam.laws.SixParameterLaw)
+    >>> law.name
+    'six-parameter+bladder'
+    """
+    return _bladder_law(_free_of(law, "bladder"))
+
+
+@cache
+def _bladder_law(law: type[ForceLaw]) -> type[ForceLaw]:
+    def formula(self: Any, p: Any, kappa: Any) -> Any:
+        return _inside(law, self).formula(clamp(p - self.threshold, self.threshold_width), kappa)
+
+    return _around(
+        law,
+        "bladder",
+        "behind a bladder's dead pressure",
+        {
+            "threshold": coefficient(
+                "Pa", 2e4, "dead pressure of the bladder", minimum=0.0, default=2e4
+            ),
+            "threshold_width": coefficient(
+                "Pa", WIDTH, "rounding of the dead pressure", minimum=1.0, fixed=True, default=WIDTH
+            ),
+        },
+        formula=formula,
+        gain_area=lambda self, kappa: _inside(law, self).gain_area(kappa),
+    )
+
+
+@with_kinds
+def ends_law(law: type[ForceLaw]) -> type[ForceLaw]:
+    """The class of laws F(p, c kappa) - tube kappa with c = taper/(1 - rigid): rigid ends.
+
+    rigid : part of the rest length that does not contract (fittings, where the rest length was
+        measured over them), 0 .. 0.9. taper : factor k >= 1 by which the middle contracts more than
+        the whole, since the ends stay conical. tube : elastic force of the inner tube per unit of
+        contraction [N] where tube and braid are both fixed to the ends; 0 where only the braid is,
+        and the tube can slide.
+
+    The consistent volume is V0 + l0 integral_0^kappa G(c kappa) dkappa, so muscle and gas stay
+    passive. Source: contraction corrected by a factor for the conical ends, B. Tondu, P. Lopez,
+    IEEE Control Syst. Mag. 20 (2000) 15-38; "boundary constraint of rigid tips" and the two
+    fixations, B. Tondu, J. Intell. Mater. Syst. Struct. 23 (2012) 225-253 (abstracts read). That
+    the fixation acts as a spring beside the law is our reconstruction.
+
+    Examples
+    --------
+    >>> law = pam.laws.ends_law(pam.laws.SixParameterLaw)
+    >>> law.name
+    'six-parameter+ends'
+    """
+    return _ends_law(_free_of(law, "ends"))
+
+
+@cache
+def _ends_law(law: type[ForceLaw]) -> type[ForceLaw]:
+    def factor(self: Any) -> Any:
+        return self.taper / (1 - self.rigid)
+
+    def formula(self: Any, p: Any, kappa: Any) -> Any:
+        return _inside(law, self).formula(p, factor(self) * kappa) - self.tube * kappa
+
+    return _around(
+        law,
+        "ends",
+        "with rigid, conical ends",
+        {
+            "rigid": coefficient(
+                "1",
+                0.1,
+                "part of the rest length that does not contract",
+                minimum=0.0,
+                maximum=0.9,
+                fixed=True,
+                default=0.0,
+            ),
+            "taper": coefficient(
+                "1", 1.1, "contraction of the middle over the whole", minimum=1.0, default=1.0
+            ),
+            "tube": coefficient(
+                "N",
+                100.0,
+                "elastic force of a fixed tube, per contraction",
+                minimum=0.0,
+                default=0.0,
+            ),
+        },
+        formula=formula,
+        gain_area=lambda self, kappa: (
+            _inside(law, self).gain_area(factor(self) * kappa) / factor(self)
+        ),
+    )
+
+
+AROUND: dict[str, Callable[[type[ForceLaw]], type[ForceLaw]]] = {
+    "bladder": bladder_law,
+    "ends": ends_law,
+}
+"""What may stand behind a law's name after a +."""
+
+
+@with_kinds
+def with_bladder(law: ForceLaw, threshold: Any, width: Any = WIDTH) -> ForceLaw:
+    """``law`` behind a dead pressure ``threshold`` [Pa]; see :func:`bladder_law`.
+
+    Examples
+    --------
+    >>> law = pam.laws.with_bladder(muscle.law, threshold=3e4)
+    >>> bool(np.isclose(law.tension(3e5, 0.1), muscle.law.tension(2.7e5, 0.1)))
+    True
+    """
+    made = bladder_law(type(law))
+    return made(**{**law.values, "threshold": threshold, "threshold_width": width})
+
+
+@with_kinds
+def with_ends(law: ForceLaw, rigid: float = 0.0, taper: float = 1.0, tube: float = 0.0) -> ForceLaw:
+    """``law`` with ends that do not contract; see :func:`ends_law`.
+
+    Examples
+    --------
+    >>> law = pam.laws.with_ends(muscle.law, rigid=0.1)
+    >>> bool(abs(law.tension(3e5, 0.09) - muscle.law.tension(3e5, 0.10)) < 1e-9)
+    True
+    """
+    return ends_law(type(law))(**{**law.values, "rigid": rigid, "taper": taper, "tube": tube})
+
+
+def _free_of(law: type[ForceLaw], kind: str) -> type[ForceLaw]:
+    if not (isinstance(law, type) and issubclass(law, ForceLaw)):
+        raise InputError(f"law = {law!r} must be a class of laws, such as SixParameterLaw")
+    if kind in law.name.split("+")[1:]:
+        raise InputError(f"law {law.name!r} has {kind} already; change their coefficients")
+    return law
+
+
+def _inside(law: type[ForceLaw], outer: ForceLaw) -> ForceLaw:
+    """The law inside, with its part of the coefficients."""
+    names = {v.name for v in law.coefficient_variables()}
+    return law(**{n: v for n, v in outer.values.items() if n in names})
+
+
+def _around(
+    law: type[ForceLaw],
+    kind: str,
+    words: str,
+    more: dict[str, Any],
+    **members: Any,
+) -> type[ForceLaw]:
+    taken = {v.name for v in law.coefficient_variables()} & set(more)
+    if taken:
+        raise InputError(f"law {law.name!r} has a coefficient {taken.pop()!r} of its own already")
+    made_by = getattr(law, "made_by", None)
+    inside = {f.name: field(default=f.default, metadata=f.metadata) for f in fields(law)}
+    return _made_law(
+        f"{law.__name__}{kind.capitalize()}",
+        {**inside, **more},
+        name=f"{law.name}+{kind}",
+        title=f"{law.title} {words}",
+        reference=law.reference,
+        validity=law.validity,
+        remake=(_again, (kind, None if made_by else law, made_by)),
+        **members,
+    )
+
+
+def _again(kind: str, law: type[ForceLaw] | None, made_by: Any) -> type[ForceLaw]:
+    """The class around a law that stands in a module, or around one that is made by a call."""
+    return AROUND[kind](made_by[0](*made_by[1]) if law is None else law)
