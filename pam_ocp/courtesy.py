@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from .core.lazy import lazily
 
 if TYPE_CHECKING:
-    from .control.blocks.making import block as block
+    from .control.blocks.running import block as block
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
     from .export.machine import MachinePlant as MachinePlant

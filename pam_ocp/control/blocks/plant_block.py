@@ -15,10 +15,10 @@ from ...core.stop import verb
 from ...core.variables import Variable
 from ...plants.plant import Given, Plant, require_plant
 from ...simulation.sampled import SampledPlant, stepped
+from ..kinds import BEFORE
 from ..sides import start_values
 from .draft import Draft, about
-from .kinds import BEFORE
-from .making import block as block_of
+from .running import block as block_of
 
 __all__ = ["plant_block"]
 
