@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import ExportError
+from ...core.expressions import carried_out, steps_of
+from ...numerics.elementwise import COMMON, named
 from ...numerics.portable import written_out
 from .counts import counted
 
@@ -23,53 +24,26 @@ BUDGET = 2_000_000
 """Instructions that are carried out, at most (about a second)."""
 
 _F: Any = np.float32
-_ONE: dict[str, Callable[[Any], Any]] = {
-    "ASSIGN": lambda x: x,
-    "NEG": lambda x: -x,
-    "EXP": np.exp,
-    "LOG": np.log,
-    "SQRT": np.sqrt,
-    "SQ": lambda x: x * x,
-    "TWICE": lambda x: x + x,
-    "SIN": np.sin,
-    "COS": np.cos,
-    "TAN": np.tan,
-    "ASIN": np.arcsin,
-    "ACOS": np.arccos,
-    "ATAN": np.arctan,
-    "FLOOR": np.floor,
-    "CEIL": np.ceil,
-    "FABS": abs,
-    "SIGN": np.sign,
-    "INV": lambda x: _F(1) / x,
-    "SINH": np.sinh,
-    "COSH": np.cosh,
-    "TANH": np.tanh,
-    "LOG1P": np.log1p,
-    "EXPM1": np.expm1,
-    "NOT": lambda x: _F(x == 0),
+_SINGLE: dict[str, Callable[..., Any]] = {
+    **COMMON,
+    **named(np),
+    "inv": lambda x: _F(1) / x,
+    "assign": lambda x: x,
+    "pow": np.power,
+    "constpow": np.power,
+    "lt": lambda x, y: _F(x < y),
+    "le": lambda x, y: _F(x <= y),
+    "eq": lambda x, y: _F(x == y),
+    "ne": lambda x, y: _F(x != y),
+    "not": lambda x: _F(x == 0),
+    "and": lambda x, y: _F(x != 0 and y != 0),
+    "or": lambda x, y: _F(x != 0 or y != 0),
+    "if_else_zero": lambda x, y: y if x != 0 else _F(0),
+    "fmin": np.fmin,
+    "fmax": np.fmax,
+    "fabs": abs,
 }
-_TWO: dict[str, Callable[[Any, Any], Any]] = {
-    "ADD": lambda x, y: x + y,
-    "SUB": lambda x, y: x - y,
-    "MUL": lambda x, y: x * y,
-    "DIV": lambda x, y: x / y,
-    "POW": np.power,
-    "CONSTPOW": np.power,
-    "LT": lambda x, y: _F(x < y),
-    "LE": lambda x, y: _F(x <= y),
-    "EQ": lambda x, y: _F(x == y),
-    "NE": lambda x, y: _F(x != y),
-    "AND": lambda x, y: _F(x != 0 and y != 0),
-    "OR": lambda x, y: _F(x != 0 or y != 0),
-    "FMOD": np.fmod,
-    "COPYSIGN": np.copysign,
-    "FMIN": np.fmin,
-    "FMAX": np.fmax,
-    "ATAN2": np.arctan2,
-    "HYPOT": np.hypot,
-    "IF_ELSE_ZERO": lambda x, y: y if x != 0 else _F(0),
-}
+"""Operations on numbers of single precision."""
 
 
 def single_outputs(block: Block, inputs: Array) -> Array | None:
@@ -83,58 +57,21 @@ def single_outputs(block: Block, inputs: Array) -> Array | None:
         step = block.step if block.step.is_a("SXFunction") else block.step.expand()
     except RuntimeError:
         return None
-    program = _program(step := written_out(step))
-    if program is None:
+    program = tuple(steps_of(written_out(step)))
+    if any(s.name not in {*_SINGLE, "const", "input", "output"} for s in program):
         return None
     steps = min(len(inputs), BUDGET // max(len(program), 1))
     if steps < 1:
         return None
     memory, parameters = (block.start(k).astype(_F) for k in ("memory", "parameters"))
-    rows = []
-    with np.errstate(all="ignore"):
+    sizes, rows = (len(block.memory), len(block.outputs)), []
+    with np.errstate(all="ignore"):  # what is too large for it is infinite
         for row in inputs[:steps].astype(_F):
-            memory, outputs = _carried_out(program, step.sz_w(), [memory, row, parameters], block)
+            given = [a.__getitem__ for a in (memory, row, parameters)]
+            found = carried_out(program, _SINGLE, given, sizes, _F)
+            memory, outputs = (np.array(column, _F) for column in found)
             rows.append(outputs.astype(float))
     return np.array(rows)
-
-
-def _program(step: ca.Function) -> list[tuple[Any, ...]] | None:
-    """(kind, operation or constant, places read, places written) of each instruction."""
-    names = {getattr(ca, f"OP_{n}"): f for n, f in (*_ONE.items(), *_TWO.items())}
-    known: dict[int, Any] = names
-    found: list[tuple[Any, ...]] = []
-    for k in range(step.n_instructions()):
-        code = step.instruction_id(k)
-        reads, writes = step.instruction_input(k), step.instruction_output(k)
-        if code == ca.OP_CONST:
-            with np.errstate(over="ignore"):  # what is too large for it is infinite
-                found.append(("constant", _F(step.instruction_constant(k)), (), writes))
-        elif code == ca.OP_INPUT:
-            found.append(("input", None, reads, writes))
-        elif code == ca.OP_OUTPUT:
-            found.append(("output", None, reads, writes))
-        elif code in known:
-            found.append(("operation", known[code], reads, writes))
-        else:
-            return None
-    return found
-
-
-def _carried_out(
-    program: list[tuple[Any, ...]], size: int, given: list[Any], block: Block
-) -> tuple[Any, Any]:
-    w: list[Any] = [_F(0)] * size
-    results = [np.zeros(len(block.memory), _F), np.zeros(len(block.outputs), _F)]
-    for kind, what, reads, writes in program:
-        if kind == "operation":
-            w[writes[0]] = what(*(w[i] for i in reads))
-        elif kind == "constant":
-            w[writes[0]] = what
-        elif kind == "input":
-            w[writes[0]] = given[reads[0]][reads[1]]
-        else:
-            results[writes[0]][writes[1]] = w[reads[0]]
-    return results[0], results[1]
 
 
 REACH = 0.3
