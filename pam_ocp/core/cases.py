@@ -7,6 +7,7 @@ bits wherever it runs.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sized
@@ -21,7 +22,7 @@ from .executors import Place, on_executor, placed
 from .interrupts import interruptible
 from .progress import working
 from .stop import check
-from .tasks import Answer, Finish, Task, Work, attempt, finished, processors, split, usual_size
+from .tasks import Answer, Errand, Finish, Task, Work, processors, split, usual_size
 from .workers import forks, in_workers, nested
 
 __all__ = ["Loop", "Place", "each", "ending", "results_of"]
@@ -34,17 +35,18 @@ TRIED = 0.2
 
 @dataclass(frozen=True)
 class Loop:
-    """How cases are worked on, and where.
-
-    finish : made of a task's results by the worker, before they travel.
-    lost : the class of error for a case that takes its worker with it.
-    """
+    """How cases are worked on, and where; finish, lost : see :class:`Errand`."""
 
     work: Work
     executor: Executor | int | None
     count: int | None = None
     finish: Finish | None = None
     lost: type[PamError] = PamError
+
+    @property
+    def errand(self) -> Errand:
+        """What is done with every task."""
+        return Errand(self.work, self.finish, self.lost)
 
     @property
     def workers(self) -> int:
@@ -56,19 +58,12 @@ class Loop:
     def __call__(self, tasks: Iterator[Task]) -> Generator[tuple[Task, Answer], None, None]:
         """The tasks and their answers as they end; only a few of them are taken at a time."""
         if isinstance(self.executor, Executor):
-            return on_executor(self.work, tasks, self.executor, self.finish, self.lost)
+            return on_executor(self.errand, tasks, self.executor)
         if self.executor is None:
             return self._automatic(tasks)
         if self.executor == 0:
-            return ((task, self._here(task)) for task in tasks)
-        return in_workers(self.work, tasks, self.executor, self.finish, self.lost)
-
-    def _here(self, task: Task) -> Answer:
-        found = {}
-        for i in task.left:
-            check()
-            found[i] = attempt(self.work, task.cases[i])
-        return finished(task, found, self.finish)
+            return ((task, self.errand.here(task)) for task in tasks)
+        return in_workers(self.errand, tasks, self.executor)
 
     def _automatic(self, tasks: Iterator[Task]) -> Generator[tuple[Task, Answer], None, None]:
         """Here, until it is plain that there is work for all processors.
@@ -82,22 +77,17 @@ class Loop:
             for i in task.left:
                 spent = time.perf_counter() - begin
                 if not alone and done and spent > TRIED and self._pays(spent, done):
-                    rest = _ahead(replace(task, known=found), tasks)
-                    yield from in_workers(self.work, rest, processors(), self.finish, self.lost)
+                    rest = itertools.chain([replace(task, known=found)], tasks)
+                    yield from in_workers(self.errand, rest, processors())
                     return
                 check()
-                found[i] = attempt(self.work, task.cases[i])
+                found[i] = self.errand.attempt(task.cases[i])
                 done += 1
-            yield task, finished(task, found, self.finish)
+            yield task, self.errand.finished(task, found)
 
     def _pays(self, spent: float, done: int) -> bool:
         left = math.inf if self.count is None else self.count - done
         return left >= 2 and left * spent / done >= PAYS
-
-
-def _ahead(task: Task, others: Iterator[Task]) -> Iterator[Task]:
-    yield task
-    yield from others
 
 
 def ending(

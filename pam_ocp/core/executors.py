@@ -6,6 +6,7 @@ after the other, so that one that kills its workers is told from those that stoo
 
 from __future__ import annotations
 
+import itertools
 import time
 import uuid
 from collections.abc import Generator, Iterator
@@ -20,9 +21,9 @@ from concurrent.futures import (
 from pickle import loads
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
-from .errors import InputError, PamError, kind_of, require_count
+from .errors import InputError, kind_of, require_count
 from .stop import ask, check, yielded
-from .tasks import GIVEN_UP, TRIES, Answer, Finish, Task, Work, finished, packed, remote
+from .tasks import GIVEN_UP, LOOK, TRIES, Answer, Errand, Task, packed, remote
 from .workers import in_workers
 
 __all__ = ["Client", "Place", "end_pool", "on_executor", "placed"]
@@ -31,8 +32,6 @@ WAITING = 4
 """Tasks per worker that are handed to an executor at once."""
 UNKNOWN_WORKERS = 16
 """Workers of an executor that does not say how many it has."""
-LOOK = 0.2
-"""How often signals are looked for while we wait [s]."""
 RECOUNT = 2.0
 """How often a cluster is asked how large it is by now [s]."""
 
@@ -72,21 +71,17 @@ def end_pool(pool: ProcessPoolExecutor) -> None:
 
 
 def on_executor(
-    work: Work,
-    tasks: Iterator[Task],
-    executor: Executor,
-    finish: Finish | None = None,
-    lost: type[PamError] = PamError,
+    errand: Errand, tasks: Iterator[Task], executor: Executor
 ) -> Generator[tuple[Task, Answer], None, None]:
     """The tasks and their answers as they end; a few are handed over at a time."""
     try:
-        content = packed(work)
+        content = packed(errand.work)
     except Exception as error:
         raise InputError(
             f"executor: what is to be done does not travel to its workers ({error}); take "
             "functions and classes of a module, without lambdas, or executor=0"
         ) from None
-    there = _There(executor, uuid.uuid4().hex, content, finish, lost)
+    there = _There(executor, content, errand)
     try:
         for task in tasks:
             there.submit(task)
@@ -97,8 +92,8 @@ def on_executor(
         while there.pending:
             yield from there.ended()
         if there.broken:  # a worker's death breaks a whole pool: we go on without it
-            rest = _chained(there.broken, tasks)
-            yield from in_workers(work, rest, there.workers(), finish, lost)
+            rest = itertools.chain(there.broken, tasks)
+            yield from in_workers(errand, rest, there.workers())
         for task in there.suspects:
             yield task, there.one_by_one(task)
     except BaseException:  # also when no more is asked for
@@ -106,24 +101,12 @@ def on_executor(
         raise
 
 
-def _chained(first: list[Task], then: Iterator[Task]) -> Iterator[Task]:
-    yield from first
-    yield from then
-
-
 class _There:
     """Tasks on an executor."""
 
-    def __init__(
-        self,
-        executor: Executor,
-        name: str,
-        content: bytes,
-        finish: Finish | None,
-        lost: type[PamError],
-    ) -> None:
-        self.executor, self.name, self.content = executor, name, content
-        self.finish, self.lost = finish, lost
+    def __init__(self, executor: Executor, content: bytes, errand: Errand) -> None:
+        self.executor, self.content, self.errand = executor, content, errand
+        self.name = uuid.uuid4().hex
         self.pending: dict[Any, Task] = {}
         self.broken: list[Task] = []
         """Tasks of a pool that is no more."""
@@ -149,7 +132,7 @@ class _There:
 
     def submit(self, task: Task, finish: bool = True) -> None:
         """Hand a task over."""
-        made = self.finish if finish else None
+        made = self.errand.finish if finish else None
         try:
             future = self.executor.submit(remote, self.name, self.content, task, made)
         except BrokenExecutor:
@@ -192,11 +175,11 @@ class _There:
                 del self.pending[done[0]]
                 found[i] = loads(future.result())[0]
             except Exception as error:
-                found[i] = self.lost(
+                found[i] = self.errand.lost(
                     f"case {single.first} was lost with its worker, {TRIES} times "
                     f"({type(error).__name__}: {error}); run it alone to see why"
                 )
-        return finished(task, found, self.finish)
+        return self.errand.finished(task, found)
 
     def give_up(self) -> None:
         """Nothing more is asked for: call off what waits, and end what we may."""

@@ -12,17 +12,17 @@ from functools import lru_cache
 from typing import Any, TypeAlias
 
 from .errors import PamError, kind_of
-from .stop import LOCK
+from .stop import LOCK, check
 
 __all__ = [
     "GIVEN_UP",
+    "LOOK",
     "TRIES",
     "Answer",
+    "Errand",
     "Finish",
     "Task",
     "Work",
-    "attempt",
-    "finished",
     "packed",
     "processors",
     "remote",
@@ -46,6 +46,8 @@ PER_WORKER = 50
 """Tasks for each worker, where there are cases enough: the last one keeps nobody waiting."""
 UNCOUNTED = 10
 """Cases of a task where nobody knows how many there are."""
+LOOK = 0.2
+"""How often signals are looked for while we wait for workers [s]."""
 GIVEN_UP: set[str] = set()
 """Loops that were broken off: their threads go on no further."""
 
@@ -100,23 +102,42 @@ def processors() -> int:
         return os.cpu_count() or 1
 
 
-def attempt(work: Work, case: Any) -> Any:
-    """The result of a case, or the error that it ended with."""
-    try:
-        return work(case)
-    except Exception as error:
-        return error
+@dataclass(frozen=True)
+class Errand:
+    """What is done with every task.
 
+    finish : made of a task's results by the worker, before they travel.
+    lost : the class of error for a case that takes its worker with it.
+    """
 
-def finished(task: Task, found: Mapping[int, Any], finish: Finish | None) -> Answer:
-    """The answer to a task: its results, or what is made of them (or the error of that)."""
-    results = task.results(found)
-    if finish is None:
-        return results
-    try:
-        return finish(task, results)
-    except Exception as error:
-        return error
+    work: Work
+    finish: Finish | None = None
+    lost: type[PamError] = PamError
+
+    def attempt(self, case: Any) -> Any:
+        """The result of a case, or the error that it ended with."""
+        try:
+            return self.work(case)
+        except Exception as error:
+            return error
+
+    def finished(self, task: Task, found: Mapping[int, Any]) -> Answer:
+        """The answer to a task: its results, or what is made of them (or the error of that)."""
+        results = task.results(found)
+        if self.finish is None:
+            return results
+        try:
+            return self.finish(task, results)
+        except Exception as error:
+            return error
+
+    def here(self, task: Task) -> Answer:
+        """The answer to a task that is worked on in this thread."""
+        found = {}
+        for i in task.left:
+            check()
+            found[i] = self.attempt(task.cases[i])
+        return self.finished(task, found)
 
 
 def sendable(answer: Answer) -> bytes:
@@ -168,5 +189,5 @@ def remote(loop: str, content: bytes, task: Task, finish: Finish | None) -> byte
         with LOCK:  # threads of one process take turns
             if loop in GIVEN_UP:
                 return None
-            found[i] = attempt(_unpacked(content), task.cases[i])
-    return sendable(finished(task, found, finish))
+            found[i] = Errand(_unpacked(content)).attempt(task.cases[i])
+    return sendable(Errand(_unpacked(content), finish).finished(task, found))

@@ -21,16 +21,13 @@ from multiprocessing.connection import Connection
 from multiprocessing.connection import wait as ready
 from typing import Any
 
-from .errors import PamError
 from .stop import LOCK, check, unlimited, yielded
-from .tasks import TRIES, Answer, Finish, Task, Work, attempt, finished, sendable
+from .tasks import LOOK, TRIES, Answer, Errand, Task, sendable
 
 __all__ = ["end_with_parent", "forks", "in_workers", "nested"]
 
 WATCH = 0.5
 """How often a worker asks whether its parent still lives [s]."""
-LOOK = 0.2
-"""How often the parent looks for signals while it waits [s]."""
 DONE = b""
 """Told for each case."""
 
@@ -63,22 +60,13 @@ def end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-@dataclass(frozen=True)
-class _Errand:
-    """What a worker does with every task, and the error for cases that killed two of them."""
-
-    work: Work
-    finish: Finish | None
-    lost: type[PamError]
-
-
 @dataclass
 class _Worker:
     """A process and what it is at."""
 
     process: Any
     connection: Connection
-    errand: _Errand
+    errand: Errand
     task: Task | None = None
     done: int = 0
     """Cases of the present task that have ended."""
@@ -87,7 +75,7 @@ class _Worker:
     answer: Any = None
 
     @classmethod
-    def started(cls, errand: _Errand) -> _Worker:
+    def started(cls, errand: Errand) -> _Worker:
         context: Any = multiprocessing.get_context("fork" if forks() else None)
         here, there = context.Pipe()
         process = context.Process(target=_life, args=(there, here, errand), daemon=True)
@@ -149,7 +137,7 @@ class _Worker:
         return fresh
 
 
-def _life(connection: Connection, other: Connection, errand: _Errand) -> None:
+def _life(connection: Connection, other: Connection, errand: Errand) -> None:
     """A worker's. The parent decides on interrupts and limits; without it there is no work."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -163,28 +151,25 @@ def _life(connection: Connection, other: Connection, errand: _Errand) -> None:
             return
         found = {}
         for i in task.left:
-            found[i] = attempt(errand.work, task.cases[i])
+            found[i] = errand.attempt(task.cases[i])
             connection.send_bytes(DONE)
-        connection.send_bytes(sendable(finished(task, found, errand.finish)))
+        connection.send_bytes(sendable(errand.finished(task, found)))
 
 
 def in_workers(
-    work: Work,
-    tasks: Iterator[Task],
-    count: int,
-    finish: Finish | None = None,
-    lost: type[PamError] = PamError,
+    errand: Errand, tasks: Iterator[Task], count: int
 ) -> Generator[tuple[Task, Answer], None, None]:
     """The tasks and their answers as they end, in ``count`` processes."""
-    crew = _Crew(_Errand(work, finish, lost), count)
+    crew = _Crew(errand, count)
     try:
         while True:
             crew.hand_out(tasks)
             # behind that: what is made of an answer keeps no worker waiting
             while crew.answers:
                 yield crew.answers.pop()
-            if crew.here:
-                crew.do_one_here()
+            if crew.here:  # one that cannot travel
+                task = crew.here.pop(0)
+                crew.answers.append((task, errand.here(task)))
             elif crew.busy:
                 crew.listen()
             else:
@@ -196,7 +181,7 @@ def in_workers(
 class _Crew:
     """Workers, idle and busy, and what came of tasks."""
 
-    def __init__(self, errand: _Errand, count: int) -> None:
+    def __init__(self, errand: Errand, count: int) -> None:
         self.errand, self.count = errand, count
         self.busy: dict[Any, _Worker] = {}
         self.idle: list[_Worker] = []
@@ -216,14 +201,6 @@ class _Crew:
             if not worker.begin(task):
                 self.here.append(task)
                 self.idle.append(self.busy.pop(worker.connection))
-
-    def do_one_here(self) -> None:
-        """A task that cannot travel."""
-        task, found = self.here.pop(0), {}
-        for i in task.left:
-            check()
-            found[i] = attempt(self.errand.work, task.cases[i])
-        self.answers.append((task, finished(task, found, self.errand.finish)))
 
     def listen(self) -> None:
         """To those that have something to say; for a while at most."""

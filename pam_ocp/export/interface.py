@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -14,6 +13,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..operating.linear import chosen_signals
 from ..plants.plant import Plant
+from ..plants.undelayed import attributes_of
 
 __all__ = ["check_reference", "shown_outputs", "with_inputs", "with_shared"]
 
@@ -31,7 +31,7 @@ def with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
     other = Plant(plant.name, plant.description)
     symbols = {}
     for v in (*plant.states, *plant.inputs, *plant.parameters):
-        about = _attributes(v)
+        about = attributes_of(v)
         if v.causality == "state":
             symbols[v.name] = other.state(v.name, **about)
         elif v.causality == "input" and v.name not in left_out:
@@ -67,8 +67,8 @@ def with_shared(plant: Plant) -> tuple[Plant, frozenset[str]]:
     if not one:
         return plant, frozenset()
     other = Plant(plant.name, plant.description)
-    symbols = {v.name: other.state(v.name, **_attributes(v)) for v in plant.states}
-    symbols |= {v.name: other.input(v.name, **_attributes(v)) for v in plant.inputs}
+    symbols = {v.name: other.state(v.name, **attributes_of(v)) for v in plant.states}
+    symbols |= {v.name: other.input(v.name, **attributes_of(v)) for v in plant.inputs}
     for v in plant.parameters:
         name = one.get(v.name, v.name)
         if name not in symbols:
@@ -77,7 +77,7 @@ def with_shared(plant: Plant) -> tuple[Plant, frozenset[str]]:
     _define(other, plant, symbols)
     for v in plant.parameters:
         if v.name in one:
-            about = _attributes(v) | {"start": None}
+            about = attributes_of(v) | {"start": None}
             other.output(v.name, symbols[v.name], **about)
     return other, frozenset(one)
 
@@ -88,7 +88,7 @@ def _like(variable: Variable) -> Variable:
 
 
 def _parameter(plant: Plant, variable: Variable, name: str) -> ca.SX:
-    about = _attributes(variable)
+    about = attributes_of(variable)
     del about["disturbance"]
     words = about["description"]
     if name != variable.name:
@@ -107,13 +107,7 @@ def _define(other: Plant, plant: Plant, symbols: Mapping[str, ca.SX]) -> None:
     for i, v in enumerate(plant.states):
         other.der(symbols[v.name], xdot[i])
     for i, v in enumerate(plant.outputs):
-        other.output(v.name, y[i], **{**_attributes(v), "start": None})
-
-
-def _attributes(variable: Variable) -> dict[str, Any]:
-    about = {f.name: getattr(variable, f.name) for f in fields(variable)}
-    del about["name"], about["causality"]
-    return about
+        other.output(v.name, y[i], **{**attributes_of(v), "start": None})
 
 
 def shown_outputs(plant: Plant, outputs: Sequence[str] | None) -> frozenset[str] | None:

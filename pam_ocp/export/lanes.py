@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.expressions import steps_of
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import check
 from ..plants.plant import Plant
@@ -32,24 +33,24 @@ BUDGET = 2e5
 """Steps of all lanes between two looks for signals, divided by the states' third power."""
 ALIGNED = 64
 INFIX = {
-    "OP_ADD": "{} + {}",
-    "OP_SUB": "{} - {}",
-    "OP_MUL": "{} * {}",
-    "OP_DIV": "{} / {}",
-    "OP_NEG": "-{}",
-    "OP_SQ": "{0} * {0}",
-    "OP_TWICE": "2.0 * {}",
-    "OP_INV": "1.0 / {}",
-    "OP_ASSIGN": "{}",
-    "OP_LT": "truth((M)({} < {}))",
-    "OP_LE": "truth((M)({} <= {}))",
-    "OP_EQ": "truth((M)({} == {}))",
-    "OP_NE": "truth((M)({} != {}))",
-    "OP_NOT": "truth((M)({} == 0.0))",
-    "OP_AND": "truth((M)({} != 0.0) & (M)({} != 0.0))",
-    "OP_OR": "truth((M)({} != 0.0) | (M)({} != 0.0))",
-    "OP_IF_ELSE_ZERO": "(V)((M)({} != 0.0) & (M){})",
-    "OP_CONSTPOW": "v_pow({}, {})",
+    "add": "{} + {}",
+    "sub": "{} - {}",
+    "mul": "{} * {}",
+    "div": "{} / {}",
+    "neg": "-{}",
+    "sq": "{0} * {0}",
+    "twice": "2.0 * {}",
+    "inv": "1.0 / {}",
+    "assign": "{}",
+    "lt": "truth((M)({} < {}))",
+    "le": "truth((M)({} <= {}))",
+    "eq": "truth((M)({} == {}))",
+    "ne": "truth((M)({} != {}))",
+    "not": "truth((M)({} == 0.0))",
+    "and": "truth((M)({} != 0.0) & (M)({} != 0.0))",
+    "or": "truth((M)({} != 0.0) | (M)({} != 0.0))",
+    "if_else_zero": "(V)((M)({} != 0.0) & (M){})",
+    "constpow": "v_pow({}, {})",
 }
 CALLS = {
     1: "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil fabs "
@@ -105,13 +106,12 @@ def lane_sources(plant: Plant) -> dict[str, str] | None:
 
 
 @cache
-def _words() -> dict[int, str]:
-    """{CasADi's number of an operation: its C}"""
-    found = {getattr(ca, name): text for name, text in INFIX.items()}
+def _words() -> dict[str, str]:
+    """{operation: its C}"""
+    found = dict(INFIX)
     for arguments, names in CALLS.items():
-        for name in names.split():
-            inner = ", ".join(["{}"] * arguments)
-            found[getattr(ca, f"OP_{name.upper()}")] = f"v_{name}({inner})"
+        inner = ", ".join(["{}"] * arguments)
+        found |= {name: f"v_{name}({inner})" for name in names.split()}
     return found
 
 
@@ -120,16 +120,14 @@ def _function(name: str, given: list[ca.SX], made: list[ca.SX], signature: str) 
     arguments = [part.rpartition("*")[2] for part in signature.split(", ")]
     words, now = _words(), dict[int, str]()
     lines = []
-    for k in range(function.n_instructions()):
-        kind = function.instruction_id(k)
-        ins, outs = function.instruction_input(k), function.instruction_output(k)
-        if kind == ca.OP_OUTPUT:
+    for k, (kind, outs, ins, constant) in enumerate(steps_of(function)):
+        if kind == "output":
             lines.append(f"{arguments[len(given) + outs[0]]}[{outs[1]}] = {now[ins[0]]};")
             continue
-        if kind == ca.OP_INPUT:
+        if kind == "input":
             text = f"{arguments[ins[0]]}[{ins[1]}]"
-        elif kind == ca.OP_CONST:
-            text = f"all({number(function.instruction_constant(k))})"
+        elif kind == "const":
+            text = f"all({number(constant)})"
         else:
             text = words[kind].format(*(now[i] for i in ins))
         lines.append(f"const V a{k} = {text};")

@@ -13,6 +13,8 @@ from functools import cache
 
 import casadi as ca
 
+from ..core.expressions import SYMBOLIC, carried_out, steps_of
+
 __all__ = ["portable", "written_out"]
 
 LN2_HIGH, LN2_LOW = float.fromhex("0x1.62e42fee00000p-1"), float.fromhex("0x1.a39ef35793c76p-33")
@@ -64,16 +66,16 @@ def _tanh(x: ca.SX) -> ca.SX:
 
 NAME = "elementary"
 """Of the Functions that stand for them."""
-_WRITTEN = {ca.OP_EXP: _exp, ca.OP_EXPM1: _expm1, ca.OP_TANH: _tanh}
+_WRITTEN = {"exp": _exp, "expm1": _expm1, "tanh": _tanh}
 
 
 @cache
-def _replacement(code: int) -> ca.Function:
+def _replacement(name: str) -> ca.Function:
     """A Function that is called, not written out at each place: a step of a plant has dozens of
     exponentials, of 170 operations each, and compilers take more than their share for long code.
     """
     x = ca.SX.sym("x")
-    return ca.Function(NAME, [x], [_WRITTEN[code](x)], {"cse": True})
+    return ca.Function(NAME, [x], [_WRITTEN[name](x)], {"cse": True})
 
 
 def portable(function: ca.Function) -> ca.Function:
@@ -83,66 +85,45 @@ def portable(function: ca.Function) -> ca.Function:
     Rounding differs from the C library's by some units in the last place; an argument that is not a
     number gives none.
     """
-    return _rewritten(function, dict.fromkeys(_WRITTEN, _elementary))
+
+    def called(name: str) -> Callable[[ca.SX], ca.SX]:
+        return lambda x: _replacement(name).call([x], False, True)[0]
+
+    return _rewritten(function, {name: called(name) for name in _WRITTEN})
 
 
 def written_out(function: ca.Function) -> ca.Function:
     """An SX Function with what :func:`portable` calls written out, for those who read its
     instructions; itself where it calls anything else, such as tables.
     """
-    codes = (function.instruction_id(k) for k in range(function.n_instructions()))
-    calls = [k for k, code in enumerate(codes) if code == ca.OP_CALL]
+    calls = [k for k, step in enumerate(steps_of(function)) if step.name == "call"]
     if not calls:
         return function
     nodes = function.instructions_sx()
-    if any(nodes[k].which_function().name() != NAME for k in calls):
+    called = [nodes[k].which_function() for k in calls]
+    if any(inner.name() != NAME for inner in called):
         return function
-    return _rewritten(function, {ca.OP_CALL: _called})
+    ahead = iter(called)  # they are met in this order
+    return _rewritten(function, {"call": lambda x: next(ahead).call([x], True, False)[0]})
 
 
-def _elementary(node: ca.SX, x: ca.SX) -> ca.SX:
-    return ca.SX(_replacement(node.op()).call([x], False, True)[0])
-
-
-def _called(node: ca.SX, x: ca.SX) -> ca.SX:
-    found: ca.SX = node.which_function().call([x], True, False)[0]
-    return found
-
-
-def _rewritten(
-    function: ca.Function, other: Mapping[int, Callable[[ca.SX, ca.SX], ca.SX]]
-) -> ca.Function:
-    """The Function with (instruction, argument) -> expression in place of some operations; itself
-    where it has none of them.
+def _rewritten(function: ca.Function, other: Mapping[str, Callable[[ca.SX], ca.SX]]) -> ca.Function:
+    """The Function with other expressions in place of some operations; itself where it has none of
+    them.
     """
-    count = function.n_instructions()
-    codes = [function.instruction_id(k) for k in range(count)]
-    if not any(code in other for code in codes):
+    steps = list(steps_of(function))
+    if not any(step.name in other for step in steps):
         return function
-    nodes, arguments = function.instructions_sx(), function.sx_in()
+    arguments = function.sx_in()
     entries = [ca.vertsplit(a.nz[:]) if a.nnz() else [] for a in arguments]
-    outputs: list[list[ca.SX]] = [
-        [ca.SX(0.0)] * function.nnz_out(i) for i in range(function.n_out())
-    ]
-    work: list[ca.SX] = [ca.SX(0.0)] * function.sz_w()
-    for k, code in enumerate(codes):
-        from_, to = function.instruction_input(k), function.instruction_output(k)
-        if code == ca.OP_INPUT:
-            work[to[0]] = entries[from_[0]][from_[1]]
-        elif code == ca.OP_OUTPUT:
-            outputs[to[0]][to[1]] = work[from_[0]]
-        elif code == ca.OP_CONST:
-            work[to[0]] = ca.SX(function.instruction_constant(k))
-        elif code in other:
-            work[to[0]] = other[code](nodes[k], work[from_[0]])
-        elif len(from_) == 1:
-            work[to[0]] = ca.SX.unary(code, work[from_[0]])
-        else:
-            work[to[0]] = ca.SX.binary(code, *(work[i] for i in from_))
+    sizes = [function.nnz_out(i) for i in range(function.n_out())]
+    columns = carried_out(
+        steps, {**SYMBOLIC, **other}, [e.__getitem__ for e in entries], sizes, ca.SX
+    )
     results = [
         ca.SX(function.sparsity_out(i), ca.vertcat(*column))
         if column
         else ca.SX(*function.size_out(i))
-        for i, column in enumerate(outputs)
+        for i, column in enumerate(columns)
     ]
     return ca.Function(function.name(), arguments, results, {"cse": True})

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..core.errors import SimulationError
 from ..core.signals import signals
 from ..core.trajectory import Trajectory
-from ..numerics.columns import Columns
+from ..numerics.elementwise import Columns
 from ..plants.plant import Plant
 from ..simulation.integrate import Integration
 from ..simulation.simulator import evaluated, simulate

@@ -383,7 +383,7 @@ def test_a_step_beyond_the_budget_is_not_read_instruction_by_instruction(monkeyp
     inputs = vectors.inputs_of(made, 3, 0)
     assert vectors.single_outputs(made, inputs).shape == (vectors.DRAWS, 3, len(made.outputs))
     monkeypatch.setattr(vectors, "BUDGET", 10)
-    monkeypatch.setattr(vectors, "_program", lambda step: pytest.fail("it was read"))
+    monkeypatch.setattr(vectors, "steps_of", lambda step: pytest.fail("it was read"))
     assert vectors.single_outputs(made, inputs) is None
 
 

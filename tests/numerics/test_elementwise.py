@@ -4,7 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pam_ocp.numerics.elementwise import Elementwise
+from pam_ocp.numerics import elementwise
+from pam_ocp.numerics.elementwise import Columns, Elementwise
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")
 
@@ -89,3 +90,31 @@ def test_what_numpy_does_not_know_is_left_to_casadi():
     product, total = Elementwise(function)(np.arange(4.0), 2.0)
     np.testing.assert_array_equal(product, [0, 2, 4, 6])
     np.testing.assert_array_equal(total, [2, 3, 4, 5])
+
+
+# ---- many columns ----
+X, U, P = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 2)
+VALUES = ca.vertcat(ca.sin(X[0]) * P[0], U * X[1] ** 2, P[1], 0, ca.if_else(U > 0, X[0], -U))
+
+
+@pytest.mark.parametrize("at_once", [3, 7, 4096])
+def test_columns_are_what_casadi_maps(monkeypatch, at_once):
+    monkeypatch.setattr(elementwise, "AT_ONCE", at_once)
+    random = np.random.default_rng(1)
+    states, inputs, shared = random.normal(size=(2, 7)), random.normal(size=(1, 7)), [0.3, -2.0]
+    found = Columns([X, U, P], VALUES)(states, inputs, np.array(shared))
+    function = ca.Function("f", [X, U, P], [VALUES])
+    expected = np.column_stack(
+        [
+            np.asarray(function(a, b, shared)).ravel()
+            for a, b in zip(states.T, inputs.T, strict=True)
+        ]
+    )
+    assert found == pytest.approx(expected, rel=1e-14)
+
+
+def test_nothing_has_no_rows():
+    assert Columns([X, U, P], ca.SX(0, 1))(np.ones((2, 5)), np.ones((1, 5)), np.ones(2)).shape == (
+        0,
+        5,
+    )

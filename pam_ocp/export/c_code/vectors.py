@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import ExportError
+from ...core.expressions import carried_out, steps_of
+from ...numerics.elementwise import array_table
 from ...numerics.portable import written_out
 from .counts import counted
 
@@ -27,54 +30,21 @@ DRAWS = 8
 by a unit in its last place or not, at random, unless it is whole (as other orders of sums and other
 C libraries round)."""
 
+POOL = 4093
+"""Rows of random units, which come again in turn."""
+
 _F: Any = np.float32
-_ROUNDED: dict[str, Callable[..., Any]] = {
-    "ADD": np.add,
-    "SUB": np.subtract,
-    "MUL": np.multiply,
-    "DIV": np.divide,
-    "SQ": np.square,
-    "INV": np.reciprocal,
-    "SQRT": np.sqrt,
-    "POW": np.power,
-    "CONSTPOW": np.power,
-    "EXP": np.exp,
-    "LOG": np.log,
-    "SIN": np.sin,
-    "COS": np.cos,
-    "TAN": np.tan,
-    "ASIN": np.arcsin,
-    "ACOS": np.arccos,
-    "ATAN": np.arctan,
-    "SINH": np.sinh,
-    "COSH": np.cosh,
-    "TANH": np.tanh,
-    "LOG1P": np.log1p,
-    "EXPM1": np.expm1,
-    "ATAN2": np.arctan2,
-    "HYPOT": np.hypot,
+_EXACT = {
+    *("assign", "neg", "twice", "floor", "ceil", "fabs", "sign", "not", "lt", "le", "eq", "ne"),
+    *("and", "or", "fmod", "copysign", "fmin", "fmax", "if_else_zero"),
 }
-_EXACT: dict[str, Callable[..., Any]] = {
-    "ASSIGN": np.positive,
-    "NEG": np.negative,
-    "TWICE": lambda x: x + x,
-    "FLOOR": np.floor,
-    "CEIL": np.ceil,
-    "FABS": np.abs,
-    "SIGN": np.sign,
-    "NOT": np.logical_not,
-    "LT": np.less,
-    "LE": np.less_equal,
-    "EQ": np.equal,
-    "NE": np.not_equal,
-    "AND": np.logical_and,
-    "OR": np.logical_or,
-    "FMOD": np.fmod,
-    "COPYSIGN": np.copysign,
-    "FMIN": np.fmin,
-    "FMAX": np.fmax,
-    "IF_ELSE_ZERO": lambda x, y: np.where(x != 0, y, _F(0)),
+_SINGLE: dict[str, Callable[..., Any]] = {
+    **array_table(np, missing=True),
+    "assign": lambda x: x,
+    "pow": np.power,
+    "constpow": np.power,
 }
+"""Operations on rows of draws."""
 
 
 def single_outputs(block: Block, inputs: Array) -> Array | None:
@@ -88,73 +58,42 @@ def single_outputs(block: Block, inputs: Array) -> Array | None:
         step = block.step if block.step.is_a("SXFunction") else block.step.expand()
     except RuntimeError:
         return None
-    program = _program(step := written_out(step))
-    if program is None:
+    program = tuple(steps_of(written_out(step)))
+    if any(s.name not in {*_SINGLE, "const", "input", "output"} for s in program):
         return None
     steps = min(len(inputs), BUDGET // max(len(program), 1))
     if steps < 1:
         return None
-    random = np.random.default_rng(0)
-    memory, parameters = (
-        np.repeat(block.start(k).astype(_F)[:, None], DRAWS, axis=1)
-        for k in ("memory", "parameters")
-    )
-    rows = []
-    with np.errstate(all="ignore"):
-        for row in inputs[:steps].astype(_F):
-            given = [memory, np.repeat(row[:, None], DRAWS, axis=1), parameters]
-            units = random.integers(-1, 2, (len(program), DRAWS)).astype(_F)
-            units[:, 0] = 0
-            factors = 1 + units * np.finfo(_F).eps
-            results = [np.zeros((len(v), DRAWS), _F) for v in (block.memory, block.outputs)]
-            _carry_out(program, step.sz_w(), given, results, factors)
-            memory, outputs = results
-            rows.append(outputs.T.astype(float))
+    table = _drawn(np.random.default_rng(0))
+    memory, parameters = (_repeated(block.start(k)) for k in ("memory", "parameters"))
+    sizes, rows = (len(block.memory), len(block.outputs)), []
+    with np.errstate(all="ignore"):  # what is too large for it is infinite
+        for row in inputs[:steps]:
+            given = [a.__getitem__ for a in (memory, _repeated(row), parameters)]
+            memory, outputs = carried_out(program, table, given, sizes, _repeated)
+            rows.append(np.array(outputs, float).reshape(len(outputs), DRAWS).T)
     return np.stack(rows, axis=1)
 
 
-def _program(step: ca.Function) -> list[tuple[Any, ...]] | None:
-    """(kind, operation or constant, places read, places written) of each instruction."""
-    known: dict[int, Any] = {
-        getattr(ca, f"OP_{name}"): (kind, operation)
-        for kind, table in (("rounded", _ROUNDED), ("exact", _EXACT))
-        for name, operation in table.items()
-    }
-    found: list[tuple[Any, ...]] = []
-    for k in range(step.n_instructions()):
-        code = step.instruction_id(k)
-        reads, writes = step.instruction_input(k), step.instruction_output(k)
-        if code == ca.OP_CONST:
-            with np.errstate(over="ignore"):  # what is too large for it is infinite
-                constant = np.full(DRAWS, step.instruction_constant(k), _F)
-            found.append(("constant", constant, (), writes))
-        elif code == ca.OP_INPUT:
-            found.append(("input", None, reads, writes))
-        elif code == ca.OP_OUTPUT:
-            found.append(("output", None, reads, writes))
-        elif code in known:
-            found.append((*known[code], reads, writes))
-        else:
-            return None
-    return found
+def _repeated(values: Any) -> Any:
+    """Of each value (or of one number) a row of draws."""
+    return np.repeat(np.asarray(values, _F)[..., None], DRAWS, axis=-1)
 
 
-def _carry_out(
-    program: list[tuple[Any, ...]], size: int, given: list[Any], results: list[Any], factors: Any
-) -> None:
-    w: list[Any] = [np.zeros(DRAWS, _F)] * size
-    for (kind, what, reads, writes), factor in zip(program, factors, strict=True):
-        if kind == "rounded":
-            value = what(*(w[i] for i in reads))
-            w[writes[0]] = np.where(value == np.rint(value), value, value * factor)
-        elif kind == "exact":
-            w[writes[0]] = what(*(w[i] for i in reads)).astype(_F, copy=False)
-        elif kind == "constant":
-            w[writes[0]] = what
-        elif kind == "input":
-            w[writes[0]] = given[reads[0]][reads[1]]
-        else:
-            results[writes[0]][writes[1]] = w[reads[0]]
+def _drawn(random: np.random.Generator) -> dict[str, Callable[..., Any]]:
+    """The operations, what they round a unit off at random; not the first draw."""
+    units = random.integers(-1, 2, (POOL, DRAWS)).astype(_F)
+    units[:, 0] = 0
+    factors = itertools.cycle(1 + units * np.finfo(_F).eps)
+
+    def exact(operation: Callable[..., Any], *given: Any) -> Any:
+        return operation(*given).astype(_F, copy=False)
+
+    def rounded(operation: Callable[..., Any], *given: Any) -> Any:
+        value = operation(*given)
+        return np.where(value == np.rint(value), value, value * next(factors))
+
+    return {n: partial(exact if n in _EXACT else rounded, f) for n, f in _SINGLE.items()}
 
 
 REACH = 0.3

@@ -8,10 +8,11 @@ from typing import Any, TypeAlias
 from ...core.block import Block
 from ...core.errors import require_count, require_positive
 from ...core.stop import verb
+from ...numerics.elementwise import array_table
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant, require_plant
 from ..sampled import as_block
-from .instructions import Instructions, array_table
+from .instructions import Instructions
 from .registry import WORLDS
 from .signature import Signature, block_program, library, plant_programs, signature
 
