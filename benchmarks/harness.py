@@ -24,6 +24,7 @@ numbers a count, and
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import multiprocessing
@@ -149,8 +150,8 @@ def limited(work: Work, seconds: float) -> Row:
             break
     if "clock" not in row:  # the last message has it
         row |= {"verdict": verdict, "processor": seconds}
-    if process.is_alive() and os.getpgid(process.pid or 0) == process.pid:
-        os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid or 0, signal.SIGKILL)  # what it has left running, too
     process.join(5)
     return row
 
