@@ -40,7 +40,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 Row = dict[str, Any]
 Work = Callable[[], Row]
@@ -54,17 +54,31 @@ def spent() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in each)
 
 
-def both(work: Callable[[], Any]) -> tuple[float, float]:
-    """(processor seconds of all processes, seconds by the clock) of a call."""
+class Took(NamedTuple):
+    """Of a call: processor seconds of all processes, seconds by the clock, what it returned."""
+
+    processor: float
+    clock: float
+    result: Any
+
+
+def took(work: Callable[[], Any]) -> Took:
+    """A call, and what it took."""
     begin, clock = spent(), time.perf_counter()
+    result = work()
+    return Took(spent() - begin, time.perf_counter() - clock, result)
+
+
+def repeated(work: Callable[[], Any], repeats: int = 3) -> Took:
+    """Medians of some calls, after one for warming up, and the last result."""
     work()
-    return spent() - begin, time.perf_counter() - clock
+    processor, clock, results = zip(*(took(work) for _ in range(repeats)), strict=True)
+    return Took(median(processor), median(clock), results[-1])
 
 
 def timed(work: Callable[[], Any], repeats: int = 3) -> float:
     """Median processor seconds of a call, after one for warming up."""
-    work()
-    return median(both(work)[0] for _ in range(repeats))
+    return repeated(work, repeats).processor
 
 
 def process_seconds(*command: str) -> float:
