@@ -39,14 +39,7 @@ import casadi as ca
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.fitting import (
-    ArxStructure,
-    Choice,
-    FreeRunFit,
-    FreeRunStructure,
-    GruStructure,
-    choose,
-)
+from pam_ocp.fitting import ArxStructure, Choice, FreeRunFit, FreeRunStructure, GruStructure, choose
 from pam_ocp.fitting.dynamic.choice import as_ratio, rmse_ratios
 
 HERE = Path(__file__).resolve().parent

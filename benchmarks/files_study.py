@@ -35,7 +35,6 @@ import scipy.io
 
 import pam_ocp as pam
 
-REST = 0.3
 TO_SI = {
     **{"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6, "psi": 6894.757293168, "mbar": 1e2},
     **{"kgf/cm2": 98066.5, "at": 98066.5, "mmHg": 133.322387415, "Torr": 101325 / 760},
@@ -62,7 +61,7 @@ UNITS = {
 @dataclass
 class Case:
     """What was written. truth : {kind: SI values, or a function of time}; names : {kind: header}.
-    answers : what the user knows, by keyword. span : (first, last) time of the rows [s].
+    answers : what the user knows, by keyword. first : time of the first row [s].
     """
 
     source: Any
@@ -71,10 +70,13 @@ class Case:
     answers: dict[str, Any] = field(default_factory=dict)
     record: bool = False
     first: float = 0.0
-    rows: int = 0
     tolerance: float = 2e-3
 
 
+PX = {"pressure": "p", "x": "x"}
+"""Usual names."""
+CLOCK = {"units": {"time": "s"}}
+"""What a user answers who is asked for the unit of a clock."""
 SHAPES: dict[str, Callable[[Any, Path], Case]] = {}
 
 
@@ -128,15 +130,26 @@ class Draw:
         return np.arange(int(self.random.integers(400, 900))) / rate
 
 
-def columns(draw: Draw, t: np.ndarray, kinds: Any = ("pressure", "x", "force")) -> Any:
-    """({header: numbers}, {kind: header}, truth) of a record, without its clock."""
-    signals = draw.signals()
+def columns(draw: Draw, t: np.ndarray) -> tuple[dict[str, Any], dict[str, str]]:
+    """({header: numbers}, {kind: header}) of a record, without its clock."""
     made, names = {}, {}
-    for kind in kinds:
+    for kind, signal in draw.signals().items():
         unit = draw.unit(kind)
         names[kind] = draw.header(draw.name(kind), unit)
-        made[names[kind]] = signals[kind](t) / TO_SI[unit]
-    return made, names, {k: signals[k] for k in kinds}
+        made[names[kind]] = signal(t) / TO_SI[unit]
+    return made, names
+
+
+def record(
+    draw: Draw,
+    source: Any,
+    names: dict[str, str],
+    answers: dict[str, Any] | None = None,
+    **more: Any,
+) -> Case:
+    """The case of a record whose columns are called so."""
+    signals = draw.signals()
+    return Case(source, {k: signals[k] for k in names}, names, answers or {}, True, **more)
 
 
 def cells(draw: Draw) -> Any:
@@ -156,12 +169,18 @@ def shown(value: float, sign: str = ".") -> str:
 
 
 # ---- text ----------------------------------------------------------------------------------------
+def line_of(row: Any, cut: str, sign: str = ".") -> str:
+    cells = ("" if v is None else v if isinstance(v, str) else shown(v, sign) for v in row)
+    return cut.join(cells)
+
+
 def text_of(made: dict[str, Any], cut: str, sign: str) -> list[str]:
-    rows = zip(*made.values(), strict=True)
-    return [
-        cut.join(made),
-        *(cut.join(v if isinstance(v, str) else shown(v, sign) for v in r) for r in rows),
-    ]
+    return [line_of(row, cut, sign) for row in (made, *zip(*made.values(), strict=True))]
+
+
+def written(file: Path, lines: list[str]) -> Path:
+    file.write_text("\n".join(lines))
+    return file
 
 
 @shape
@@ -196,17 +215,15 @@ def two_header_rows(draw: Draw, path: Path) -> Case:
     cut, sign = draw.of((",", "."), (";", ","), ("\t", "."))
     rows = zip(*(truth[k] / TO_SI[u] for k, u in zip(kinds, units, strict=True)), strict=True)
     said = [("-" if u == "1" else draw.of(u, u) if sign == "," else f"[{u}]") for u in units]
-    lines = [cut.join(draw.name(k) for k in kinds), cut.join(said)]
-    lines += [cut.join(shown(v, sign) for v in row) for row in rows]
-    file = path / "static.csv"
-    file.write_text("\n".join(lines))
-    return Case(file, truth)
+    heads = [draw.name(k) for k in kinds]
+    lines = [line_of(row, cut, sign) for row in (heads, said, *rows)]
+    return Case(written(path / "static.csv", lines), truth)
 
 
 @shape
 def stray_lines(draw: Draw, path: Path) -> Case:
     t = draw.times()
-    made, names, truth = columns(draw, t)
+    made, names = columns(draw, t)
     lines = text_of({"time [s]": t, **made}, ",", ".")
     bad = sorted(draw.random.choice(np.arange(20, len(lines) - 20), 6, replace=False), reverse=True)
     for i, kind in zip(bad, ("cut", "stray", "head", "cut", "stray", "glued"), strict=True):
@@ -216,9 +233,8 @@ def stray_lines(draw: Draw, path: Path) -> Case:
             lines[i : i + 2] = [lines[i] + lines[i + 1]]
         else:
             lines.insert(i, lines[0] if kind == "head" else "--- sensor restarted ---")
-    file = path / "log.txt"
-    file.write_text("\n".join(lines) + "\n")
-    return Case(file, truth, names, {"bad_lines": "drop", "max_gap": 1.0}, True)
+    file = written(path / "log.txt", [*lines, ""])
+    return record(draw, file, names, {"bad_lines": "drop", "max_gap": 1.0})
 
 
 @shape
@@ -237,11 +253,8 @@ def key_value(draw: Draw, path: Path) -> Case:
         )
         for u in t
     ]
-    file = path / "serial.log"
-    file.write_text("\n".join(lines))
-    return Case(
-        file, signals, {"pressure": "p", "x": "x", "force": "F"}, {"units": {"time": "s"}}, True
-    )
+    names = {"pressure": "p", "x": "x", "force": "F"}
+    return record(draw, written(path / "serial.log", lines), names, CLOCK)
 
 
 @shape
@@ -252,38 +265,32 @@ def zones_across_a_change(draw: Draw, path: Path) -> Case:
     if zone.key.startswith("America"):
         day = day.replace(hour=6)
     stamps = [(day + dt.timedelta(seconds=float(u))).astimezone(zone) for u in t]
-    written = [
+    told = [
         draw.of(s.isoformat(timespec="milliseconds"), s.isoformat(" ", "milliseconds"))
         for s in stamps
     ]
-    made, names, truth = columns(draw, t)
-    file = path / "stamped.csv"
-    file.write_text("\n".join(text_of({"timestamp": written, **made}, ";", ".")))
-    return Case(file, truth, names, {}, True)
+    made, names = columns(draw, t)
+    lines = text_of({"timestamp": told, **made}, ";", ".")
+    return record(draw, written(path / "stamped.csv", lines), names)
 
 
 @shape
 def clock_in_other_units(draw: Draw, path: Path) -> Case:
     t = draw.times()
     unit, factor = draw.of(("us", 1e6), ("ms", 1e3), ("days", 1 / 86400), ("d", 1 / 86400))
-    made, names, truth = columns(draw, t)
-    said = draw.of(True, False)
-    clock = f"time [{unit}]" if said else "time"
+    made, names = columns(draw, t)
+    clock = f"time [{unit}]" if draw.of(True, False) else "time"
     lines = [",".join([clock, *made])]
     rows = zip(t * factor, *made.values(), strict=True)
     lines += [",".join(f"{v:.12g}" for v in row) for row in rows]
-    file = path / "clock.csv"
-    file.write_text("\n".join(lines))
-    return Case(file, truth, names, {"units": {"time": unit}}, True)
+    return record(draw, written(path / "clock.csv", lines), names, {"units": {"time": unit}})
 
 
 @shape
 def without_a_clock(draw: Draw, path: Path) -> Case:
-    t = np.arange(600) * 0.004
-    made, names, truth = columns(draw, t)
-    file = path / "even.csv"
-    file.write_text("\n".join(text_of(made, ",", ".")))
-    return Case(file, truth, names, {"kind": "record", "sample_time": 0.004}, True)
+    made, names = columns(draw, np.arange(600) * 0.004)
+    file = written(path / "even.csv", text_of(made, ",", "."))
+    return record(draw, file, names, {"kind": "record", "sample_time": 0.004})
 
 
 @shape
@@ -294,8 +301,7 @@ def constant_contraction(draw: Draw, path: Path) -> Case:
     unit = draw.unit("pressure")
     made = {f"p [{unit}]": truth["pressure"] / TO_SI[unit], "F [N]": truth["force"]}
     level = float(truth["contraction"][0])
-    file = path / f"M1_{100 * level:g}pct_run2.csv"
-    file.write_text("\n".join(text_of(made, ";", ",")))
+    file = written(path / f"M1_{100 * level:g}pct_run2.csv", text_of(made, ";", ","))
     answers = draw.of(
         {"constants": {"contraction": level}},
         {"pattern": "M1_{contraction [%]}pct_run{run}.csv"},
@@ -326,8 +332,7 @@ def merged_head_in_excel(draw: Draw, path: Path) -> Case:
     rows: list[list[Any]] = [["time", name, None, "Position"], ["s", "bar", "bar", "mm"]]
     rows += [[u, signals["pressure"](u) / 1e5, 2 + 0.1 * u, signals["x"](u) * 1e3] for u in t]
     file = book(path / "merged.xlsx", rows, ["B1:C1"])
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, {"pressure": f"{name} 1", "x": "Position"}, {}, True)
+    return record(draw, file, {"pressure": f"{name} 1", "x": "Position"})
 
 
 @shape
@@ -338,8 +343,7 @@ def groups_in_excel(draw: Draw, path: Path) -> Case:
     rows += [["t", "p", "F", "p", "F"], ["s", "bar", "N", "bar", "N"]]
     rows += [[u, signals["pressure"](u) / 1e5, signals["force"](u), 1.5, 20 + u] for u in t]
     file = book(path / "groups.xlsx", rows, ["B1:C1", "D1:E1"])
-    truth = {"pressure": signals["pressure"], "force": signals["force"]}
-    return Case(file, truth, {"pressure": "Muscle 1 p", "force": "Muscle 1 F"}, {}, True)
+    return record(draw, file, {"pressure": "Muscle 1 p", "force": "Muscle 1 F"})
 
 
 @shape
@@ -363,15 +367,8 @@ def blocks_side_by_side(draw: Draw, path: Path) -> Case:
             ]
         rows.append(row)
     if draw.of(True, False):
-        file = book(path / "blocks.xlsx", rows)
-    else:
-        file = path / "blocks.csv"
-        lines = [
-            ";".join("" if c is None else c if isinstance(c, str) else shown(c, ",") for c in r)
-            for r in rows
-        ]
-        file.write_text("\n".join(lines))
-    return Case(file, truth)
+        return Case(book(path / "blocks.xlsx", rows), truth)
+    return Case(written(path / "blocks.csv", [line_of(r, ";", ",") for r in rows]), truth)
 
 
 @shape
@@ -382,9 +379,7 @@ def clocks_side_by_side(draw: Draw, path: Path) -> Case:
     for i, u in enumerate(fast):
         left = [slow[i], signals["pressure"](slow[i]) / 1e3] if i < len(slow) else [None, None]
         rows.append([*left, u, signals["x"](u) * 1e3])
-    file = book(path / "clocks.xlsx", rows)
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, {"pressure": "p", "x": "x"}, {}, True, tolerance=5e-3)
+    return record(draw, book(path / "clocks.xlsx", rows), PX, tolerance=5e-3)
 
 
 @shape
@@ -415,8 +410,7 @@ def matlab_level_4(draw: Draw, path: Path) -> Case:
     made = {k: v[:, None] if draw.of(True, False) else v[None, :] for k, v in made.items()}
     file = path / "level4.mat"
     scipy.io.savemat(file, made, format="4")
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, {"pressure": "p", "x": "x"}, {"units": {"time": "s"}}, True)
+    return record(draw, file, PX, CLOCK)
 
 
 def structure(t: Any, several: dict[str, Any], three: bool = False) -> dict[str, Any]:
@@ -436,8 +430,7 @@ def to_workspace(draw: Draw, path: Path) -> Case:
     scipy.io.savemat(
         file, {draw.of("ScopeData", "simout"): structure(t, several, draw.of(True, False))}
     )
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, {"pressure": "p", "x": "x"}, {}, True)
+    return record(draw, file, PX)
 
 
 @shape
@@ -453,9 +446,8 @@ def several_to_workspace(draw: Draw, path: Path) -> Case:
         del held["tout"]
     file = path / "out.mat"
     scipy.io.savemat(file, held)
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    answers = {"pick": ["p_bar", "x_mm"]}
-    return Case(file, truth, {"pressure": "p_bar", "x": "x_mm"}, answers, True, tolerance=5e-3)
+    names = {"pressure": "p_bar", "x": "x_mm"}
+    return record(draw, file, names, {"pick": ["p_bar", "x_mm"]}, tolerance=5e-3)
 
 
 @shape
@@ -467,9 +459,7 @@ def structure_without_time(draw: Draw, path: Path) -> Case:
     made["time"] = np.zeros((0, 0))
     file = path / "out.mat"
     scipy.io.savemat(file, {"simout": made})
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    answers = {"kind": "record", "sample_time": 0.002}
-    return Case(file, truth, {"pressure": "p", "x": "x"}, answers, True)
+    return record(draw, file, PX, {"kind": "record", "sample_time": 0.002})
 
 
 @shape
@@ -503,8 +493,7 @@ def dspace(draw: Draw, path: Path) -> Case:
     scipy.io.savemat(
         file, {"rec_001": {"X": x, "Y": y, "Description": told, "RTProgram": "rig.sdf"}}
     )
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, {"pressure": "p1", "x": "x"}, {}, True, tolerance=5e-3)
+    return record(draw, file, {"pressure": "p1", "x": "x"}, tolerance=5e-3)
 
 
 @shape
@@ -522,8 +511,7 @@ def hdf5(draw: Draw, path: Path) -> Case:
             ("x", signals["x"](t), "m"),
         ):
             group.create_dataset(name, data=values).attrs["unit"] = unit
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, {"pressure": "p1", "x": "x"}, {}, True)
+    return record(draw, file, {"pressure": "p1", "x": "x"})
 
 
 # ---- LabVIEW -------------------------------------------------------------------------------------
@@ -541,20 +529,15 @@ def lvm(draw: Draw, path: Path) -> Case:
     lines += ["Y_Unit_Label\tbar\tmm\t", "X_Dimension\tTime\tTime\t"]
     lines += [f"X0\t0{sign}0E+0\t0{sign}0E+0\t", f"Delta_X\t0{sign}002\t0{sign}002\t"]
     lines += ["***End_of_Header***\t\t\t"]
-    if kind == "Multi":
-        lines += [f"X_Value\t{names[0]}\tX_Value\t{names[1]}\tComment"]
-    else:
-        lines += [f"X_Value\t{names[0]}\t{names[1]}\tComment"]
+    second = "X_Value\t" if kind == "Multi" else ""
+    lines += [f"X_Value\t{names[0]}\t{second}{names[1]}\tComment"]
     for i, u in enumerate(t):
         p, x = (f"{v[i]:.6f}".replace(".", sign) for v in made)
         clock = "" if kind == "No" else f"{u:.6f}".replace(".", sign)
         lines.append(f"{clock}\t{p}\t{clock}\t{x}" if kind == "Multi" else f"{clock}\t{p}\t{x}")
     file = path / "test.lvm"
     file.write_text("\r\n".join(lines), encoding="latin-1")
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(
-        file, truth, dict(zip(("pressure", "x"), names, strict=True)), {}, True, tolerance=5e-3
-    )
+    return record(draw, file, dict(zip(("pressure", "x"), names, strict=True)), tolerance=5e-3)
 
 
 @shape
@@ -581,8 +564,7 @@ def tdms(draw: Draw, path: Path) -> Case:
     file = path / "log.tdms"
     with TdmsWriter(file) as writer:
         writer.write_segment(made)
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, {"pressure": "p", "x": "x"}, {}, True, tolerance=5e-3)
+    return record(draw, file, PX, tolerance=5e-3)
 
 
 # ---- ROS -----------------------------------------------------------------------------------------
@@ -599,40 +581,24 @@ def topics(draw: Draw) -> list[tuple[str, np.ndarray, Callable[[Any], Any]]]:
     ]
 
 
-def of_topics(file: Path, several: Any, answers: dict[str, Any] | None = None) -> Case:
-    (_, a, p), (_, b, x) = several
-    first = max(a[0], b[0])
+def of_topics(draw: Draw, file: Path, several: Any) -> Case:
+    (_, a, _), (_, b, _) = several
     main = a if a.size >= b.size else b
-    first = float(main[main >= first - 1e-9][0])
-    truth = {"pressure": p, "x": x}
-    return Case(
-        file, truth, {"pressure": "pressure", "x": "x"}, answers or {}, True, first, tolerance=1e-2
-    )
+    first = float(main[main >= max(a[0], b[0]) - 1e-9][0])
+    return record(draw, file, {"pressure": "pressure", "x": "x"}, first=first, tolerance=1e-2)
 
 
-def write_ros(writer: Any, store: Any, several: Any, ros1: bool) -> None:
-    kinds = store.types
-    kind = kinds["std_msgs/msg/Float64"]
-    for topic, t, f in several:
+def write_ros(writer: Any, store: Any, several: Any, serialize: Any) -> None:
+    """Numbers, and two remarks."""
+    remarks = ("/remarks", [0.1, 3.0], lambda u: "valve opened")
+    for topic, t, f in (*several, remarks):
+        kind = store.types[f"std_msgs/msg/{'String' if topic == '/remarks' else 'Float64'}"]
         connection = writer.add_connection(topic, kind.__msgtype__, typestore=store)
         for u in t:
-            message = kind(data=float(f(u)))
-            raw = (
-                store.serialize_ros1(message, kind.__msgtype__)
-                if ros1
-                else store.serialize_cdr(message, kind.__msgtype__)
-            )
+            value = f(u)
+            message = kind(data=value if isinstance(value, str) else float(value))
+            raw = serialize(message, kind.__msgtype__)
             writer.write(connection, START + round(u * 1e9), raw)
-    text = kinds["std_msgs/msg/String"]
-    connection = writer.add_connection("/remarks", text.__msgtype__, typestore=store)
-    for u in (0.1, 3.0):
-        message = text(data="valve opened")
-        raw = (
-            store.serialize_ros1(message, text.__msgtype__)
-            if ros1
-            else store.serialize_cdr(message, text.__msgtype__)
-        )
-        writer.write(connection, START + round(u * 1e9), raw)
 
 
 @shape
@@ -640,11 +606,11 @@ def rosbag_1(draw: Draw, path: Path) -> Case:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    several = topics(draw)
+    several, store = topics(draw), get_typestore(Stores.ROS1_NOETIC)
     file = path / "run.bag"
     with Writer(file) as writer:
-        write_ros(writer, get_typestore(Stores.ROS1_NOETIC), several, True)
-    return of_topics(file, several)
+        write_ros(writer, store, several, store.serialize_ros1)
+    return of_topics(draw, file, several)
 
 
 @shape
@@ -652,13 +618,13 @@ def rosbag_2(draw: Draw, path: Path) -> Case:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
-    several = topics(draw)
+    several, store = topics(draw), get_typestore(Stores.ROS2_HUMBLE)
     file = path / "run"
     plugin = draw.of(StoragePlugin.SQLITE3, StoragePlugin.MCAP)
     with Writer(file, version=9, storage_plugin=plugin) as writer:
-        write_ros(writer, get_typestore(Stores.ROS2_HUMBLE), several, False)
+        write_ros(writer, store, several, store.serialize_cdr)
     inside = draw.of(None, "*.db3" if plugin is StoragePlugin.SQLITE3 else "*.mcap")
-    return of_topics(file if inside is None else next(file.glob(inside)), several)
+    return of_topics(draw, file if inside is None else next(file.glob(inside)), several)
 
 
 @shape
@@ -692,7 +658,7 @@ def joint_states(draw: Draw, path: Path) -> Case:
             late = ns + int(draw.random.uniform(0, 3e6))  # when it arrived
             writer.write(connection, late, store.serialize_cdr(message, state.__msgtype__))
     names = {"x": "joint_states.position.slide", "force": "joint_states.effort.slide"}
-    return Case(file, {"x": signals["x"], "force": signals["force"]}, names, {}, True)
+    return record(draw, file, names)
 
 
 @shape
@@ -713,7 +679,7 @@ def mcap_of_json(draw: Draw, path: Path) -> Case:
                 data = json.dumps({"data": float(f(u))}).encode()
                 writer.add_message(channel, log_time=ns, publish_time=ns, data=data)
         writer.finish()
-    return of_topics(file, several)
+    return of_topics(draw, file, several)
 
 
 # ---- JSON and pandas -----------------------------------------------------------------------------
@@ -724,24 +690,13 @@ def nested_json(draw: Draw, path: Path) -> Case:
     p, x = signals["pressure"](t) / 1e3, signals["x"](t) * 1e3
     kind = draw.of("channels", "mapping", "records", "lines", "united records")
     file = path / "run.json"
+    several = (("time", "s", t.tolist()), ("p", "kPa", p.tolist()), ("x", "mm", x.tolist()))
     if kind == "channels":
-        made: Any = {
-            "meta": {"rig": 4, "by": "lab"},
-            "channels": [
-                {"name": "time", "unit": "s", "data": t.tolist()},
-                {"name": "p", "unit": "kPa", "data": p.tolist()},
-                {"name": "x", "unit": "mm", "data": x.tolist()},
-            ],
-        }
+        channels = [{"name": n, "unit": u, "data": v} for n, u, v in several]
+        made: Any = {"meta": {"rig": 4, "by": "lab"}, "channels": channels}
     elif kind == "mapping":
-        made = {
-            "info": {"rate": 100},
-            "data": {
-                "time": {"unit": "s", "values": t.tolist()},
-                "p": {"unit": "kPa", "values": p.tolist()},
-                "x": {"unit": "mm", "values": x.tolist()},
-            },
-        }
+        data = {n: {"unit": u, "values": v} for n, u, v in several}
+        made = {"info": {"rate": 100}, "data": data}
     elif kind == "united records":
         made = [
             {"t": u, "p": {"value": a, "unit": "kPa"}, "x": {"value": b, "unit": "mm"}}
@@ -756,8 +711,7 @@ def nested_json(draw: Draw, path: Path) -> Case:
         file.write_text(json.dumps(made, indent=draw.of(None, 1)))
     nested = kind in ("records", "lines")
     names = {"pressure": "rig.p_kPa" if nested else "p", "x": "rig.x_mm" if nested else "x"}
-    truth = {"pressure": signals["pressure"], "x": signals["x"]}
-    return Case(file, truth, names, {"units": {"time": "s"}}, True)
+    return record(draw, file, names, CLOCK)
 
 
 @shape
@@ -765,7 +719,7 @@ def frame_with_an_index_of_times(draw: Draw, path: Path) -> Case:
     import pandas as pd
 
     t = draw.times()
-    made, names, truth = columns(draw, t)
+    made, names = columns(draw, t)
     begin = pd.Timestamp("2024-10-27 00:59:59", tz=draw.of(None, "UTC")) + pd.to_timedelta(
         t, unit="s"
     )
@@ -774,9 +728,9 @@ def frame_with_an_index_of_times(draw: Draw, path: Path) -> Case:
     index = draw.of(begin, pd.to_timedelta(t, unit="s"), pd.Index(t, name="time [s]"))
     frame = pd.DataFrame(made, index=index)
     if draw.of(True, False):
-        return Case(frame, truth, names, {}, True)
+        return record(draw, frame, names)
     frame.to_parquet(path / "run.parquet")
-    return Case(path / "run.parquet", truth, names, {}, True)
+    return record(draw, path / "run.parquet", names)
 
 
 # ---- reading -------------------------------------------------------------------------------------

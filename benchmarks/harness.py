@@ -24,6 +24,7 @@ numbers a count, and
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import multiprocessing
@@ -39,7 +40,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 Row = dict[str, Any]
 Work = Callable[[], Row]
@@ -53,17 +54,31 @@ def spent() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in each)
 
 
-def both(work: Callable[[], Any]) -> tuple[float, float]:
-    """(processor seconds of all processes, seconds by the clock) of a call."""
+class Took(NamedTuple):
+    """Of a call: processor seconds of all processes, seconds by the clock, what it returned."""
+
+    processor: float
+    clock: float
+    result: Any
+
+
+def took(work: Callable[[], Any]) -> Took:
+    """A call, and what it took."""
     begin, clock = spent(), time.perf_counter()
+    result = work()
+    return Took(spent() - begin, time.perf_counter() - clock, result)
+
+
+def repeated(work: Callable[[], Any], repeats: int = 3) -> Took:
+    """Medians of some calls, after one for warming up, and the last result."""
     work()
-    return spent() - begin, time.perf_counter() - clock
+    processor, clock, results = zip(*(took(work) for _ in range(repeats)), strict=True)
+    return Took(median(processor), median(clock), results[-1])
 
 
 def timed(work: Callable[[], Any], repeats: int = 3) -> float:
     """Median processor seconds of a call, after one for warming up."""
-    work()
-    return median(both(work)[0] for _ in range(repeats))
+    return repeated(work, repeats).processor
 
 
 def process_seconds(*command: str) -> float:
@@ -149,8 +164,8 @@ def limited(work: Work, seconds: float) -> Row:
             break
     if "clock" not in row:  # the last message has it
         row |= {"verdict": verdict, "processor": seconds}
-    if process.is_alive() and os.getpgid(process.pid or 0) == process.pid:
-        os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid or 0, signal.SIGKILL)  # what it has left running, too
     process.join(5)
     return row
 

@@ -11,6 +11,7 @@ only. tests/core/test_stop.py runs the same verbs.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import faulthandler
 import itertools
 import os
@@ -28,189 +29,138 @@ from typing import Any
 
 LONGEST = 60.0
 """Behind the signal; then the process is killed [s]."""
-VERBS: dict[str, Callable[[Any], Any]] = {}
-
-
-def _verb(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    VERBS[function.__name__] = function
-    return function
-
-
 STOPS = [{"x": -0.015}, {"x": 0.015}]
+Work = Callable[[], Any]
 
 
-def _slide(pam: Any) -> Any:
+# ---- what verbs are given ------------------------------------------------------------------------
+def slide(pam: Any) -> Any:
     return pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10)
 
 
-def _hanging(pam: Any) -> Any:
-    return pam.HangingLoad(pam.muscle("DMSP-20-300"), mass=10.0)
+def hanging(pam: Any, **options: Any) -> Any:
+    return pam.HangingLoad(pam.muscle("DMSP-20-300"), **{"mass": 10.0, **options})
 
 
-def _table(pam: Any) -> Any:
+def table(pam: Any) -> Any:
     return pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
 
 
-def _again(work: Callable[[], Any], times: int = 1000) -> Any:
-    """The work again and again, so that an interrupt always finds it."""
-    for _ in range(times):
-        found = work()
-    return found
-
-
-@_verb
-def simulate(pam: Any) -> Any:
-    """Some minutes in one call of the integrator."""
-    return pam.simulate(_slide(pam), t=[0.0, 2e5], step=1e-4, max_steps=10**9)
-
-
-@_verb
-def plan(pam: Any) -> Any:
-    return _again(lambda: pam.plan(_slide(pam), STOPS))
-
-
-@_verb
-def plan_work(pam: Any) -> Any:
-    return _again(lambda: pam.plan(_slide(pam), STOPS, minimise="work", duration=0.5))
-
-
-@_verb
-def plan_infeasible(pam: Any) -> Any:
-    """The whole search for a reason."""
-    far = [{"x": -0.015}, {"x": 0.015}]
-
-    def tried() -> None:
-        try:
-            pam.plan(_slide(pam), far, duration=0.01)
-        except pam.PlanError:
-            return
-
-    return _again(tried)
-
-
-@_verb
-def plan_valves(pam: Any) -> Any:
-    """Several starts, side by side in processes."""
-    m = pam.muscle("DMSP-20-300")
-    valve = pam.feeds.SpoolValve(conductance=1e-9)
-    plant = pam.HangingLoad(m, mass=10.0, feed=valve)
-    return _again(lambda: pam.plan(plant, [{"x": 0.03}, {"x": 0.05}], tolerance=None))
-
-
-@_verb
-def pareto(pam: Any) -> Any:
-    return _again(lambda: pam.pareto(_slide(pam), STOPS, points=7))
-
-
-@_verb
-def robust_plan(pam: Any) -> Any:
-    draws = [{"mass": mass} for mass in (1.9, 2.0, 2.1)]
-    return _again(
-        lambda: pam.robust_plan(
-            _slide(pam), STOPS, draws=draws, spread={"x": 2e-3}, tolerance=None, share=None
-        )
-    )
-
-
-@_verb
-def compare_laws(pam: Any) -> Any:
-    return _again(lambda: pam.compare_laws(_table(pam)))
-
-
-@_verb
-def fit_force(pam: Any) -> Any:
-    return _again(lambda: pam.fit_force(_table(pam), loss="bisquare"))
-
-
-@_verb
-def bootstrap(pam: Any) -> Any:
-    return pam.fit_force(_table(pam)).bootstrap(100_000)
-
-
-def _recorded(pam: Any) -> Any:
-    plant = _hanging(pam)
+def recorded(pam: Any) -> Any:
+    plant = hanging(pam)
     times = [0.002 * i for i in range(500)]
     return plant, pam.simulate(plant, {plant.inputs[0].name: 3e5}, t=times)
 
 
-def _fed_back(pam: Any) -> Any:
+def fed_back(pam: Any) -> Any:
     """A plant that vibrates from some gain on, and where it rests."""
     plant = pam.RegulatedLoad(pam.muscle("DMSP-20-400N"), mass=20.0, lag=0.1)
     return plant, {"x": 0.04, "muscle.reference": 0.04}
 
 
-@_verb
-def fit_plant(pam: Any) -> Any:
-    plant, record = _recorded(pam)
-    free = [plant.parameters[0].name]
-    return _again(lambda: pam.fit_plant(plant, record, free, outputs=["x"]))
+def many(pam: Any, **options: Any) -> Work:
+    masses = [{"parameters": {"mass": 2.0 + 1e-4 * i}} for i in range(100_000)]
+    return lambda: pam.simulate_many(slide(pam), masses, duration=1.0, **options)
 
 
-@_verb
-def equilibria(pam: Any) -> Any:
-    return _again(
-        lambda: pam.operating.equilibria(_hanging(pam), {"muscle.pressure": 2e5}, starts=1000)
-    )
+def pooled(pam: Any, kind: Any) -> Work:
+    def work() -> Any:
+        with kind(2) as pool:
+            return many(pam, executor=pool)()
+
+    return work
 
 
-@_verb
-def load_study(pam: Any) -> Any:
-    return _again(lambda: pam.load_study("DMSP-20-300"))
+# ---- the verbs -----------------------------------------------------------------------------------
+def simulate(pam: Any, folder: str) -> Work:
+    """Some minutes in one call of the integrator."""
+    return lambda: pam.simulate(slide(pam), t=[0.0, 2e5], step=1e-4, max_steps=10**9)
 
 
-@_verb
-def closed_loop_ipopt(pam: Any) -> Any:
-    plant = _slide(pam)
-    mpc = pam.Mpc(plant, track={"x": 1.0}, sample_time=0.01, horizon=40, solver="ipopt")
-    return _again(lambda: mpc.closed_loop(plant, {"x": 0.01}, duration=20.0))
+def plan(pam: Any, folder: str) -> Work:
+    return lambda: pam.plan(slide(pam), STOPS)
 
 
-@_verb
-def free_run(pam: Any) -> Any:
-    plant, record = _recorded(pam)
-    return _again(
-        lambda: pam.fit_free_run(plant, record, ["mass"], horizon=0.2, every=0.1, outputs=["x"])
-    )
+def plan_work(pam: Any, folder: str) -> Work:
+    return lambda: pam.plan(slide(pam), STOPS, minimise="work", duration=0.5)
 
 
-@_verb
-def design_signal(pam: Any) -> Any:
-    return _again(
-        lambda: pam.experiments.design_signal(
-            _hanging(pam), ["mass"], duration=1.0, noise={"x": 1e-4}
-        )
-    )
+def plan_infeasible(pam: Any, folder: str) -> Work:
+    """The whole search for a reason."""
+
+    def tried() -> None:
+        with contextlib.suppress(pam.PlanError):
+            pam.plan(slide(pam), STOPS, duration=0.01)
+
+    return tried
 
 
-@_verb
-def design_cells(pam: Any) -> Any:
-    fit = pam.fit_force(_table(pam))
-    return _again(lambda: pam.experiments.design_cells(fit, 12))
+def plan_valves(pam: Any, folder: str) -> Work:
+    """Several starts, side by side in processes."""
+    plant = hanging(pam, feed=pam.feeds.SpoolValve(conductance=1e-9))
+    return lambda: pam.plan(plant, [{"x": 0.03}, {"x": 0.05}], tolerance=None)
 
 
-@_verb
-def equilibrium_branch(pam: Any) -> Any:
-    return _again(
-        lambda: pam.operating.equilibrium_branch(
-            _hanging(pam), "mass", 5.0, 60.0, {"muscle.pressure": 3e5}, longest=0.01
-        )
-    )
+def pareto(pam: Any, folder: str) -> Work:
+    return lambda: pam.pareto(slide(pam), STOPS, points=7)
 
 
-@_verb
-def hopf_border(pam: Any) -> Any:
-    plant, rest = _fed_back(pam)
-    lags = [0.02 + 0.02 * i for i in range(40)]
-    return _again(
-        lambda: pam.vibration.hopf_border(
-            plant, "muscle.gain", (1e5, 5e7), "muscle.lag", lags, rest
-        )
-    )
+def robust_plan(pam: Any, folder: str) -> Work:
+    draws = {"draws": [{"mass": mass} for mass in (1.9, 2.0, 2.1)], "spread": {"x": 2e-3}}
+    return lambda: pam.robust_plan(slide(pam), STOPS, tolerance=None, share=None, **draws)
 
 
-@_verb
-def limit_cycles(pam: Any) -> Any:
-    plant, rest = _fed_back(pam)
+def compare_laws(pam: Any, folder: str) -> Work:
+    return lambda: pam.compare_laws(table(pam))
+
+
+def fit_force(pam: Any, folder: str) -> Work:
+    return lambda: pam.fit_force(table(pam), loss="bisquare")
+
+
+def bootstrap(pam: Any, folder: str) -> Work:
+    return lambda: pam.fit_force(table(pam)).bootstrap(100_000)
+
+
+def fit_plant(pam: Any, folder: str) -> Work:
+    plant, record = recorded(pam)
+    return lambda: pam.fit_plant(plant, record, [plant.parameters[0].name], outputs=["x"])
+
+
+def free_run(pam: Any, folder: str) -> Work:
+    plant, record = recorded(pam)
+    options = {"horizon": 0.2, "every": 0.1, "outputs": ["x"]}
+    return lambda: pam.fit_free_run(plant, record, ["mass"], **options)
+
+
+def design_signal(pam: Any, folder: str) -> Work:
+    options = {"duration": 1.0, "noise": {"x": 1e-4}}
+    return lambda: pam.experiments.design_signal(hanging(pam), ["mass"], **options)
+
+
+def design_cells(pam: Any, folder: str) -> Work:
+    fit = pam.fit_force(table(pam))
+    return lambda: pam.experiments.design_cells(fit, 12)
+
+
+def equilibria(pam: Any, folder: str) -> Work:
+    given = {"muscle.pressure": 2e5}
+    return lambda: pam.operating.equilibria(hanging(pam), given, starts=1000)
+
+
+def equilibrium_branch(pam: Any, folder: str) -> Work:
+    way = ("mass", 5.0, 60.0, {"muscle.pressure": 3e5})
+    return lambda: pam.operating.equilibrium_branch(hanging(pam), *way, longest=0.01)
+
+
+def hopf_border(pam: Any, folder: str) -> Work:
+    plant, rest = fed_back(pam)
+    way = ("muscle.gain", (1e5, 5e7), "muscle.lag", [0.02 + 0.02 * i for i in range(40)])
+    return lambda: pam.vibration.hopf_border(plant, *way, rest)
+
+
+def limit_cycles(pam: Any, folder: str) -> Work:
+    plant, rest = fed_back(pam)
 
     def followed() -> Any:
         point = pam.vibration.hopf(plant, "muscle.gain", (1e5, 1e7), rest)
@@ -218,96 +168,92 @@ def limit_cycles(pam: Any) -> Any:
         within = (0.2 * point.value, 1.5 * point.value)
         return pam.vibration.continue_cycle(small, "muscle.gain", within, step=0.1)
 
-    return _again(followed)
+    return followed
 
 
-@_verb
-def export_fmu(pam: Any) -> Any:
+def load_study(pam: Any, folder: str) -> Work:
+    return lambda: pam.load_study("DMSP-20-300")
+
+
+def closed_loop_ipopt(pam: Any, folder: str) -> Work:
+    plant = slide(pam)
+    mpc = pam.Mpc(plant, track={"x": 1.0}, sample_time=0.01, horizon=40, solver="ipopt")
+    return lambda: mpc.closed_loop(plant, {"x": 0.01}, duration=20.0)
+
+
+def export_fmu(pam: Any, folder: str) -> Work:
     """Compilers at work; each plant another one, so that none is found in the cache."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, "plant.fmu")
-        masses = itertools.count(5.0 + 40.0 * random.SystemRandom().random(), 1e-3)
-        return _again(
-            lambda: pam.export_fmu(
-                pam.HangingLoad(pam.muscle("DMSP-20-300"), mass=next(masses)),
-                path,
-                platforms=["native"],
-            )
-        )
+    masses = itertools.count(5.0 + 40.0 * random.SystemRandom().random(), 1e-3)
+    unit = {"path": f"{folder}/plant.fmu", "platforms": ["native"]}
+    return lambda: pam.export_fmu(hanging(pam, mass=next(masses)), **unit)
 
 
-@_verb
-def export_controller(pam: Any) -> Any:
-    with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, "controller.fmu")
-        plant = _hanging(pam)
+def export_controller(pam: Any, folder: str) -> Work:
+    plant = hanging(pam)
 
-        def exported() -> Any:
-            feedback = pam.lqr(plant, plant.equilibrium(x=0.05), sample_time=1e-3)
-            controller = pam.control.state_feedback_controller(feedback)
-            return pam.export_fmu(controller, path, platforms=["native"])
+    def exported() -> Any:
+        feedback = pam.lqr(plant, plant.equilibrium(x=0.05), sample_time=1e-3)
+        controller = pam.control.state_feedback_controller(feedback)
+        return pam.export_fmu(controller, f"{folder}/controller.fmu", platforms=["native"])
 
-        return _again(exported)
+    return exported
 
 
-@_verb
-def check_fmu(pam: Any) -> Any:
-    with tempfile.TemporaryDirectory() as folder:
-        path = os.path.join(folder, "plant.fmu")
-        pam.export_fmu(_hanging(pam), path, platforms=["native"])
-        return _again(lambda: pam.check_fmu(path, duration=5.0))
+def check_fmu(pam: Any, folder: str) -> Work:
+    path = pam.export_fmu(hanging(pam), f"{folder}/plant.fmu", platforms=["native"])
+    return lambda: pam.check_fmu(path, duration=5.0)
 
 
-@_verb
-def files(pam: Any) -> Any:
+def files(pam: Any, folder: str) -> Work:
     """Readers and writers, with the libraries that they load."""
-    with tempfile.TemporaryDirectory() as folder:
-        _, record = _recorded(pam)
-        path = os.path.join(folder, "record")
+    _, record = recorded(pam)
 
-        def there_and_back() -> None:
-            for end in (".csv", ".npz", ".parquet"):
-                record.save(path + end)
-                pam.Trajectory.load(path + end)
-            pam.save_muscle(pam.muscle("DMSP-20-300"), path + ".toml")
-            pam.load_muscle(path + ".toml")
-            _table(pam)
+    def there_and_back() -> None:
+        for end in (".csv", ".npz", ".parquet"):
+            record.save(f"{folder}/record{end}")
+            pam.Trajectory.load(f"{folder}/record{end}")
+        pam.save_muscle(pam.muscle("DMSP-20-300"), f"{folder}/record.toml")
+        pam.load_muscle(f"{folder}/record.toml")
+        table(pam)
 
-        return _again(there_and_back)
+    return there_and_back
 
 
-@_verb
-def figures(pam: Any) -> Any:
-    _, record = _recorded(pam)
-    return _again(lambda: record.plot())
+def figures(pam: Any, folder: str) -> Work:
+    _, record = recorded(pam)
+    return lambda: record.plot()
 
 
-def _cases() -> list[dict[str, Any]]:
-    return [{"parameters": {"mass": 2.0 + 1e-4 * i}} for i in range(100_000)]
+def simulate_many(pam: Any, folder: str) -> Work:
+    return many(pam)
 
 
-@_verb
-def simulate_many(pam: Any) -> Any:
-    return pam.simulate_many(_slide(pam), _cases(), duration=1.0)
+def simulate_many_workers(pam: Any, folder: str) -> Work:
+    return many(pam, workers=2)
 
 
-@_verb
-def simulate_many_workers(pam: Any) -> Any:
-    return pam.simulate_many(_slide(pam), _cases(), duration=1.0, workers=2)
+def simulate_many_pool(pam: Any, folder: str) -> Work:
+    return pooled(pam, ProcessPoolExecutor)
 
 
-@_verb
-def simulate_many_pool(pam: Any) -> Any:
-    with ProcessPoolExecutor(2) as pool:
-        return pam.simulate_many(_slide(pam), _cases(), duration=1.0, executor=pool)
+def simulate_many_threads(pam: Any, folder: str) -> Work:
+    return pooled(pam, ThreadPoolExecutor)
 
 
-@_verb
-def simulate_many_threads(pam: Any) -> Any:
-    with ThreadPoolExecutor(2) as pool:
-        return pam.simulate_many(_slide(pam), _cases(), duration=1.0, executor=pool)
+VERBS: dict[str, Callable[[Any, str], Work]] = {
+    verb.__name__: verb
+    for verb in (
+        simulate, plan, plan_work, plan_infeasible, plan_valves, pareto, robust_plan, compare_laws,
+        fit_force, bootstrap, fit_plant, equilibria, load_study, closed_loop_ipopt, free_run,
+        design_signal, design_cells, equilibrium_branch, hopf_border, limit_cycles, export_fmu,
+        export_controller, check_fmu, files, figures, simulate_many, simulate_many_workers,
+        simulate_many_pool, simulate_many_threads,
+    )
+}  # fmt: skip
+"""(pam_ocp, a folder) -> what is done again and again, so that an interrupt always finds it."""
 
 
+# ---- one try -------------------------------------------------------------------------------------
 def run(name: str, told: Any) -> None:
     """In the process of its own: says "go", works, and says how it ended and when."""
     end = "nothing"
@@ -322,7 +268,10 @@ def run(name: str, told: Any) -> None:
         faulthandler.dump_traceback_later(LONGEST - 10.0)  # where it hangs, if it does
         told.write("go\n")
         told.flush()
-        VERBS[name](pam)
+        with tempfile.TemporaryDirectory() as folder:
+            work = VERBS[name](pam, folder)
+            for _ in range(1000):
+                work()
         end = "returned"
     except KeyboardInterrupt:
         end = "KeyboardInterrupt"

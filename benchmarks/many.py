@@ -30,15 +30,15 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from time import time
 from typing import Any
 
 import harness
 import numpy as np
-from harness import both as measured
-from harness import spent as processor
+from harness import spent, took
 
 import pam_ocp as pam
 
@@ -82,24 +82,21 @@ def simulations(count: int, both: bool = True) -> dict[str, float]:
     pam.simulate(plant, **COMMON, **next(pushes(1)))  # integrators are built once
     sample = min(count, SAMPLE)
     chosen = [c for i, c in enumerate(pushes(count)) if i % (count // sample) == 0][:sample]
-    plain = measured(lambda: [pam.simulate(plant, **COMMON, **c) for c in chosen])[0] / sample
+    plain = took(lambda: [pam.simulate(plant, **COMMON, **c) for c in chosen]).processor / sample
 
-    def run(processes: int) -> tuple[float, float]:
+    def run(processes: int) -> harness.Took:
         with tempfile.TemporaryDirectory() as folder:
-            return measured(
-                lambda: pam.simulate_many(
-                    plant, pushes(count), executor=processes, into=folder, **COMMON
-                )
-            )
+            ways = {"executor": processes, "into": folder}
+            return took(lambda: pam.simulate_many(plant, pushes(count), **ways, **COMMON))
 
     two = run(2)
     found = {
-        "simulations, cost of a case / plain loop": two[0] / count / plain,
+        "simulations, cost of a case / plain loop": two.processor / count / plain,
         "simulations, a case of a plain loop [ms]": 1e3 * plain,
-        "simulations, wall, two processes [s]": two[1],
+        "simulations, wall, two processes [s]": two.clock,
     }
     if both:
-        found["simulations, scaling on two processes (wall)"] = run(1)[1] / two[1]
+        found["simulations, scaling on two processes (wall)"] = run(1).clock / two.clock
     return found
 
 
@@ -107,52 +104,67 @@ def plans(count: int, both: bool = True) -> dict[str, float]:
     """Figures of plans."""
     work, masses = Quickest(), np.linspace(1.5, 3.0, count).tolist()
     sample = masses[:: max(1, count // 50)]
-    plain = measured(lambda: [work(m) for m in sample])[0] / len(sample)
-    two = measured(lambda: pam.each(work, masses, executor=2))
+    plain = took(lambda: [work(m) for m in sample]).processor / len(sample)
+    two = took(lambda: pam.each(work, masses, executor=2))
     found = {
-        "plans, cost of a case / plain loop": two[0] / count / plain,
+        "plans, cost of a case / plain loop": two.processor / count / plain,
         "plans, a case of a plain loop [ms]": 1e3 * plain,
     }
     if both:
-        one = measured(lambda: pam.each(work, masses, executor=1))
-        found["plans, scaling on two processes (wall)"] = one[1] / two[1]
+        one = took(lambda: pam.each(work, masses, executor=1))
+        found["plans, scaling on two processes (wall)"] = one.clock / two.clock
     return found
 
 
 def figures(quick: bool) -> dict[str, float]:
     """For run.py: cost, growth with the number of cases, and scaling, which many cases show."""
-    if quick:
-        found = simulations(60, both=False) | plans(40, both=False)
-    else:
-        found = simulations(400) | plans(200)
+    sizes = (60, 40) if quick else (400, 200)
+    found = simulations(sizes[0], both=not quick) | plans(sizes[1], both=not quick)
     plant = slide()
     for count in (10, 100) if quick else (10, 100, 1000):
-        cases = list(pushes(count))
-        work = lambda c=cases: pam.simulate_many(plant, c, executor=2, **COMMON)  # noqa: E731
-        seconds, wall = measured(work)
-        found[f"simulate_many, a case [ms]@{count}"] = 1e3 * seconds / count
-        found[f"simulate_many, two processes, a case, wall [ms]@{count}"] = 1e3 * wall / count
+        run = took(partial(pam.simulate_many, plant, list(pushes(count)), executor=2, **COMMON))
+        found[f"simulate_many, a case [ms]@{count}"] = 1e3 * run.processor / count
+        found[f"simulate_many, two processes, a case, wall [ms]@{count}"] = 1e3 * run.clock / count
     return found
+
+
+# ---- memory, numbers, kills ----------------------------------------------------------------------
+def peak(who: int = resource.RUSAGE_SELF) -> float:
+    """Largest resident memory so far [MB], of this process or of ended children."""
+    return resource.getrusage(who).ru_maxrss / 1024
+
+
+class Peaks:
+    """Progress that notes the largest memory at every tenth of the cases.
+
+    limit : cases after which the process kills itself.
+    """
+
+    def __init__(self, count: int, limit: float = np.inf) -> None:
+        self.count, self.limit, self.met = count, limit, dict[int, float]()
+
+    def __call__(self, done: int, _: int | None) -> None:
+        if done >= self.limit:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if done * 10 // self.count > len(self.met):
+            self.met[done] = peak()
+
+    def __str__(self) -> str:
+        notes = ", ".join(f"{done}: {mb:.0f}" for done, mb in self.met.items())
+        worker = peak(resource.RUSAGE_CHILDREN)
+        return f"a worker {worker:.0f} MB; peak memory [MB] after so many cases:\n  {notes}"
 
 
 def memory(count: int) -> None:
     """The largest resident memory at every tenth of short cases, and a worker's."""
-    plant, met = pam.HangingLoad("DMSP-20-400N"), {}
+    plant, note = pam.HangingLoad("DMSP-20-400N"), Peaks(count)
     cases = ({"parameters": {"mass": 5.0 + 45.0 * i / count}} for i in range(count))
     short = {"inputs": {"muscle.command": 4e5}, "t": np.linspace(0.0, 0.02, 3), "rtol": 1e-4}
-
-    def note(done: int, _: int | None) -> None:
-        if done * 10 // count > len(met):
-            met[done] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
     with tempfile.TemporaryDirectory() as folder:
         ways = {"executor": 2, "chunk": 500, "into": folder}
-        seconds = measured(lambda: pam.simulate_many(plant, cases, progress=note, **ways, **short))
+        run = took(lambda: pam.simulate_many(plant, cases, progress=note, **ways, **short))
         size = sum(p.stat().st_size for p in Path(folder).rglob("*.*")) / 1e6
-    worker = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    print("peak memory [MB] after so many cases:")
-    print(", ".join(f"{done}: {mb:.0f}" for done, mb in met.items()))
-    print(f"{count} cases: {seconds[1]:.0f} s, {size:.0f} MB on disk, a worker {worker:.0f} MB")
+    print(f"{count} cases: {run.clock:.0f} s, {size:.0f} MB on disk, {note}")
 
 
 def eight(base: int) -> tuple[pam.Plant, pam.simulation.SobolCases, dict[str, Any]]:
@@ -174,23 +186,17 @@ def kept(base: int) -> dict[str, float]:
     plant, few, common = eight(64)
     pam.simulate_many(plant, few, executor=0, **common)  # compiled once
     cases, found = eight(base)[1], {}
+    count = len(cases)
     for rtol in (1e-10, 1e-6):
         with tempfile.TemporaryDirectory() as folder:
             ways = {"executor": 2, "into": folder, "rtol": rtol}
-            numbers = []
-            work = lambda w=ways, n=numbers: n.append(  # noqa: E731
-                pam.simulate_many(plant, cases, **w, **common)
-            )
-            seconds, wall = measured(work)
+            run = took(partial(pam.simulate_many, plant, cases, **ways, **common))
             size = sum(p.stat().st_size for p in Path(folder).rglob("*.parquet"))
-            found[f"kept, rtol {rtol:g}, a case [ms]"] = 1e3 * seconds / len(cases)
-            found[f"kept, rtol {rtol:g}, two processes, a case, wall [ms]"] = (
-                1e3 * wall / len(cases)
-            )
-            found["kept, a case on disk [B]"] = size / len(cases)
-            found["Sobol indices of one number [s]"] = measured(
-                lambda n=numbers: n[0].sobol("peak")
-            )[0]
+            indices = took(partial(run.result.sobol, "peak"))
+        found[f"kept, rtol {rtol:g}, a case [ms]"] = 1e3 * run.processor / count
+        found[f"kept, rtol {rtol:g}, two processes, a case, wall [ms]"] = 1e3 * run.clock / count
+        found["kept, a case on disk [B]"] = size / count
+        found["Sobol indices of one number [s]"] = indices.processor
     return found
 
 
@@ -201,20 +207,10 @@ PARTS = 20
 def broken(folder: str, base: int, limit: int) -> None:
     """A run into a folder that kills itself once ``limit`` cases are done; what it took."""
     plant, cases, common = eight(base)
-    peaks: dict[int, float] = {}
-
-    def note(done: int, count: int | None) -> None:
-        if done >= limit:
-            os.kill(os.getpid(), signal.SIGKILL)
-        if done * 5 // len(cases) > len(peaks):
-            peaks[done] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
+    note = Peaks(len(cases), limit)
     ways = {"executor": 2, "into": folder, "chunk": len(cases) // PARTS, "progress": note}
-    work = lambda: pam.simulate_many(plant, cases, **ways, **common)  # noqa: E731
-    seconds = measured(work)[0]
-    worker = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    print(f"to the end: {seconds:.1f} s of processor, a worker {worker:.0f} MB; peak memory [MB]")
-    print("  by cases: " + ", ".join(f"{n}: {mb:.0f}" for n, mb in peaks.items()), flush=True)
+    run = took(lambda: pam.simulate_many(plant, cases, **ways, **common))
+    print(f"to the end: {run.processor:.1f} s of processor, {note}", flush=True)
 
 
 def killed(base: int) -> bool:
@@ -224,11 +220,11 @@ def killed(base: int) -> bool:
 
     def run(folder: Path, limit: int) -> set[tuple[str, int]]:
         command = [sys.executable, __file__, "broken", str(folder), str(base), str(limit)]
-        before = processor()
+        before = spent()
         code = subprocess.run(command).returncode
         assert code == (0 if limit > count else -signal.SIGKILL)
         there = {(p.name, p.stat().st_ino) for p in folder.rglob("*.parquet")}
-        print(f"limit {limit}: {processor() - before:.1f} s with start, {len(there)} files there")
+        print(f"limit {limit}: {spent() - before:.1f} s with start, {len(there)} files there")
         return there
 
     with tempfile.TemporaryDirectory() as place:
@@ -265,7 +261,7 @@ def scheduled(
     part = -(-cases // jobs)
     waiting = [min(part, cases - i * part) for i in range(jobs) if i * part < cases]
     free = [0.0] * processors
-    wall, spent = 0.0, 0.0
+    wall, busy = 0.0, 0.0
     while waiting:
         left, begin = waiting.pop(0), heapq.heappop(free)
         dies = chance.random() < doomed
@@ -273,9 +269,9 @@ def scheduled(
         end = begin + START + CASE * done
         if dies:
             waiting.append(left - done // ROWS * ROWS)
-        wall, spent = max(wall, end), spent + end - begin
+        wall, busy = max(wall, end), busy + end - begin
         heapq.heappush(free, end)
-    return wall, spent
+    return wall, busy
 
 
 def scheduler(seed: int) -> None:
@@ -283,10 +279,10 @@ def scheduler(seed: int) -> None:
     print(f"seed {seed}; a tenth of the jobs killed, as often as they are started")
     rows = []
     for cases, jobs, processors in ((10**6, 50, 2), (10**6, 50, 50), (10**8, 200, 50)):
-        wall, spent = scheduled(cases, jobs, processors, 0.1, random.Random(seed))
+        wall, busy = scheduled(cases, jobs, processors, 0.1, random.Random(seed))
         plain = scheduled(cases, jobs, processors, 0.0, random.Random(seed))[1]
-        more, size = f"{100 * (spent / plain - 1):.1f} %", cases * BYTES / 1e9
-        rows.append([cases, jobs, processors, wall / 60, spent / 3600, more, size])
+        more, size = f"{100 * (busy / plain - 1):.1f} %", cases * BYTES / 1e9
+        rows.append([cases, jobs, processors, wall / 60, busy / 3600, more, size])
     heads = ("cases", "jobs", "processors", "wall [min]", "processor [h]", "lost", "disk [GB]")
     print(harness.table(heads, rows))
 
@@ -301,48 +297,55 @@ def array(count: int) -> bool:
         folder = Path(place)
         path, out, one = jobs.loads(folder, count), folder / "out", folder / "one"
         words = [path, "--out", out, "--cache", folder / "kept"]
-        before = processor()
-        killed = jobs.array(words, out, count, doomed)
-        seconds = processor() - before
+        run = took(lambda: jobs.array(words, out, count, doomed))
         for rest in ([*words, "--merge"], [path, "--out", one, "--cache", folder / "other"]):
             process = jobs.job(rest)
             process.join()
             assert process.exitcode == 0, rest
         files = jobs.written(out)
         same = files == jobs.written(one)
-    print(f"{count} shards of {2 * count + 2} steps; killed amid their work: {killed}")
-    print(f"{seconds:.0f} s of processor for all jobs, without imports")
+    print(f"{count} shards of {2 * count + 2} steps; killed amid their work: {run.result}")
+    print(f"{run.processor:.0f} s of processor for all jobs, without imports")
     print(f"{len(files)} files merged, equal to one run's bit for bit: {same}")
-    return same and set(killed) == doomed
+    return same and set(run.result) == doomed
 
 
 # ---- the command line ----------------------------------------------------------------------------
-def shown(*parts: Any) -> None:
-    for part in parts:
-        for name, value in part().items():
-            print(f"{name:<52}{value:>10.3f}", flush=True)
+def shown(found: dict[str, float]) -> None:
+    for name, value in found.items():
+        print(f"{name:<52}{value:>10.3f}", flush=True)
+
+
+def usual(_: int) -> None:
+    shown(simulations(200))
+    shown(plans(40))
+
+
+def large(_: int) -> None:
+    shown(simulations(100_000, both=False))
+    shown(simulations(5000))
+    shown(plans(1000))
+
+
+WAYS: dict[str, tuple[Callable[[int], bool | None], int]] = {
+    "": (usual, 0),
+    "large": (large, 0),
+    "memory": (memory, 100_000),
+    "keep": (lambda base: shown(kept(base)), 2048),
+    "killed": (killed, 16384),
+    "scheduler": (scheduler, int(time())),
+    "array": (array, 50),
+}
+"""What is asked for: (function of a number, usual number)."""
 
 
 def main(what: str = "", number: str = "", *more: str) -> int:
     print(f"load {os.getloadavg()[0]:.1f}", flush=True)
     if what == "broken":
         broken(number, *map(int, more))
-    elif what == "memory":
-        memory(int(number or 100_000))
-    elif what == "keep":
-        shown(lambda: kept(int(number or 2048)))
-    elif what == "scheduler":
-        scheduler(int(number or time()))
-    elif what == "killed":
-        return int(not killed(int(number or 16384)))
-    elif what == "array":
-        return int(not array(int(number or 50)))
-    elif what == "large":
-        several = lambda: simulations(100_000, both=False)  # noqa: E731
-        shown(several, lambda: simulations(5000), lambda: plans(1000))
-    else:
-        shown(lambda: simulations(200), lambda: plans(40))
-    return 0
+        return 0
+    way, usually = WAYS[what]
+    return int(way(int(number or usually)) is False)
 
 
 if __name__ == "__main__":

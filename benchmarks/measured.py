@@ -15,13 +15,13 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
-from time import process_time, thread_time
+from time import thread_time
 from typing import Any
 
-import harness
-from harness import process_seconds, timed
+from harness import process_seconds, repeated, timed, took
 from pam_2dir import BAR, COMMANDS, STOPS, WISHES, plant, slide
 
 HERE = Path(__file__).resolve().parent
@@ -124,12 +124,11 @@ def accurate(quick: bool) -> dict[str, float]:
 
     plant, found = slide(), {}
     for name, way in (("", {}), (" by arcs", {"method": pam.Arcs()})):
-        made: list[pam.planning.Plan] = []
         ask: dict[str, Any] = {"cyclic": "mirrored", "tolerance": 1e-6, **way}
-        seconds = timed(lambda a=ask, m=made: m.append(pam.plan(plant, STOPS, **a)), 1)
+        seconds, _, plan = repeated(partial(pam.plan, plant, STOPS, **ask), 1)
         found[f"(a) to 1e-6{name} [s]"] = seconds
-        found[f"(a) to 1e-6{name}, intervals"] = float(made[-1].statistics["intervals"])
-        found[f"(a) to 1e-6{name}, error"] = made[-1].replay_error
+        found[f"(a) to 1e-6{name}, intervals"] = float(plan.statistics["intervals"])
+        found[f"(a) to 1e-6{name}, error"] = plan.replay_error
     return found
 
 
@@ -174,13 +173,11 @@ def compare(quick: bool) -> dict[str, float]:
     force = force + np.random.default_rng(7).normal(0, 3.0, 100)
     table = pam.fitting.ForceTable(p.ravel(), kappa.ravel(), force, rest_length=0.3)
     fixed = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.28}
-    made: list[Any] = []
-    work = lambda: made.append(pam.compare_laws(table, fixed=fixed, executor=0))  # noqa: E731
-    seconds, wall = harness.both(work)
+    seconds, wall, made = took(lambda: pam.compare_laws(table, fixed=fixed, executor=0))
     return {
         "compare_laws, 100 cells [s]": seconds,
         "compare_laws, 100 cells, wall [s]": wall,
-        "laws that were fitted": float(sum(entry.fit is not None for entry in made[0].laws)),
+        "laws that were fitted": float(sum(entry.fit is not None for entry in made.laws)),
     }
 
 
@@ -231,7 +228,7 @@ def simulation(quick: bool) -> dict[str, float]:
     ):
         found[f"{name} / simulate"] = seconds / ours
         found[f"{name} / simulate, compiled"] = seconds / machine
-    linear = lambda: pam.simulate(plant, inputs, method="cvodes", **common)  # noqa: E731
+    linear = partial(pam.simulate, plant, inputs, method="cvodes", **common)
     found["cvodes / simulate"] = timed(linear, 1) / ours
     waves = [lambda s: 3 * BAR + BAR * np.sin(7 * s), lambda s: 3 * BAR + BAR * np.cos(9 * s)]
     functions = dict(zip(names, waves, strict=True))
@@ -264,9 +261,8 @@ def records(quick: bool) -> dict[str, float]:
     count = 100_000 if quick else 1_000_000
     at = random.integers(0, len(levels), count)
     held = {"muscle.pressure": levels[at], "x": rests[at] + random.normal(0, 1e-5, count)}
-    begin = process_time()
-    pam.fitting.fit_holds(load, held, "mass")
-    found[f"fit_holds, {count} holds [s]"] = process_time() - begin
+    fit_holds = took(lambda: pam.fitting.fit_holds(load, held, "mass"))
+    found[f"fit_holds, {count} holds [s]"] = fit_holds.processor
 
     count = 10_000 if quick else 100_000
     t = np.arange(count) / 1000
@@ -279,9 +275,8 @@ def records(quick: bool) -> dict[str, float]:
         [load.variable(n) for n in names],
     )
     fit = {"horizon": 0.3, "every": 0.2, "outputs": ["x"], "judge": False}
-    begin = process_time()
-    pam.fit_free_run(load, record, ["mass"], **fit)
-    found[f"fit_free_run, {count} samples [s]"] = process_time() - begin
+    free_run = took(lambda: pam.fit_free_run(load, record, ["mass"], **fit))
+    found[f"fit_free_run, {count} samples [s]"] = free_run.processor
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {**found, "long records, all of the process [MB]": most}
 
@@ -296,13 +291,13 @@ def exported(quick: bool) -> dict[str, float]:
     controller = mpc.controller(slide(), 50, iterations=1)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["PAM_OCP_CACHE"] = folder
-        block, begin = pam.control.block(controller), harness.spent()
-        pam.export_fmu(block, f"{folder}/mpc.fmu", platforms="native")
-        found = {"Mpc 50 as FMU, compiled [s]": harness.spent() - begin}
-        begin = harness.spent()
-        pam.export_c(block, f"{folder}/mpc", precision="single")
-        found["Mpc 50 as C, single precision [s]"] = harness.spent() - begin
-    return found
+        block = pam.control.block(controller)
+        unit = took(lambda: pam.export_fmu(block, f"{folder}/mpc.fmu", platforms="native"))
+        code = took(lambda: pam.export_c(block, f"{folder}/mpc", precision="single"))
+    return {
+        "Mpc 50 as FMU, compiled [s]": unit.processor,
+        "Mpc 50 as C, single precision [s]": code.processor,
+    }
 
 
 @group
@@ -342,9 +337,8 @@ def intervals(quick: bool) -> dict[str, float]:
     plant, found = slide(), {}
     for n in (25, 50, 100) if quick else (25, 50, 100, 200, 400, 800):
         planner = pam.Planner(plant, STOPS, cyclic="mirrored", method=pam.Collocation(n, 3))
-        begin = process_time()
-        plan = planner(tolerance=None)
-        found[f"plan [s]@{n}"] = process_time() - begin
+        seconds, _, plan = took(partial(planner, tolerance=None))
+        found[f"plan [s]@{n}"] = seconds
         found[f"iterations@{n}"] = float(plan.statistics["iterations"])
         if n > PLAIN:
             continue
@@ -391,19 +385,18 @@ def fit_cells(quick: bool) -> dict[str, float]:
         p, kappa = at
         return (a1 * p + a2) * np.exp(a3 * kappa) + a4 * kappa * p + a5 * p + a6
 
+    def fitted(table: pam.fitting.ForceTable) -> Any:
+        return pam.fit_force(table).intervals()
+
     begin = list(law.published) if hasattr(law, "published") else [-4.0, 292, -33, -934, 294, -280]
     for count in (60, 1000) if quick else (60, 300, 1000, 10_000, 50_000):
         p, kappa = random.uniform(0.5, 6, count) * BAR, random.uniform(0, 0.2, count)
         force = np.asarray(law(p, kappa)).ravel() + random.normal(0, 5.0, count)
         table = pam.fitting.ForceTable(p, kappa, force, rest_length=0.3).taut
-        once = process_time()
-        pam.fit_force(table).intervals()
-        once = process_time() - once
-        work = lambda t=table: pam.fit_force(t).intervals()  # noqa: E731
-        found[f"fit_force with intervals [s]@{count}"] = timed(work, 1) if once < 5 else once
+        found[f"fit_force with intervals [s]@{count}"] = timed(partial(fitted, table), 1)
         at = np.array([table.pressure / BAR, table.contraction])
         begin[2] = -20.0
-        lm = lambda a=at, t=table: curve_fit(formula, a, t.force, begin, maxfev=20000)  # noqa: E731
+        lm = partial(curve_fit, formula, at, table.force, begin, maxfev=20000)
         found[f"SciPy LM [s]@{count}"] = timed(lm, 1)
     return found
 
@@ -436,16 +429,14 @@ def states(quick: bool) -> dict[str, float]:
     push, common = {"push0": np.sin(20 * t)}, {"t": t, "rtol": 1e-8}
     for count in (2, 8) if quick else (2, 4, 8, 12, 18):
         plant, many = chain(count), 2 * count
-        run = lambda p=plant, **way: pam.simulate(p, push, **common, **way)  # noqa: E731
+        run = partial(pam.simulate, plant, push, **common)
         found[f"simulate [s]@{many}"] = timed(run, 3)
-        machine = lambda r=run: r(compiled=True)  # noqa: E731
-        found[f"simulate, compiled [s]@{many}"] = timed(machine, 9)
+        found[f"simulate, compiled [s]@{many}"] = timed(partial(run, compiled=True), 9)
         stops = [{f"q{i}": place for i in range(count)} for place in (0.0, 0.01)]
         planner = pam.Planner(chain(count, count), stops, method=pam.Collocation(30, 3))
-        made: list[Any] = []
-        seconds = timed(lambda p=planner, m=made: m.append(p(tolerance=None)), 1)
+        seconds, _, plan = repeated(partial(planner, tolerance=None), 1)
         found[f"plan, masses in a row [s]@{many}"] = seconds
-        found[f"iterations, masses in a row@{many}"] = float(made[-1].statistics["iterations"])
+        found[f"iterations, masses in a row@{many}"] = float(plan.statistics["iterations"])
     return found
 
 

@@ -19,8 +19,7 @@ from functools import partial
 from pathlib import Path
 
 import harness
-from mutation.faults import Fault, placed
-from mutation.scratch import Scratch
+from mutation import Fault, Scratch, placed
 
 TABLE = Path(__file__).with_suffix(".txt")
 EXPECTED = 150.0
@@ -60,11 +59,9 @@ def found(tree: Path, mutant: Mutant) -> Fault | None:
         places = []
         for path in candidates:
             text = path.read_text(encoding="utf-8") if path.exists() else ""
-            at = placed(text, mutant.old)
-            if at is not None:
-                line = text.count("\n", 0, at[0]) + 1
+            if (at := placed(text, mutant.old)) is not None:
                 name = path.relative_to(tree).as_posix()
-                places.append(Fault(name, *at, mutant.new, mutant.name, line, mutant.old))
+                places.append(Fault.at(name, text, at, mutant.new, mutant.name))
         if len(places) == 1:
             return places[0]
     return None
@@ -75,8 +72,8 @@ def one(scratch: Scratch, mutant: Mutant) -> harness.Row:
     if fault is None:
         return {"verdict": "STALE"}
     with scratch.with_fault(fault):
-        answer = scratch.ask(shlex.split(mutant.tests), expected=EXPECTED)
-    return {"verdict": answer.word, "text": answer.by}
+        answer = scratch.ask(shlex.split(mutant.tests), EXPECTED)
+    return {**answer, "text": answer["by"]}
 
 
 def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:

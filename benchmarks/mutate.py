@@ -1,8 +1,9 @@
 """Random faults: how many of them do the tests of their own room see?
 
-Faults of the operators of ``mutation/`` are drawn by a seed: first a line of the room's files, then
-a fault of that line. Each is put into a scratch copy, where the tests that run its line are asked,
-the likeliest first, until one fails. A fault that no test run in the room touches has survived.
+Faults of the operators of ``mutation.py`` are drawn by a seed: first a line of the room's files,
+then a fault of that line. Each is put into a scratch copy, where the tests that run its line are
+asked, the likeliest first, until one fails. A fault that no test run in the room touches has
+survived.
 
     nice -n 10 python benchmarks/mutate.py --seed 1 muscles=60 plants=60 ... [--table FILE]
     nice -n 10 python benchmarks/mutate.py --again FILE     (the survivors of an earlier table)
@@ -13,9 +14,12 @@ Needs pytest-cov (extra ``test``). The coverage of a room is collected first and
 from __future__ import annotations
 
 import argparse
+import ast
 import dataclasses
 import json
+import os
 import random
+import subprocess
 import sys
 import tempfile
 from collections import Counter, defaultdict
@@ -24,11 +28,7 @@ from functools import partial
 from pathlib import Path
 
 import harness
-from mutation.c_faults import c_faults
-from mutation.coverage_map import CoverageMap, collect
-from mutation.faults import Fault, placed
-from mutation.python_faults import alters, python_faults
-from mutation.scratch import Answer, Scratch
+from mutation import Fault, Scratch, c_faults, placed, python_faults
 
 C_TESTS = {
     "fmu/src/step.c": "simulation refused robust solver state doors motion derivatives interface",
@@ -68,43 +68,117 @@ LENT = ("pam_ocp/plants/ensemble.py", "pam_ocp/plants/plant_file.py")
 """Files that speak of plans or of files: their tests are in the rooms of plans and of commands."""
 
 
-def faults_of(tree: Path, patterns: tuple[str, ...]) -> list[Fault]:
-    found: list[Fault] = []
-    for pattern in patterns:
-        for path in sorted(tree.glob(pattern)):
-            name, text = path.relative_to(tree).as_posix(), path.read_text(encoding="utf-8")
-            if name in LENT:
-                continue
-            found += (python_faults if path.suffix == ".py" else c_faults)(name, text)
-    return found
+# ---- which tests run which lines -----------------------------------------------------------------
+PLUGIN = """
+import json, os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+found, failed = {}, set()
+def pytest_runtest_logreport(report):
+    if report.failed:
+        failed.add(report.nodeid)
+    if report.passed:
+        found[report.nodeid] = found.get(report.nodeid, 0.0) + report.duration
+def pytest_sessionfinish(session):
+    with open(os.environ["DURATIONS"], "w") as file:
+        json.dump({n: t for n, t in found.items() if n not in failed}, file)
+"""
 
 
-def drawn(tree: Path, faults: list[Fault], count: int, rng: random.Random) -> list[Fault]:
+class CoverageMap:
+    """Tests of a room by the lines that they run, and how long each takes: pytest-cov, asked once;
+    ``room.cov`` and ``room.json`` stay in the folder.
+    """
+
+    def __init__(self, tree: Path, room: str, folder: Path) -> None:
+        from coverage import CoverageData
+
+        durations = folder / f"{room}.json"
+        if not durations.exists():
+            self._collect(tree, room, folder)
+        self.tree = tree
+        self.seconds: dict[str, float] = json.loads(durations.read_text("utf-8"))
+        data = CoverageData(str(folder / f"{room}.cov"))
+        data.read()
+        prefix = os.path.commonpath(list(data.measured_files())).split("/pam_ocp")[0]
+        self._lines: dict[str, dict[int, set[str]]] = {}
+        self._wins, self._size = Counter[str](), Counter[str]()
+        for file in data.measured_files():
+            lines = data.contexts_by_lineno(file).items()
+            own = {n: {test.split("|")[0] for test in tests} for n, tests in lines}
+            self._lines[os.path.relpath(file, prefix)] = own
+            self._size.update(test for tests in own.values() for test in tests)
+
+    @staticmethod
+    def _collect(tree: Path, room: str, folder: Path) -> None:
+        (folder / "durations_of_tests.py").write_text(PLUGIN, encoding="utf-8")
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join((str(tree), str(folder))),
+            "COVERAGE_FILE": str(folder / f"{room}.cov"),
+            "DURATIONS": str(folder / f"{room}.json"),
+        }
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+        command += ["-p", "durations_of_tests", "--cov=pam_ocp", "--cov-context=test"]
+        command += ["--cov-report=", f"tests/{room}"]
+        subprocess.run(command, cwd=tree, env=environment, check=False)
+
+    def won(self, test: str) -> None:
+        """This test has killed: it is asked earlier from now on."""
+        self._wins[test] += 1
+
+    def tests(self, file: str, line: int) -> list[str]:
+        """Tests that run the statement at this line, the likeliest to fail under a fault first.
+
+        Lines that run on import are everybody's. A fixture's lines belong to the first test that
+        asked for it, so the other tests of that file follow.
+        """
+        lines = self._lines.get(file, {})
+        names = {name for n in _statement(self.tree / file, line) for name in lines.get(n, ())}
+        if "" in names:
+            return sorted(self.seconds, key=self._likely)
+        files = {n.split("::")[0] for n in names}
+        beside = {n for n in self.seconds if n.split("::")[0] in files} - names
+        groups = (names & set(self.seconds), beside)
+        return [name for group in groups for name in sorted(group, key=self._likely)]
+
+    def _likely(self, test: str) -> float:
+        cost = self.seconds[test] + 0.02
+        return cost * (50 + self._size[test]) / (1 + 3 * self._wins[test])
+
+
+def _statement(path: Path, line: int) -> range:
+    """The lines of the innermost simple statement, or head of a compound one, round ``line``."""
+    best = range(line, line + 1)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.stmt) and node.end_lineno is not None:
+            body = getattr(node, "body", None)
+            last = body[0].lineno - 1 if body else node.end_lineno
+            found = range(node.lineno, max(last, node.lineno) + 1)
+            if line in found and (len(best) == 1 or len(found) <= len(best)):
+                best = found
+    return best
+
+
+# ---- faults, and what the tests say of them ------------------------------------------------------
+def drawn(tree: Path, patterns: tuple[str, ...], count: int, rng: random.Random) -> list[Fault]:
     """Lines first, so that a long formula does not stand for its file; no line twice."""
     by_line: dict[tuple[str, int], list[Fault]] = defaultdict(list)
-    for fault in faults:
-        by_line[fault.file, fault.line].append(fault)
-    lines = sorted(by_line)
-    rng.shuffle(lines)
-    found: list[Fault] = []
-    for line in lines:
-        text = (tree / line[0]).read_text(encoding="utf-8")
-        rng.shuffle(by_line[line])
-        good = (f for f in by_line[line] if line[0].endswith(".c") or alters(f, text))
-        found += [f for f in (next(good, None),) if f is not None]
-        if len(found) == count:
-            break
-    return found
+    for path in (p for pattern in patterns for p in sorted(tree.glob(pattern))):
+        name, text = path.relative_to(tree).as_posix(), path.read_text(encoding="utf-8")
+        for fault in (python_faults if path.suffix == ".py" else c_faults)(name, text):
+            if name not in LENT:
+                by_line[name, fault.line].append(fault)
+    lines = rng.sample(sorted(by_line), min(count, len(by_line)))
+    return [rng.choice(by_line[line]) for line in lines]
 
 
 def asked(
     scratch: Scratch, fault: Fault, known: CoverageMap | None, budget: float = BUDGET
-) -> Answer:
+) -> harness.Row:
     """What the tests say of a fault."""
     with scratch.with_fault(fault):
         if known is None:
             tests = [f"tests/export/test_fmu_{name}.py" for name in C_TESTS[fault.file].split()]
-            return scratch.ask(tests, expected=150.0)
+            return scratch.ask(tests, 150.0)
         order, seconds = [], 0.0
         for test in known.tests(fault.file, fault.line):
             if seconds and seconds + known.seconds[test] > budget:
@@ -112,11 +186,11 @@ def asked(
             order.append(test)
             seconds += known.seconds[test]
         if not order:
-            return Answer("SURVIVED (no test runs it)", "", 0.0)
+            return {"verdict": "SURVIVED (no test runs it)", "by": ""}
         files = list(dict.fromkeys(t.split("::")[0] for t in order))
-        answer = scratch.ask(files, order, seconds)
-        if answer.killed and answer.by:
-            known.won(answer.by)
+        answer = scratch.ask(files, seconds, order)
+        if answer["by"] and answer["verdict"].startswith("killed"):
+            known.won(answer["by"])
         return answer
 
 
@@ -128,7 +202,7 @@ def still_there(scratch: Scratch, fault: Fault) -> Fault | None:
     at = placed(text, fault.old)
     if at is None:
         return None
-    return dataclasses.replace(fault, start=at[0], end=at[1], line=text.count("\n", 0, at[0]) + 1)
+    return Fault.at(fault.file, text, at, fault.new, fault.kind)
 
 
 def wanted(tree: Path, given: argparse.Namespace) -> list[tuple[str, Fault]]:
@@ -141,8 +215,7 @@ def wanted(tree: Path, given: argparse.Namespace) -> list[tuple[str, Fault]]:
     rng, found = random.Random(given.seed), []
     for word in given.counts:
         room, _, count = word.partition("=")
-        faults = faults_of(tree, ROOMS[room][1])
-        found += [(room, fault) for fault in drawn(tree, faults, int(count), rng)]
+        found += [(room, fault) for fault in drawn(tree, ROOMS[room][1], int(count), rng)]
     return found
 
 
@@ -154,7 +227,7 @@ def one(
     if fault is None:
         return {**row, "verdict": "STALE"}
     answer = asked(scratch, fault, known, budget)
-    return {**row, "verdict": answer.word, "text": str(fault), "by": answer.by}
+    return {**row, **answer, "text": str(fault)}
 
 
 def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
@@ -166,8 +239,6 @@ def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
         for room, fault in wanted(scratch.folder, given):
             tests = ROOMS[room][0]
             if room not in known:
-                if not (keep / f"{tests}.json").exists():
-                    collect(scratch.folder, tests, keep)
                 known[room] = CoverageMap(scratch.folder, tests, keep)
             yield str(fault), partial(one, scratch, room, fault, known[room], given.budget)
 

@@ -31,10 +31,7 @@ CURVES = {
     "cases": (
         "simulate_many",
         "cases",
-        (
-            "simulate_many, a case [ms]",
-            "simulate_many, two processes, a case, wall [ms]",
-        ),
+        ("simulate_many, a case [ms]", "simulate_many, two processes, a case, wall [ms]"),
     ),
 }
 """Name of a plot: title, what grows, curves (figures NAME@SIZE)."""

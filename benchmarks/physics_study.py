@@ -50,10 +50,7 @@ SMALL = Receiver(1e-3, source=Compressor(2e-4, pressure=7e5))
 WARM = Gas(heat=ConstantHeatTransfer(40.0))
 L, LAWS = pam.losses, pam.laws
 LOSSES: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "Coulomb friction": (
-        L.CoulombFriction(30.0, excess=0.3, speed=5e-3),
-        ("friction_constant",),
-    ),
+    "Coulomb friction": (L.CoulombFriction(30.0, excess=0.3, speed=5e-3), ("friction_constant",)),
     "Bouc-Wen": (L.BoucWen(), ("hysteresis_force", "hysteresis_yield")),
     "Maxwell-slip": (L.MaxwellSlip((8.0, 12.0), (0.004, 0.02)), ("slip1_force", "slip2_force")),
     "Prandtl-Ishlinskii": (

@@ -1,1 +1,0 @@
-"""Faults put into the source, and which of them the tests see."""
