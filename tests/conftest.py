@@ -192,3 +192,26 @@ def _printable(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _printable(item) for key, item in value.items()}
     return type(value)(map(_printable, value)) if isinstance(value, list | tuple) else value
+
+
+# ---- what pictures, pages and workbooks are made of ----------------------------------------------
+@pytest.fixture(scope="session")
+def static_fit():
+    return pam.fit_force(pam.read_table("DMSP-20-300_static.csv", rest_length=0.3))
+
+
+@pytest.fixture(scope="session")
+def load_10kg():
+    return pam.HangingLoad("DMSP-20-300", mass=10.0)
+
+
+@pytest.fixture(scope="session")
+def load_motion(load_10kg):
+    return pam.simulate(load_10kg, {"muscle.command": 3e5}, duration=0.05)
+
+
+@pytest.fixture(scope="session")
+def short_plan():
+    slide = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
+    stops = [{"x": -0.01}, {"x": 0.01}]
+    return pam.plan(slide, stops, method=pam.Collocation(8), tolerance=None)

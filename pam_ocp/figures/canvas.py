@@ -18,6 +18,7 @@ from .paper import paper_size, paper_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
 
     from .picture import Picture
 
@@ -26,9 +27,11 @@ __all__ = [
     "MARKS",
     "STROKES",
     "axis_label",
+    "colour_scale",
     "draw",
     "layered",
     "legible",
+    "name_beside",
     "new_figure",
     "over_time",
 ]
@@ -129,6 +132,24 @@ def draw(ax: Axes, trajectory: Trajectory, name: str, colour: str, **style: Any)
         drawstyle="steps-post" if held else "default",
         **{"linewidth": 1.6, "label": variable.name, **style},
     )
+
+
+def name_beside(ax: Axes) -> None:
+    """The names of a panel's curves, to the right of it."""
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+
+
+def colour_scale(
+    ax: Any, values: tuple[float, float], label: str, colours: Any = "viridis", **place: Any
+) -> ScalarMappable:
+    """The colours of values between two ends, with a bar that names them beside the panel(s)."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = ScalarMappable(Normalize(*values), colours)
+    figure = (ax[0] if isinstance(ax, list) else ax).figure
+    figure.colorbar(scale, ax=ax, label=label, **place)
+    return scale
 
 
 def layered(count: int) -> Sequence[dict[str, Any]]:

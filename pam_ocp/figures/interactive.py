@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError
+from ..core.lazy import library
 from ..core.trajectory import Trajectory
 from .canvas import COLOURS, axis_label
 
@@ -20,13 +20,10 @@ DASHES = ("solid", "dash", "dashdot", "dot")
 
 def _plotly() -> tuple[Any, Any]:
     """(graph objects, make_subplots). Raises InputError where plotly is not installed."""
-    try:
-        import plotly.graph_objects as objects
-        from plotly.subplots import make_subplots
-    except ImportError:
-        raise InputError(
-            "interactive=True needs plotly: pip install 'pam_ocp[interactive]'"
-        ) from None
+    library("plotly", "interactive", "interactive=True")
+    import plotly.graph_objects as objects
+    from plotly.subplots import make_subplots
+
     return objects, make_subplots
 
 

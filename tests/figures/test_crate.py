@@ -17,10 +17,8 @@ from pam_ocp.figures import save_crate
 
 
 @pytest.fixture(scope="module")
-def things():
-    fit = pam.fit_force(pam.read_table("DMSP-20-300_static.csv", rest_length=0.3))
-    motion = pam.simulate(pam.HangingLoad(fit.muscle(), mass=10.0), duration=0.05)
-    return {"The fit": fit, "Motion, 10 kg": motion}
+def things(static_fit, load_motion):
+    return {"The fit": static_fit, "Motion, 10 kg": load_motion}
 
 
 @pytest.fixture(scope="module")

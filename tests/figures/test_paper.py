@@ -13,20 +13,16 @@ INCH = 25.4
 
 
 @pytest.fixture(scope="module")
-def things():
-    muscle = pam.muscle("DMSP-20-300")
-    hanging = pam.HangingLoad(muscle, mass=10.0)
-    slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.10)
+def things(static_fit, load_10kg, load_motion, short_plan):
     systems = {
-        f"{p} bar": hanging.linearize(hanging.equilibrium({"muscle.pressure": f"{p} bar"}))
+        f"{p} bar": load_10kg.linearize(load_10kg.equilibrium({"muscle.pressure": f"{p} bar"}))
         for p in (2, 4)
     }
-    method = pam.Collocation(8)
     return {
-        "fit": pam.fit_force(pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)).plot,
-        "muscle": muscle.plot,
-        "trajectory": pam.simulate(hanging, duration=0.05).plot,
-        "plan": pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=method, tolerance=None).plot,
+        "fit": static_fit.plot,
+        "muscle": pam.muscle("DMSP-20-300").plot,
+        "trajectory": load_motion.plot,
+        "plan": short_plan.plot,
         "bode": lambda: plot_bode(systems, "x", "muscle_command"),
     }
 

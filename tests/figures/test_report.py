@@ -12,7 +12,7 @@ import pytest
 import pam_ocp as pam
 from pam_ocp.cli.main import main
 from pam_ocp.figures import write_report
-from pam_ocp.figures.sheet import Grid
+from pam_ocp.figures.sheets import Grid
 from pam_ocp.studies.file_kinds import load
 
 
@@ -46,15 +46,11 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory):
+def files(static_fit, load_motion, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)
-    fit = pam.fit_force(table)
-    muscle = fit.muscle(name="<b>mine</b>")
-    motion = pam.simulate(pam.HangingLoad(muscle, mass=10.0), duration=0.05)
-    pam.save_muscle(muscle, folder / "muscle.toml")
-    fit.to_json(folder / "fit.json")
-    motion.save(folder / "motion.npz")
+    pam.save_muscle(static_fit.muscle(name="<b>mine</b>"), folder / "muscle.toml")
+    static_fit.to_json(folder / "fit.json")
+    load_motion.save(folder / "motion.npz")
     return folder
 
 

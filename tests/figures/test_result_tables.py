@@ -14,22 +14,12 @@ METHODS = ("plot", "report", "save", "to_excel", "to_pandas")
 
 
 @pytest.fixture(scope="module")
-def plant():
-    return pam.HangingLoad("DMSP-20-300", mass=10.0)
-
-
-@pytest.fixture(scope="module")
-def motion(plant):
-    return pam.simulate(plant, {"muscle.command": 3e5}, duration=0.05)
-
-
-@pytest.fixture(scope="module")
-def results(plant, motion):
-    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)
+def results(static_fit, load_10kg, load_motion):
+    plant, table = load_10kg, static_fit.table
     cases = [{"parameters": {"mass": m}} for m in (5.0, 6.0)]
     return [
-        motion,
-        motion.compare(motion),
+        load_motion,
+        load_motion.compare(load_motion),
         table,
         pam.fit_force(table, "three-element"),
         pam.compare_laws(table, ["three-element", "polynomial-1-3"]),
@@ -51,9 +41,9 @@ def test_every_result_has_a_picture_a_text_a_frame_and_a_workbook(results, tmp_p
         assert book.worksheets[0].max_row > 1
 
 
-def test_a_comparison_in_files_holds_its_numbers(motion, plant, tmp_path):
-    other = pam.simulate(plant.with_values(mass=12.0), {"muscle.command": 3e5}, duration=0.05)
-    found = motion.compare(other)
+def test_a_comparison_in_files_holds_its_numbers(load_motion, load_10kg, tmp_path):
+    other = pam.simulate(load_10kg.with_values(mass=12.0), {"muscle.command": 3e5}, duration=0.05)
+    found = load_motion.compare(other)
     rows = list(csv.DictReader(found.save(tmp_path / "c.csv").open()))
     said = json.loads(found.save(tmp_path / "c.json").read_text())["rows"]
     for d, row, plain in zip(found.deviations, rows, said, strict=True):
@@ -72,16 +62,16 @@ def test_many_simulations_stand_in_a_frame_by_what_was_varied(results):
     assert list(frame["x.last"]) == [r["x"][-1] for r in many.results]
 
 
-def test_a_panel_of_ones_own_is_drawn_into(motion):
+def test_a_panel_of_ones_own_is_drawn_into(load_motion):
     figure, (left, right) = plt.subplots(1, 2)
-    assert motion.plot(["x"], ax=left) is figure
+    assert load_motion.plot(["x"], ax=left) is figure
     (line,) = left.lines
-    assert np.allclose(line.get_ydata(), 1e3 * motion["x"])
+    assert np.allclose(line.get_ydata(), 1e3 * load_motion["x"])
     assert "[mm]" in left.get_ylabel()
     pam.muscle("DMSP-20-300").plot(ax=right)
     assert len(right.lines) == 6
     with pytest.raises(pam.InputError, match="names of one unit"):
-        motion.plot(ax=left)
+        load_motion.plot(ax=left)
     plt.close(figure)
 
 
@@ -99,9 +89,9 @@ def test_the_surface_is_the_muscles_force():
         muscle.plot_surface("colour")
 
 
-def test_interactive_panels_hold_the_motion_in_display_units(motion):
+def test_interactive_panels_hold_the_motion_in_display_units(load_motion):
     pytest.importorskip("plotly")
-    figure = motion.plot(["x", "muscle.command"], interactive=True)
+    figure = load_motion.plot(["x", "muscle.command"], interactive=True)
     drawn = {trace.name: trace for trace in figure.data}
-    assert np.allclose(drawn["x"].y, 1e3 * motion["x"])
+    assert np.allclose(drawn["x"].y, 1e3 * load_motion["x"])
     assert np.allclose(drawn["muscle.command"].y, 3.0)

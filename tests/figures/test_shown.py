@@ -8,29 +8,17 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.figures.canvas import COLOURS
-from pam_ocp.figures.sheet import MOST_ROWS, Grid, Sheet
+from pam_ocp.figures.sheets import MOST_ROWS, Grid, Sheet
 
 
 @pytest.fixture(scope="module")
-def things():
-    muscle = pam.muscle("DMSP-20-300")
-    plant = pam.HangingLoad(muscle, mass=10.0)
-    point = pam.equilibrium(plant, {"muscle.pressure": 2e5})
-    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)
-    slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.10)
-    method = pam.Collocation(8)
-    plan = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=method, tolerance=None)
-    mpc = pam.Mpc(slide, horizon=5, sample_time=0.01, track={"x": 1.0})
-    motion = plan.trajectory
-    fit = pam.fit_force(table)
-    many = [
-        muscle,
-        plant,
-        plant.variable("x"),
-        point,
-        pam.operating.equilibria(plant, {"muscle.pressure": 2e5}),
-    ]
-    return [*many, table, fit, plan, plan.verdict, motion, mpc]
+def things(static_fit, load_10kg, short_plan):
+    pressure = {"muscle.pressure": 2e5}
+    points = pam.equilibrium(load_10kg, pressure), pam.operating.equilibria(load_10kg, pressure)
+    mpc = pam.Mpc(short_plan.plant, horizon=5, sample_time=0.01, track={"x": 1.0})
+    muscle, plan = pam.muscle("DMSP-20-300"), short_plan
+    nouns = [muscle, load_10kg, load_10kg.variable("x"), *points]
+    return [*nouns, static_fit.table, static_fit, plan, plan.verdict, plan.trajectory, mpc]
 
 
 def parsed(thing):

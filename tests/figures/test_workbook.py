@@ -12,7 +12,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
-from pam_ocp.figures.workbook.fit_book import LONGEST, formula_of
+from pam_ocp.figures.fit_book import LONGEST, formula_of
 from pam_ocp.muscles.law import LAWS
 from pam_ocp.studies.steps.step import Job
 
@@ -110,9 +110,9 @@ def test_what_spreadsheets_do_not_have_is_said():
         formula_of(x / ca.SX.inf() + x * ca.SX.inf(), {"x": x})
 
 
-@pytest.fixture(scope="module")
-def fit():
-    return pam.fit_force(pam.read_table("DMSP-20-300_static.csv", rest_length=0.3))
+@pytest.fixture
+def fit(static_fit):
+    return static_fit
 
 
 def test_a_fits_workbook_holds_data_parameters_intervals_and_formulas(fit, tmp_path):
@@ -207,36 +207,34 @@ def test_in_libreoffice_force_and_rmse_follow_a_changed_coefficient(fit, tmp_pat
     assert met["Parameters"]["B14"].value == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-9)
 
 
-def test_motions_stand_in_display_units_with_a_chart_per_unit(tmp_path):
-    plant = pam.HangingLoad("DMSP-20-300", mass=10.0)
-    motion = pam.simulate(plant, {"muscle.command": 3 * BAR}, duration=0.05)
-    book = openpyxl.load_workbook(motion.to_excel(tmp_path / "m.xlsx"))
+def test_motions_stand_in_display_units_with_a_chart_per_unit(load_motion, tmp_path):
+    book = openpyxl.load_workbook(load_motion.to_excel(tmp_path / "m.xlsx"))
     page = book["Motion"]
     head = [c.value for c in page[1]]
     column = head.index("muscle.pressure [bar]") + 1
     met = [page.cell(r, column).value for r in range(2, page.max_row + 1)]
-    assert met == pytest.approx(motion["muscle.pressure"] / BAR)
-    units = {v.display_unit for v in motion.variables}
+    assert met == pytest.approx(load_motion["muscle.pressure"] / BAR)
+    units = {v.display_unit for v in load_motion.variables}
     assert len(page._charts) == len(units)
-    assert book["Variables"].max_row == 1 + len(motion.variables)
+    assert book["Variables"].max_row == 1 + len(load_motion.variables)
 
 
-def test_a_plans_workbook_begins_with_its_verdict_and_another_ending_is_refused(tmp_path):
-    slide = pam.AntagonisticSlide("DMSP-20-200N", mass=2.0)
-    plan = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=pam.Collocation(8), tolerance=None)
-    book = openpyxl.load_workbook(plan.to_excel(tmp_path / "plan.xlsx"))
+def test_a_plans_workbook_begins_with_its_verdict_and_another_ending_is_refused(
+    short_plan, tmp_path
+):
+    book = openpyxl.load_workbook(short_plan.to_excel(tmp_path / "plan.xlsx"))
     assert book.sheetnames == ["Plan", "Motion", "Variables"]
-    assert book["Plan"]["A2"].value == str(plan.verdict)
+    assert book["Plan"]["A2"].value == str(short_plan.verdict)
     with pytest.raises(pam.InputError, match=r"ends in \.xlsx"):
-        plan.to_excel(tmp_path / "plan.csv")
+        short_plan.to_excel(tmp_path / "plan.csv")
     with pytest.raises(pam.InputError, match="does not exist"):
-        plan.to_excel(tmp_path / "none" / "plan.xlsx")
+        short_plan.to_excel(tmp_path / "none" / "plan.xlsx")
 
 
 def test_without_xlsxwriter_the_extra_is_named_before_any_work(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "xlsxwriter", None)
     motion = pam.Trajectory([0.0, 1.0], {"x": [0.0, 1.0]}, [pam.Variable("x", "output", unit="m")])
-    sentence = r"XlsxWriter: pip install 'pam_ocp\[excel\]'"
+    sentence = r"xlsxwriter, which is not installed: pip install 'pam_ocp\[excel\]'"
     with pytest.raises(pam.InputError, match=sentence):
         motion.to_excel(tmp_path / "m.xlsx")
     assert main(["simulate", "HangingLoad", "--out", str(tmp_path / "m.xlsx")]) == 2

@@ -14,7 +14,7 @@ from rig_fixtures import plant  # noqa: F401 - fixtures
 
 import pam_ocp as pam
 from pam_ocp.control.blocks.running import Running
-from pam_ocp.figures.loop import plot_durations
+from pam_ocp.figures.control import plot_durations
 from pam_ocp.rig import real_time
 from pam_ocp.rig.guard import Watch
 

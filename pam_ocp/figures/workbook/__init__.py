@@ -1,1 +1,0 @@
-"""Spreadsheets: results as workbooks, a fitted law as live formulas."""
