@@ -374,30 +374,39 @@ def _muscle(kind: type[ForceLaw], fixed: dict[str, float], part: tuple[Key, Any]
 
 # ---- the alternation -----------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class _Kind:
-    """A kind solved: its muscles (n), records, and scatter."""
+class _Solved:
+    """The linear model of a kind: values and errors of its muscles (n, k), (n, k, k), what they say
+    alone (n, k), and values of each record (records, k).
+    """
 
-    name: str
-    muscles: list[str]
-    records: list[int]
-    names: list[str]
-    units: list[str]
     within: Scatter
     between: Scatter
     values: Array
     errors: Array
     own: Array
     recorded: Array
-    """Of each record (records, k)."""
-    shared: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """A kind: its muscles (n) with the number of their records, and what was found of them."""
+
+    name: str
+    muscles: list[str]
+    records: list[int]
+    names: list[str]
+    units: list[str]
+    solved: _Solved
     noise: float
-    laws: list[tuple[type[ForceLaw], dict[str, float]]]
     dof: int
+    """Of the noise, for where the scatter of records says none."""
+    laws: list[tuple[type[ForceLaw], dict[str, float]]] = field(default_factory=list)
 
 
 def _alternated(cells: _Cells, own: NDArray[np.bool_]) -> tuple[list[_Kind], int]:
     """Kind after kind, until muscles stand still."""
     found, most = [], 0
+    units = {v.name: v.unit for v in cells.law.coefficient_variables()}
     for name in dict.fromkeys(m.key[0] for m in cells.muscles):
         muscles = [m for m in cells.muscles if m.key[0] == name]
         records = np.array([len(m.starts) for m in muscles])
@@ -413,18 +422,30 @@ def _alternated(cells: _Cells, own: NDArray[np.bool_]) -> tuple[list[_Kind], int
             variance, dof = _noise(normal, slope, square, counts)
             a = normal / variance[:, None, None]
             x = slope / variance[:, None] + (a @ z[:, free][:, :, None])[:, :, 0]
-            one = _solved(name, a, x, place, own, last)
+            one = _solved(a, x, place, own, last)
             new = z.copy()
             new[:, free] = one.recorded
             moved = np.inf if last is None else _moved(one, last)
             z, last, most = new, one, max(most, step)
             if moved < STILL:
                 break
-        found.append(_named(one, cells, muscles, records, float(np.sqrt(np.median(variance))), dof))
+        found.append(
+            _Kind(
+                name,
+                [m.key[1] for m in muscles],
+                records.tolist(),
+                cells.names,
+                [units[n] for n in cells.names],
+                one,
+                float(np.sqrt(np.median(variance))),
+                dof,
+                [(cells.law, m.held) for m in muscles],
+            )
+        )
     return found, most
 
 
-def _moved(one: _Kind, last: _Kind) -> float:
+def _moved(one: _Solved, last: _Solved) -> float:
     size = np.sqrt(np.maximum(np.diagonal(one.errors, axis1=1, axis2=2), 1e-300))
     return float(np.max(np.abs(one.values - last.values) / size))
 
@@ -442,39 +463,19 @@ def _noise(normal: Array, slope: Array, square: Array, counts: Array) -> tuple[A
 
 
 def _solved(
-    name: str, a: Array, x: Array, place: NDArray[np.intp], own: NDArray[np.bool_], last: Any
-) -> _Kind:
-    """The linear model of a kind: records within muscles, muscles within the kind."""
+    a: Array, x: Array, place: NDArray[np.intp], own: NDArray[np.bool_], last: _Solved | None
+) -> _Solved:
+    """Records within muscles, muscles within the kind. last : to begin from."""
     begin = (None, None) if last is None else (last.within.covariance, last.between.covariance)
     within = between(a, x, place, own, begin[0])
     narrowed, right = marginal(a, x, within.covariance)
     count = int(place.max()) + 1
     whole, sums = summed(narrowed, place, count), summed(right, place, count)
-    group = np.zeros(count, dtype=np.intp)
-    muscles = between(whole, sums, group, own, begin[1])
-    values, errors = muscles.predicted(whole, sums, group)
+    muscles = between(whole, sums, np.zeros(count, dtype=np.intp), own, begin[1])
+    values, errors = muscles.predicted(whole, sums, np.zeros(count, dtype=np.intp))
     recorded = values[place] + effects(a, x, within.covariance, values[place])
     alone = (inverse(whole) @ sums[:, :, None])[:, :, 0]
-    dof = within.dof if within.covariance.any() else 0
-    return _Kind(
-        name, [], [], [], [], within, muscles, values, errors, alone, recorded, (), 0.0, [], dof
-    )
-
-
-def _named(
-    one: _Kind, cells: _Cells, muscles: list[_Muscle], records: Array, noise: float, dof: int
-) -> _Kind:
-    every = {v.name: v.unit for v in cells.law.coefficient_variables()}
-    return replace(
-        one,
-        muscles=[m.key[1] for m in muscles],
-        records=records.tolist(),
-        names=cells.names,
-        units=[every[n] for n in cells.names],
-        noise=noise,
-        laws=[(cells.law, m.held) for m in muscles],
-        dof=one.dof or dof,
-    )
+    return _Solved(within, muscles, values, errors, alone, recorded)
 
 
 # ---- fits that were made already -----------------------------------------------------------------
@@ -502,12 +503,9 @@ def _of_fits(
         a = inverse(np.array([f.covariance for _, f in chosen]))
         z = np.array([f.linearisation.values for _, f in chosen])
         x = (a @ z[:, :, None])[:, :, 0]
-        one = _solved(kind, a, x, np.array([i for i, _ in chosen]), own, None)
-        dof = one.dof or sum(f.dof for _, f in chosen)
-        count = [len(fits[m]) for m in muscles]
-        noise = float("nan")
-        one = replace(one, muscles=muscles, records=count, names=names, units=units, noise=noise)
-        found.append(replace(one, dof=dof))
+        one = _solved(a, x, np.array([i for i, _ in chosen]), own, None)
+        count, dof = [len(fits[m]) for m in muscles], sum(f.dof for _, f in chosen)
+        found.append(_Kind(kind, muscles, count, names, units, one, float("nan"), dof))
     return found
 
 
@@ -525,42 +523,41 @@ def _own(shared: Sequence[str], names: Sequence[str]) -> NDArray[np.bool_]:
 def _result(kinds: list[_Kind], failed: dict[str, str], passes: int, seconds: float) -> FleetFit:
     populations, muscles = {}, {}
     for kind in kinds:
-        shared = tuple(
-            n for n, b in zip(kind.names, np.diag(kind.between.covariance), strict=True) if b == 0
-        )
-        mean, error = kind.between.means[0], kind.between.errors[0]
-        law = kind.laws[0] if kind.laws else None
+        found = kind.solved
+        scatter = np.diag(found.between.covariance)
+        mean, error = found.between.means[0], found.between.errors[0]
         populations[kind.name] = Population(
             kind.name,
             len(kind.muscles),
             _coefficients(kind, mean, error),
             error,
-            kind.between,
-            kind.within,
-            _law(law, kind.names, mean),
-            shared,
+            found.between,
+            found.within,
+            _law(kind, 0, mean),
+            tuple(n for n, b in zip(kind.names, scatter, strict=True) if b == 0),
             kind.noise,
         )
+        dof = found.within.dof if found.within.covariance.any() else 0
         for i, name in enumerate(kind.muscles):
             muscles[kind.name, name] = FleetMuscle(
                 name,
                 kind.name,
                 kind.records[i],
-                _coefficients(kind, kind.values[i], kind.errors[i]),
-                kind.errors[i],
-                dict(zip(kind.names, kind.own[i].tolist(), strict=True)),
-                _law(kind.laws[i] if kind.laws else None, kind.names, kind.values[i]),
-                kind.dof,
+                _coefficients(kind, found.values[i], found.errors[i]),
+                found.errors[i],
+                dict(zip(kind.names, found.own[i].tolist(), strict=True)),
+                _law(kind, i, found.values[i]),
+                dof or kind.dof,
             )
     return FleetFit(populations, muscles, failed, passes, seconds)
 
 
-def _law(
-    kept: tuple[type[ForceLaw], dict[str, float]] | None, names: Sequence[str], values: Array
-) -> ForceLaw | None:
-    if kept is None:
+def _law(kind: _Kind, muscle: int, values: Array) -> ForceLaw | None:
+    """Of a muscle, with these coefficients; None for fits made already."""
+    if not kind.laws:
         return None
-    return kept[0](**{**kept[1], **dict(zip(names, values.tolist(), strict=True))})
+    law, held = kind.laws[muscle]
+    return law(**{**held, **dict(zip(kind.names, values.tolist(), strict=True))})
 
 
 def _coefficients(kind: _Kind, values: Array, covariance: Array) -> dict[str, Coefficient]:
