@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import pdtrc
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import ForceTable, hysteresis, look
-from pam_ocp.fitting.tables.floor import _as_many
 from pam_ocp.muscles.law import SixParameterLaw
 
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.45, -8.7013, 267.672, -309.603))
@@ -248,10 +246,3 @@ def test_a_law_that_pushes_at_a_reading_says_so() -> None:
     index = np.concatenate([chosen, low])
     fit = pam.fit_force(ForceTable(P[index], KAPPA[index], force), loss="bisquare")
     assert any("the law pushes at 2 taut cells" in words for words in fit.warnings)
-
-
-@pytest.mark.parametrize("count", [0, 1, 3, 40, 900])
-@pytest.mark.parametrize("expected", [0.0, 1e-9, 0.7, 3.0, 41.5, 800.0])
-def test_the_probability_of_so_many_readings_by_chance_is_that_of_poissons_law(count, expected):
-    exact = pdtrc(count - 1, expected) if count else 1.0
-    assert _as_many(count, expected) == pytest.approx(exact, rel=1e-9, abs=1e-14)

@@ -26,6 +26,13 @@ def topics(folder: Path, **tables: dict) -> Path:
     return path
 
 
+def written(folder: Path, text: str, name: str = "log.csv") -> Path:
+    """A file of this text."""
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
 def lines(*columns: np.ndarray, cut: str = ",") -> str:
     rows = zip(*columns, strict=True)
     return "\n".join(cut.join(f"{v:.6f}" for v in row) for row in rows) + "\n"
@@ -77,8 +84,7 @@ def test_stray_and_cut_lines_are_dropped_on_request_counted_and_said(tmp_path: P
     rows = lines(T, BAR).splitlines()
     rows.insert(200, "--- restart ---")
     rows[100] = rows[100][:3]
-    path = tmp_path / "log.csv"
-    path.write_text("time [s],p [bar]\n" + "\n".join(rows) + "\n")
+    path = written(tmp_path, "time [s],p [bar]\n" + "\n".join(rows) + "\n")
     with pytest.raises(InputError, match="bad_lines='drop'"):
         pam.read_record(path)
     with pytest.warns(ReadingWarning, match=r"2 of 301 lines are no rows .* \(line 102, 202\)"):
@@ -87,15 +93,13 @@ def test_stray_and_cut_lines_are_dropped_on_request_counted_and_said(tmp_path: P
 
 
 def test_more_bad_lines_than_rows_are_no_table(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text("t [s],p [bar]\n" + "0.1,2\n0.2,3\nfoo\nbar\nbaz\n" * 20 + "0.3,1\n0.4,1\n" * 5)
+    text = "t [s],p [bar]\n" + "0.1,2\n0.2,3\nfoo\nbar\nbaz\n" * 20 + "0.3,1\n0.4,1\n" * 5
     with pytest.raises(InputError, match=r"at most 50 %|needs a header and at least one row"):
-        pam.read_record(path, bad_lines="drop")
+        pam.read_record(written(tmp_path, text), bad_lines="drop")
 
 
 def test_a_last_value_that_is_cut_off_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text("time [s],p [bar]\n" + lines(T, BAR)[:-4])
+    path = written(tmp_path, "time [s],p [bar]\n" + lines(T, BAR)[:-4])
     record, words = quietly(pam.read_record, path)
     assert "the last, is cut off" in words
     assert record["p"] == pytest.approx(BAR[:-1] * 1e5, rel=1e-5)
@@ -104,8 +108,7 @@ def test_a_last_value_that_is_cut_off_is_not_read(tmp_path: Path) -> None:
 def test_names_that_come_again_are_no_rows(tmp_path: Path) -> None:
     rows = lines(T, BAR).splitlines()
     rows.insert(50, "time [s],p [bar]")
-    path = tmp_path / "log.csv"
-    path.write_text("time [s],p [bar]\n" + "\n".join(rows) + "\n")
+    path = written(tmp_path, "time [s],p [bar]\n" + "\n".join(rows) + "\n")
     record, words = quietly(pam.read_record, path)
     assert "names that come again left out" in words
     assert record["p"] == pytest.approx(BAR * 1e5, rel=1e-5)
@@ -289,16 +292,14 @@ def test_a_change_of_daylight_saving_is_no_jump(zone: str, tmp_path: Path) -> No
     after = {"CEST": "CET", "+0200": "+0100", "+02": "+01", "+02:00": "+01:00"}[zone]
     rows = [f"2024-10-27 02:59:{s:02d} {zone},{s}" for s in range(30, 60)]
     rows += [f"2024-10-27 02:00:{s:02d} {after},{60 + s}" for s in range(30)]
-    (tmp_path / "z.csv").write_text("time,p [kPa]\n" + "\n".join(rows) + "\n")
-    record = pam.read_record(tmp_path / "z.csv")
+    record = pam.read_record(written(tmp_path, "time,p [kPa]\n" + "\n".join(rows) + "\n"))
     assert record.t == pytest.approx(np.arange(60.0))
 
 
 def test_a_zone_that_is_not_known_is_refused(tmp_path: Path) -> None:
     rows = [f"2024-10-27 02:59:{s:02d} XYZ,{s}" for s in range(30)]
-    (tmp_path / "z.csv").write_text("time,p [kPa]\n" + "\n".join(rows) + "\n")
     with pytest.raises(InputError, match="no time"):
-        pam.read_record(tmp_path / "z.csv")
+        pam.read_record(written(tmp_path, "time,p [kPa]\n" + "\n".join(rows) + "\n"))
 
 
 def test_an_index_of_times_is_the_clock() -> None:
@@ -313,10 +314,8 @@ def test_an_index_of_times_is_the_clock() -> None:
 
 
 def test_names_may_run_down_the_left_side(tmp_path: Path) -> None:
-    path = tmp_path / "down.csv"
     rows = [["time [s]", *map(str, T)], ["p [bar]", *map(str, BAR)]]
-    path.write_text("\n".join(",".join(row) for row in rows))
-    record = pam.read_record(path)
+    record = pam.read_record(written(tmp_path, "\n".join(",".join(row) for row in rows)))
     assert record["p"] == pytest.approx(BAR * 1e5)
 
 
@@ -325,8 +324,8 @@ def test_html_with_cells_over_two_rows_keeps_its_columns(tmp_path: Path) -> None
         f"<tr><td>{a:.2f}</td><td>{b:.4f}</td></tr>" for a, b in zip(T, BAR, strict=True)
     )
     head = "<tr><td rowspan=2>time [s]</td><td>Sensor</td></tr><tr><td>p [bar]</td></tr>"
-    (tmp_path / "e.xls").write_text(f"<html><table>{head}{body}</table></html>")
-    record = pam.read_record(tmp_path / "e.xls")
+    page = written(tmp_path, f"<html><table>{head}{body}</table></html>", "e.xls")
+    record = pam.read_record(page)
     assert record["p"] == pytest.approx(BAR * 1e5, rel=1e-4)
 
 
@@ -336,10 +335,10 @@ def test_blocks_of_muscles_are_chosen_by_their_titles(tmp_path: Path) -> None:
         f"{5 * (i // 5)};{1 + i % 5};{10 + i};{5 * (i // 5)};{1 + i % 5};{90 + i}"
         for i in range(20)
     ]
-    (tmp_path / "ab.csv").write_text("\n".join(rows))
+    path = written(tmp_path, "\n".join(rows))
     with pytest.raises(InputError, match="pick='Muscle A'"):
-        pam.read_table(tmp_path / "ab.csv")
-    table, _ = quietly(pam.read_table, tmp_path / "ab.csv", pick="Muscle B")
+        pam.read_table(path)
+    table, _ = quietly(pam.read_table, path, pick="Muscle B")
     assert table.force[:3] == pytest.approx([90, 91, 92])
 
 
@@ -350,8 +349,7 @@ def test_blocks_below_each_other_take_their_titles(tmp_path: Path) -> None:
         + "\n"
         for k in (0, 5, 10)
     )
-    (tmp_path / "v.csv").write_text(text)
-    table = pam.read_table(tmp_path / "v.csv")
+    table = pam.read_table(written(tmp_path, text))
     assert table.contraction == pytest.approx(np.repeat([0, 0.05, 0.1], 6))
     assert table.pressure == pytest.approx(np.tile(np.arange(1, 7) * 1e5, 3))
     assert table.force[-1] == pytest.approx(540)
@@ -380,19 +378,24 @@ def test_messages_that_cannot_be_decoded_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "package"),
+    ("name", "content", "package", "extra"),
     [
-        ("a.tdms", b"TDSm", "nptdms"),
-        ("a.bag", b"#ROSBAG V2.0", "rosbags"),
-        ("a.mcap", b"\x89MCAP", "mcap"),
+        ("a.tdms", b"TDSm", "nptdms", "files"),
+        ("a.bag", b"#ROSBAG V2.0", "rosbags", "files"),
+        ("a.mcap", b"\x89MCAP", "mcap", "files"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n", "h5py", "hdf5"),
+        ("a.xlsx", b"PK\x03\x04", "openpyxl", "excel"),
     ],
 )
-def test_a_reader_that_is_not_installed_is_named(name, content, package, tmp_path, monkeypatch):
+def test_a_reader_that_is_not_installed_is_named_with_the_way_round_it(
+    name, content, package, extra, tmp_path, monkeypatch
+):
     for module in [m for m in sys.modules if m.partition(".")[0] == package]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)
     (tmp_path / name).write_bytes(content + bytes(40))
-    with pytest.raises(InputError, match=r"pip install 'pam_ocp\[files\]'"):
+    words = rf"{package}.*pip install 'pam_ocp\[{extra}\]', or save the table as CSV"
+    with pytest.raises(InputError, match=words):
         pam.read_record(tmp_path / name)
 
 

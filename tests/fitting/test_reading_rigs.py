@@ -322,15 +322,6 @@ def test_a_number_behind_a_name_is_no_unit():
     assert record.names == ("druck_1", "druck_2")
 
 
-def test_readers_that_need_a_package_say_how_it_is_installed(cases, monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    (case,) = (c for c in cases if c.name == "v73.mat")
-    with pytest.raises(InputError, match=r"h5py.*pip install 'pam_ocp\[hdf5\]'"):
-        pam.read_table(case.source)
-
-
 def test_workbooks_are_read_without_pandas(cases, monkeypatch):
     import sys
 

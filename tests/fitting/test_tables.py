@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pam_ocp.core.errors import InputError, UnknownNameError
-from pam_ocp.fitting import ForceTable, ReadingWarning, read_table
+from pam_ocp.fitting import ForceTable, ReadingWarning, read_record, read_table
+from pam_ocp.fitting.tables.cells import parted
 
 L0 = 0.3
 LENGTHS = [0.30, 0.285, 0.27, 0.255]
@@ -184,7 +184,10 @@ def test_nearly_equal_contractions_are_one_level() -> None:
         (table(pressure_Pa=None, p_bar=PRESSURES), r"600000 bar in row 3 .* looks like Pa"),
         (table(pressure_Pa=changed(PRESSURES, 0, 2.0)), "row 1 .* mixes units"),
         (table(pressure_Pa=changed(PRESSURES, 1, -5e4)), "-50000 Pa in row 2 is negative"),
-        (table(pressure_Pa=None, **{"p [mm]": PRESSURES}), "unit mm, which is none of a pressure"),
+        (
+            table(pressure_Pa=None, **{"p [mm]": PRESSURES}),
+            "is in mm, which is no unit of a pressure",
+        ),
         (table(pressure_Pa=None, **{"p [furlong]": PRESSURES}), "unknown unit 'furlong'"),
         (table(force_N=changed(FORCES, 1, float("inf"))), "column 'force_N', row 2 holds inf"),
         (table(force_N=changed(FORCES, 1, "slip")), "column 'force_N', row 2 holds 'slip'"),
@@ -269,15 +272,75 @@ def test_a_source_of_the_wrong_kind_is_refused() -> None:
         ForceTable([1e5, 2e5], [0.0, 0.1], [1.0])
 
 
-def test_a_missing_package_is_named_with_the_way_round_it(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    with pytest.raises(
-        InputError, match=r"openpyxl.*pip install 'pam_ocp\[excel\]', or save the table as CSV"
-    ):
-        read_table(write(tmp_path, "t.xlsx", ""), rest_length=L0)
-
-
 def test_a_damaged_binary_file_is_refused(tmp_path: Path) -> None:
     for name in ("t.npz", "t.mat"):
         with pytest.raises(InputError, match=f"{name}(:| cannot be read as)"):
             read_table(write(tmp_path, name, "x" * 200), rest_length=L0)
+
+
+# ---- cells that say their units: ``1 bar``, ``300mm``, ``12,5 %`` --------------------------------
+ROWS = [(1.0, 300.0, 200.0), (2.0, 300.0, 500.5), (2.0, 290.0, 400.0), (3.0, 290.0, 600.25)]
+
+
+def in_units(separator: str = ";", form: str = "{} bar;{} mm;{} N", head: str = "p;l;F") -> str:
+    rows = [form.format(*row) for row in ROWS]
+    return "\n".join([head, *rows]).replace(";", separator) + "\n"
+
+
+def is_that_of_rows(read: ForceTable) -> None:
+    np.testing.assert_allclose(read.pressure, [1e5 * r[0] for r in ROWS])
+    np.testing.assert_allclose(read.contraction, [1 - r[1] / 300 for r in ROWS], atol=1e-12)
+    np.testing.assert_allclose(read.force, [r[2] for r in ROWS])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        in_units(),
+        in_units(","),
+        in_units("\t"),
+        in_units(form="{}bar;{}mm;{}N"),
+        in_units().replace(".", ","),
+        in_units(form="{} bar;{};{} N", head="p;l [mm];F"),
+        "Rig 5; 20 °C\n" + in_units(),
+    ],
+)
+def test_cells_that_say_their_units_are_read_at_once(content: str, tmp_path: Path) -> None:
+    is_that_of_rows(read_table(write(tmp_path, "rig.csv", content), rest_length=L0))
+
+
+def test_mappings_and_records_of_such_cells_too(tmp_path: Path) -> None:
+    columns = {
+        "p": [f"{r[0] * 100} kPa" for r in ROWS],
+        "kappa": [f"{100 * (1 - r[1] / 300)} %" for r in ROWS],
+        "F": [f"{r[2] / 1000} kN" for r in ROWS],
+    }
+    is_that_of_rows(read_table(columns))
+    run = "t,q\n" + "".join(f"{10 * k} ms,{k * k} deg\n" for k in range(6))
+    record = read_record(write(tmp_path, "run.csv", run), columns={"q": "q"})
+    np.testing.assert_allclose(record.t, 0.01 * np.arange(6))
+    np.testing.assert_allclose(record["q"], np.deg2rad(np.arange(6) ** 2))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            in_units().replace("2.0 bar;290", "200 kPa;290"),
+            "mixes units: bar in line 2, kPa in line 4",
+        ),
+        (in_units(head="p [kPa];l;F"), r"mixes units: kPa in the header, bar in line 2"),
+        (in_units().replace("200.0 N", "200.0 mm"), "mixes units: mm in line 2, N in line 3"),
+    ],
+)
+def test_mixed_units_are_refused(content: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        read_table(write(tmp_path, "rig.csv", content), rest_length=L0)
+
+
+def test_what_is_no_number_with_a_unit() -> None:
+    assert parted("1.5 bar") == ("1.5", "bar")
+    assert parted("-3e2kPa") == ("-3e2", "kPa")
+    words = ["2024-01-05", "12:30", "1e5", "1,234.5", "muscle 3", "3 muscles", "bar"]
+    for cell in (*words, 3.0, None):
+        assert parted(cell) is None, cell

@@ -19,6 +19,7 @@ from ...core.units import unit
 from .cells import (
     COMMANDS,
     NAMES,
+    QUANTITIES,
     TIME_NAMES,
     branch_of,
     is_empty,
@@ -42,7 +43,6 @@ __all__ = [
     "with_unit",
 ]
 
-_KINDS = ("pressure", "length", "contraction", "force")
 _WITH_UNIT = re.compile(
     r"(?P<words>[^\d.,+-]*?)[\s=:@(_]*(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>[^\W\d]+|%)\)?$"
 )
@@ -174,7 +174,7 @@ def _quantities(
 def _kind(header: str) -> str | None:
     """The quantity that a header names."""
     name = parse_header(header)[0]
-    return next((k for k in _KINDS if name in NAMES[k]), None)
+    return next((k for k in QUANTITIES if name in NAMES[k]), None)
 
 
 def _named(text: str) -> list[str]:

@@ -98,12 +98,8 @@ COMMANDS = words_of(
     setpunkt"""
 )
 """Names of what was asked for."""
-QUANTITIES: dict[str, tuple[str, frozenset[str]]] = {
-    "length": ("m", NAMES["length"]),
-    "contraction": ("1", NAMES["contraction"]),
-    "pressure": ("Pa", NAMES["pressure"]),
-    "force": ("N", NAMES["force"]),
-}
+_SI = {"length": "m", "contraction": "1", "pressure": "Pa", "force": "N"}
+QUANTITIES = {quantity: (si, NAMES[quantity]) for quantity, si in _SI.items()}
 """Quantity of a force table: (SI unit, names by which a header calls it)."""
 LABELS: dict[str, frozenset[str]] = {
     "branch": words_of(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import date, datetime
 from datetime import time as clock_time
 from itertools import pairwise
@@ -22,12 +22,13 @@ from ...core.calibration import scale_of
 from ...core.errors import InputError, UnknownNameError, require_positive
 from ...core.plausible import MEASURED, inside_by
 from ...core.units import unit
-from .cells import TIME_NAMES, is_empty, is_stamp, is_unit, parse_header
+from .cells import TIME_NAMES, is_empty, is_stamp, parse_header
+from .columns import column_scale
 from .raw import Doubt, RawTable
 
 __all__ = [
     "DAYS",
-    "Clock",
+    "clock_words",
     "doubts_of_clock",
     "find_clock",
     "in_days",
@@ -248,40 +249,20 @@ PERIODS = (60.0, 3600.0, 43200.0, 86400.0)
 """Seconds after which a time of day does."""
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Times [s] of a record. sample_time : usual step; jitter : standard deviation of the steps
-    without gaps; longest step, all [s]. kind : what the times were, in words.
-    """
-
-    header: str
-    kind: str
-    sample_time: float
-    jitter: float
-    longest: float
-    gaps: int
-
-    def __str__(self) -> str:
-        kind = f" ({self.kind})" if self.kind else ""
-        gaps = (
-            f", {self.gaps} gap{'s' * (self.gaps != 1)} up to {self.longest:g} s"
-            if self.gaps
-            else ""
-        )
-        if self.sample_time <= 0:
-            return f"{self.header!r}{kind}: more than one row for each time"
-        even = self.jitter < 1e-3 * self.sample_time
-        jitter = "even" if even else f"jitter {100 * self.jitter / self.sample_time:.2g} %"
-        return f"{self.header!r}{kind}: every {self.sample_time:.4g} s, {jitter}{gaps}"
-
-    @classmethod
-    def of(cls, header: str, kind: str, t: Array) -> Clock:
-        steps = np.diff(t)
-        usual = float(np.median(steps)) if steps.size else 0.0
-        inside = steps[(steps > 0) & (steps <= GAP * usual)]
-        jitter = float(np.std(inside)) if inside.size else 0.0
-        gaps = int(np.sum(steps > GAP * usual))
-        return cls(header, kind, usual, jitter, float(steps.max(initial=0.0)), gaps)
+def clock_words(header: str, kind: str, t: Array) -> str:
+    """How evenly times [s] run, and their gaps. kind : what they were, in words."""
+    steps = np.diff(t)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    named = f"{header!r} ({kind})" if kind else repr(header)
+    if usual <= 0:
+        return f"{named}: more than one row for each time"
+    inside = steps[(steps > 0) & (steps <= GAP * usual)]
+    jitter = float(np.std(inside)) / usual if inside.size else 0.0
+    words = "even" if jitter < 1e-3 else f"jitter {100 * jitter:.2g} %"
+    gaps = int(np.sum(steps > GAP * usual))
+    if gaps:
+        words += f", {gaps} gap{'s' * (gaps != 1)} up to {float(steps.max()):g} s"
+    return f"{named}: every {usual:.4g} s, {words}"
 
 
 def usual_step(t: Array, steps: Array | None = None) -> float:
@@ -335,19 +316,8 @@ def read_clock(
         doubted = kind and (said is not None or (kind in DAYS and not in_days(header)))
         how = f"{header!r} is read as {kind}; say units={{'time': 's'}} if it counts seconds"
         return t, kind, ((Doubt(how),) if doubted else ())
-    scale = scale_of(place(0), wanted or said or "s", unit("s"), said)
-    if not scale.measured.compatible(unit("s")):
-        raise InputError(
-            f"{raw.label}: column {header!r} is in {wanted or said}, which is no unit of time (s); "
-            "correct the header or give units={'time': ...}"
-        )
-    if wanted and said and is_unit(said):
-        header_scale = scale_of(place(0), said, None, None)
-        if scale.formula is None and header_scale.measured.factor != scale.measured.factor:
-            raise InputError(
-                f"{raw.label}: column {header!r} says {said} but units['time'] = {wanted!r}; "
-                "correct the header or leave units away"
-            )
+    scale = column_scale(raw, header, "time", unit("s"), wanted, exact=True)
+    assert scale is not None
     return *seconds_of_numbers(scale.si(values), header, "s", settled=True), ()
 
 

@@ -8,7 +8,7 @@ import difflib
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -46,10 +46,10 @@ __all__ = [
     "check_mixed_pressure",
     "check_pressure",
     "check_size",
+    "column_scale",
     "contraction_of",
     "display_of",
     "read_labels",
-    "record_scale",
     "record_variables",
     "require_columns",
 ]
@@ -95,61 +95,60 @@ def assigned(
     for quantity, (_, names) in QUANTITIES.items():
         chosen = raw.header(quantity, names, columns)
         if chosen is not None:
-            scale = _scale(raw, quantity, chosen, units, ambient)
+            base, said = unit(QUANTITIES[quantity][0]), units.get(quantity)
+            scale = column_scale(raw, chosen, quantity, base, said, ambient, exact=True)
             found[quantity] = Column(chosen, quantity, quantity, scale, quantity in units)
     return found
 
 
-def _scale(
-    raw: RawTable, quantity: str, header: str, units: Mapping[str, str], ambient: float
+def column_scale(
+    raw: RawTable,
+    header: str,
+    name: str,
+    base: Unit | None,
+    wanted: str | None,
+    ambient: float = AMBIENT,
+    *,
+    exact: bool = False,
 ) -> Scale | None:
-    """The unit that the header or the user states for a quantity; None when neither does."""
-    said, wanted = raw.unit(header), units.get(quantity)
-    base = unit(QUANTITIES[quantity][0])
+    """How a column's numbers become SI; None where nothing says a unit.
+
+    name : how ``units=`` calls the column. base : what it must measure; None for anything. wanted :
+    the user's unit or calibration. exact : numbers without a kind are refused, and so is a unit
+    beside another one of the header's.
+
+    Raises InputError.
+    """
+    said = raw.unit(header)
+    text = wanted or said
+    if text is None:
+        return None
     where = f"{raw.label}: column {header!r}"
-    if wanted is None:
-        if said is None:
-            return None
-        scale = scale_of(where, said, base, None, ambient)
-        _require_kind(scale, said, quantity, header)
-        return scale
-    scale = scale_of(f"units[{quantity!r}]", wanted, base, said, ambient)
+    scale = scale_of(where, text, base, said if wanted else None, ambient)
     if scale.formula is not None:
         return scale
-    if not scale.measured.compatible(base) or wanted.lower() in COUNTS - {"1"}:
+    counted = text.lower() in COUNTS and text != "1"
+    if base is not None and ((exact and counted) or not scale.measured.compatible(base)):
+        shown = {"Pa": "bar", "m": "mm", "rad": "deg", "1": "%"}.get(base.name, base.name)
+        reads = "counts" if text.lower() in COUNTS else text
+        what = f"a {name}" if name in QUANTITIES else name
+        named = f"units[{name!r}] = {wanted!r}" if wanted else f"{where} is in {text}, which"
+        remedy = "" if wanted else "correct the header or "
         raise InputError(
-            f"units[{quantity!r}] = {wanted!r} is no unit of a {quantity}; "
-            f"{_calibration(quantity, wanted)}"
+            f"{named} is no unit of {what} ({base.name}); {remedy}give a calibration: "
+            f"units={{{name!r}: '{reads} * 2 {shown}/{reads} - 0.3 {shown}'}}"
         )
-    if said is not None and is_unit(said) and _contradicts(said, scale, base):
-        raise InputError(
-            f"column {header!r} says {said} but units[{quantity!r}] = {wanted!r}; "
-            "correct the header or leave units away"
-        )
+    if wanted and said and is_unit(said):
+        other = scale_of(where, said, None, None).measured
+        same = other.compatible(scale.measured)
+        absolute = said.endswith(" abs") and not scale.shift
+        if not same or (exact and (other.factor != scale.measured.factor or absolute)):
+            remedy = "" if same else f", or give a calibration: '{said} * 2 {wanted}/{said}'"
+            raise InputError(
+                f"{where} says {said} but units[{name!r}] = {wanted!r}; correct the header or "
+                f"leave units away{remedy}"
+            )
     return scale
-
-
-def _contradicts(said: str, scale: Scale, base: Any) -> bool:
-    """A header's unit is another one; that a pressure is absolute, the user may add."""
-    measured = scale_of("", said, None, None).measured
-    return bool(measured.compatible(base)) and (
-        measured.factor != scale.measured.factor or (said.endswith(" abs") and not scale.shift)
-    )
-
-
-def _require_kind(scale: Scale, said: str, quantity: str, header: str) -> None:
-    base = unit(QUANTITIES[quantity][0])
-    if scale.measured.compatible(base) and (said.lower() not in COUNTS or said == "1"):
-        return
-    raise InputError(
-        f"column {header!r} names the unit {said}, which is none of a {quantity} "
-        f"(such as {base.name}); correct the header or {_calibration(quantity, said)}"
-    )
-
-
-def _calibration(quantity: str, said: str) -> str:
-    shown = {"pressure": "bar", "force": "N", "length": "mm", "contraction": "%"}[quantity]
-    return f"give a calibration: units={{{quantity!r}: '{said} * 2 {shown}/{said} - 0.3 {shown}'}}"
 
 
 def require_columns(raw: RawTable, found: Mapping[str, Column]) -> None:
@@ -372,41 +371,6 @@ def _check_contraction(contraction: Series) -> None:
 
 
 # ---- records ------------------------------------------------------------------------------------
-def record_scale(
-    raw: RawTable,
-    header: str,
-    name: str,
-    base: Unit | None,
-    wanted: str | None,
-    ambient: float = AMBIENT,
-) -> Scale | None:
-    """How a column's numbers become SI; None where nothing says a unit. Raises InputError."""
-    said = raw.unit(header)
-    text = wanted or said
-    if text is None:
-        return None
-    where = f"{raw.label}: column {header!r}"
-    scale = scale_of(where, text, base, said if wanted else None, ambient)
-    if scale.formula is not None:
-        return scale
-    if wanted and said and is_unit(said):
-        other = scale_of(where, said, None, None).measured
-        if not other.compatible(scale.measured):
-            raise InputError(
-                f"{where} says {said} but units[{name!r}] = {wanted!r}; correct the header or "
-                f"leave units away, or give a calibration: '{said} * 2 {wanted}/{said}'"
-            )
-    if base is not None and not scale.measured.compatible(base):
-        shown = {"Pa": "bar", "m": "mm", "rad": "deg"}.get(base.name, base.name)
-        reads = text if text.lower() not in COUNTS else "counts"
-        raise InputError(
-            f"{where} is in {text}, which is no unit of {name} ({base.name}); correct the header "
-            f"or give units={{{name!r}: ...}}, or a calibration as '{reads} * 2 {shown}/{reads} - "
-            f"0.3 {shown}'"
-        )
-    return scale
-
-
 def display_of(scale: Scale | None) -> str:
     """The SI unit of a column that belongs to no plant."""
     if scale is None:

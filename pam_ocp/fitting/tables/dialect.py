@@ -316,31 +316,24 @@ def _segment(
     rows: list[tuple[int, list[str]]], head: dict[str, list[str]], x: str, sign: str, label: str
 ) -> dict[str, Any]:
     names = [cell.strip() for cell in rows[0][1]]
-    clocks = [i for i, name in enumerate(names) if name == "X_Value"]
-    units, taken = head.get("Y_Unit_Label") or [], [n for n in names if n not in ("X_Value", "")]
-    columns: list[list[float]] = []
+    units, several = head.get("Y_Unit_Label") or [], names.count("X_Value") > 1
+    parts: dict[int, dict[str, Any]] = {}
+    clock, times, channel = -1, list[float](), 0
     for i, name in enumerate(names):
-        cells = [(line, row[i].strip() if i < len(row) else "") for line, row in rows[1:]]
-        columns.append([] if name in ("Comment", "") else _numbers(cells, name, sign, label))
-    parts: dict[str, dict[str, Any]] = {}
-    channel = 0
-    for i, name in enumerate(names):
-        if i in clocks or name not in taken or name == "Comment":
+        if name in ("Comment", ""):
             continue
-        clock = max((c for c in clocks if c < i), default=-1)
+        cells = [(line, row[i].strip() if i < len(row) else "") for line, row in rows[1:]]
+        values = _numbers(cells, name, sign, label)
+        if name == "X_Value":
+            clock, times = i, values
+            continue
+        untimed = x == "No" or all(v != v for v in times)
+        own = _waveform(head, channel, len(values)) if untimed else times
+        if several:  # shorter channels end before the others
+            kept = [k for k, v in enumerate(values) if v == v]
+            own, values = [own[k] for k in kept], [values[k] for k in kept]
         said = units[channel] if channel < len(units) else ""
-        kept = [k for k, v in enumerate(columns[i]) if v == v]
-        part = parts.setdefault(str(clock), {})
-        if clock < 0 or x == "No" or all(v != v for v in columns[clock]):
-            times = _waveform(head, channel, len(columns[i]))
-        else:
-            times = columns[clock]
-        if len(clocks) > 1:  # shorter channels end before the others
-            times, values = [times[k] for k in kept], [columns[i][k] for k in kept]
-        else:
-            values = columns[i]
-        if times:
-            part["time [s]"] = times
+        part = parts.setdefault(clock, {"time [s]": own} if own else {})
         part[f"{name} [{said}]" if said else name] = values
         channel += 1
     if len(parts) == 1:

@@ -19,7 +19,7 @@ from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, inside_by
 from ...core.units import unit
 from ...core.variables import Variable
 from .cells import MEASURED as SAID_MEASURED
-from .cells import NAMES, PLACES, is_empty, is_number, numbers_of
+from .cells import NAMES, PLACES, is_empty, is_number, number, numbers_of
 from .raw import Doubt, RawTable
 
 __all__ = [
@@ -146,31 +146,29 @@ def checked_cells(raw: RawTable, columns: Sequence[Column], missing: Any = "foun
     """
     if raw.own:
         return raw
-    given = None if missing in (None, "found") else missing
     for column in columns:
         raw = _signed(raw, column)
-    if missing is None:
-        return raw
-    for column in columns:
-        numbers = raw.numbers(column.header) if given is None else None
-        gone = (
-            _sentinels(numbers, column)
-            if numbers is not None
-            else _equal(raw.columns[column.header], given or (), raw.sign(column.header))
-        )
+    for column in columns if missing is not None else ():
+        header = column.header
+        if missing == "found":
+            gone = _sentinels(raw.numbers(header), column)
+        else:
+            gone = _equal(raw.columns[header], missing, raw.sign(header))
         if np.any(gone):
-            raw = _emptied(raw, column.header, gone)
+            raw = _emptied(raw, header, gone)
     return raw
 
 
 def _equal(cells: Sequence[Any], given: Sequence[Any], sign: str) -> NDArray[np.bool_]:
     texts = {v.strip().lower() for v in given if isinstance(v, str)}
     numbers = [float(v) for v in given if not isinstance(v, str)]
-    found = np.zeros(len(cells), bool)
-    for i, cell in enumerate(cells):
-        value, bad = numbers_of([cell], sign)
-        found[i] = str(cell).strip().lower() in texts or (bad is None and value[0] in numbers)
-    return found
+    return np.array(
+        [
+            str(c).strip().lower() in texts or (is_number(c, sign) and number(c, sign) in numbers)
+            for c in cells
+        ],
+        dtype=bool,
+    )
 
 
 def _emptied(raw: RawTable, header: str, gone: NDArray[np.bool_]) -> RawTable:

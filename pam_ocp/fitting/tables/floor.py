@@ -12,7 +12,6 @@ Anal. Chem. 40 (1968) 586-593) is no force.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
@@ -298,20 +297,10 @@ def _evidence(cells: _Cells, hinge: _Hinge) -> tuple[Mask | None, float]:
     width = max(float(np.ptp(off[deep])), 1e-9 * float(cells.y.max()))
     span = float(cells.y[near].max() - level.min())
     expected = cells.places(near) * width / max(span, 1e-300)
-    return (deep if _as_many(count, expected) < CHANCE else None), scatter
+    from scipy.special import pdtrc
 
-
-def _as_many(count: int, expected: float) -> float:
-    """Probability of so many events or more where, on average, ``expected`` are (Poisson). SciPy's
-    would take longer to import than a fit takes.
-    """
-    if expected <= 0 or count <= 0:
-        return float(count <= 0)
-    if count < expected:
-        before = -expected + np.cumsum(np.log(expected / np.arange(1, count)))
-        return float(1 - np.exp(-expected) - np.sum(np.exp(before)))
-    first = math.exp(count * math.log(expected) - expected - math.lgamma(count + 1))
-    return first * float(1 + np.sum(np.cumprod(expected / (count + np.arange(1, 1000 + count)))))
+    chance = float(pdtrc(count - 1, expected))  # of so many or more, by Poisson's law
+    return (deep if chance < CHANCE else None), scatter
 
 
 def _beyond(cells: _Cells, slack: NDArray[np.intp]) -> Mask:

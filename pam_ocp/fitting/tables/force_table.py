@@ -39,7 +39,7 @@ from .doubts import (
 )
 from .floor import DETECTED, Floor, find_floor, part_names
 from .ramps import Ramp, floor_of, ramp_of
-from .raw import RawTable, ReadingArguments, complete, say
+from .raw import RawTable, Reading, complete, say
 from .sources import is_source, load, naming, sources_of
 
 __all__ = [
@@ -352,16 +352,16 @@ def read_table(
     (126, 60)
     """
     given = {name: value for name, value in locals().items() if name != "source"}
-    words = TableArguments.of(**given)
+    words = TableArguments(**given)
     if is_source(source):
         with naming(source):
-            table = table_of(load(source, words.how), words)
+            table = table_of(load(source, words), words)
         say(table.source, table.notes)
         return table
     tables = []
     for one in sources_of(source):
         with naming(one):
-            tables.append(table_of(load(one, words.how), words))
+            tables.append(table_of(load(one, words), words))
         say(tables[-1].source, tables[-1].notes)
     whole = joined_tables(tables)
     if whole.floor_found and not any(t.floor_found for t in tables):
@@ -370,7 +370,7 @@ def read_table(
 
 
 @dataclass(frozen=True)
-class TableArguments(ReadingArguments):
+class TableArguments(Reading):
     """What the user says of a force table; see :func:`read_table`."""
 
     rest_length: float | None = None
@@ -378,6 +378,7 @@ class TableArguments(ReadingArguments):
     floor: Any = "found"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.rest_length is not None:
             length = require_positive("rest_length", self.rest_length, "m")
             object.__setattr__(self, "rest_length", length)
@@ -390,7 +391,7 @@ def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = Non
     Raises InputError.
     """
     seen = seen or Understood(raw)
-    columns = assigned(raw, words.columns, words.units, words.ambient)
+    columns = assigned(raw, words.columns, words.units, words.ambient_pressure)
     seen.meanings |= {column.header: (q, column.scale) for q, column in columns.items()}
     require_columns(raw, columns)
     seen.raw = raw = checked_cells(raw, tuple(columns.values()), words.missing)
@@ -420,7 +421,7 @@ def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = Non
             "contraction held, the other rising and falling in small steps); leave ramp= away"
         )
     table = rows if ramp is None else _binned(rows, ramp, at_floor)
-    notes += [f"a ramp: {ramp}"] if ramp else []
+    notes += [f"a ramp: {ramp.words}"] if ramp else []
     if words.floor not in ("found", "zero"):
         table = table.with_floor(None)
     elif table.floor_found and ramp:

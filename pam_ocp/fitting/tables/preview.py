@@ -25,7 +25,7 @@ from .force_table import ForceTable, TableArguments, joined_tables, table_of
 from .raw import (
     Doubt,
     RawTable,
-    ReadingArguments,
+    Reading,
     ReadingWarning,
     glob_of,
     labels_of,
@@ -44,6 +44,8 @@ __all__ = ["ColumnView", "FileRead", "FolderRead", "Preview", "Previews", "look"
 
 LONG = 200
 """Rows from which on what holds less than a force table, and no clock, is probably a record."""
+WIDEST = 40
+"""Cell of a text, below which the others are aligned."""
 _TABLE_ONLY, _RECORD_ONLY = (*TableArguments.own(), "pivot"), RecordArguments.own()
 
 
@@ -120,7 +122,8 @@ class Preview:
         lines = [f"{self.source}: " + (f"{what}, {self.rows} rows" if self.columns else "?")]
         if self.dialect:
             lines.append(f"  {', '.join(self.dialect)}")
-        lines += ["", *_aligned(self.columns), ""] if self.columns else []
+        cells = _aligned(_rows(self.columns), 3) if self.columns else []
+        lines += ["", *(f"  {line}" for line in cells), ""] if cells else []
         for title, words in (
             ("clock", [self.clock] if self.clock else []),
             ("said", self.notes),
@@ -154,18 +157,20 @@ class Previews(tuple[Preview, ...]):
         return "\n\n".join(map(str, self))
 
 
-def _aligned(columns: tuple[ColumnView, ...]) -> list[str]:
+def _rows(columns: tuple[ColumnView, ...]) -> list[tuple[str, ...]]:
     rows = [("column", "is", "unit", "from", "to", "empty")]
     for c in columns:
         low, high = ("" if v is None else f"{v:.5g}" for v in (c.low, c.high))
         rows.append((repr(c.header), c.meaning or "-", c.unit, low, high, str(c.empty or "")))
-    widths = [min(40, max(len(row[i]) for row in rows)) for i in range(6)]
-    made = []
-    for row in rows:
-        left = "  ".join(f"{row[i]:<{widths[i]}}" for i in range(3))
-        right = "  ".join(f"{row[i]:>{widths[i]}}" for i in range(3, 6))
-        made.append(f"  {left}  {right}".rstrip())
-    return made
+    return rows
+
+
+def _aligned(rows: Sequence[Sequence[str]], numbers: int = 0) -> list[str]:
+    """Cells below each other, the last so many of each row to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sides = "<" * (len(widths) - numbers) + ">" * numbers
+    form = [f"{side}{min(w, WIDEST)}" for side, w in zip(sides, widths, strict=True)]
+    return ["  ".join(map(format, row, form)).rstrip() for row in rows]
 
 
 def look(source: Any, plant: Plant | None = None, **options: Any) -> Preview | Previews:
@@ -201,7 +206,7 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     general = {k: v for k, v in for_table.items() if k in for_record}
     if kind != "record" and "pivot" in options:
         general["pivot"] = options["pivot"]
-    how = ReadingArguments.of(**general).how
+    how = Reading(**general)
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -212,8 +217,8 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
             return _preview(source, kind or "table", nothing, {}, None, (), str(error), options)
         kind = kind or _kind(seen.raw, options)
         if kind == "table":
-            return _table(source, seen, TableArguments.of(**for_table), options)
-        return _record(source, seen, plant, RecordArguments.of(**for_record), options)
+            return _table(source, seen, TableArguments(**for_table), options)
+        return _record(source, seen, plant, RecordArguments(**for_record), options)
 
 
 def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
@@ -466,10 +471,7 @@ class FolderRead(Sequence[FileRead]):
             for row in self.rows()
         ]
         heads = list(dict.fromkeys(name for row in rows for name in row))
-        cells = [heads, *([str(row.get(h, "")) for h in heads] for row in rows)]
-        widths = [max(len(line[i]) for line in cells) for i in range(len(heads))]
-        lines = ["  ".join(f"{c:<{w}}" for c, w in zip(x, widths, strict=True)) for x in cells]
-        lines = [line.rstrip() for line in lines]
+        lines = _aligned([heads, *([str(row.get(h, "")) for h in heads] for row in rows)])
         for row in self.rows():
             lines += [f"{row['file']}: {row['said']}"] if row["said"] else []
             lines += [f"{row['file']} NOT READ: {row['problem']}"] if row["problem"] else []

@@ -52,31 +52,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Ramp:
-    """A ramp as cells. held : what stood still in each branch. dwell, transit : rows left out while
-    nothing moved, and on the way between levels. correlation : of neighbouring rows' errors.
-    """
+    """A ramp as cells. words : what it was, and which rows were left out."""
 
-    held: Literal["contraction", "pressure"]
-    levels: int
-    pieces: int
-    repeats: int
-    stairs: bool
-    dwell: int
-    transit: int
-    correlation: float
     cells: tuple[Cell, ...]
-
-    def __str__(self) -> str:
-        moved = "pressure" if self.held == "contraction" else "contraction"
-        kind = "stairs" if self.stairs else "ramps"
-        names = list(dict.fromkeys(c.branch for c in self.cells))
-        return (
-            f"{self.pieces} {kind} of {moved} ({' and '.join(names)}) at {self.levels} "
-            f"level{'s' * (self.levels != 1)} of {self.held}, up to {self.repeats} "
-            f"repeat{'s' * (self.repeats != 1)} -> {len(self.cells)} cells; left out: {self.dwell} "
-            f"rows of dwell, {self.transit} between levels; neighbouring rows correlate by "
-            f"{self.correlation:.2f}"
-        )
+    words: str
 
 
 def floor_of(force: Array) -> float | None:
@@ -231,8 +210,7 @@ def _cells(
     for piece in pieces:
         repeats[piece.level, piece.branch] += 1
         run = str(repeats[piece.level, piece.branch])
-        moved = piece.rows[~piece.resting]
-        parts = _stairs(piece) if stairs else _binned(moved, moving, edges)
+        parts = _stairs(piece) if stairs else _binned(piece.rows[~piece.resting], moving, edges)
         groups += [(piece.branch, run, part) for part in parts]
     if not groups:
         return None
@@ -241,17 +219,17 @@ def _cells(
         Cell(rows, branch, run, s, float(s * wide / np.sqrt(rows.size)))
         for (branch, run, rows), s in zip(groups, scatters, strict=True)
     )
-    return Ramp(
-        held,
-        levels=len({p.level for p in pieces}),
-        pieces=len(pieces),
-        repeats=max(repeats.values()),
-        stairs=stairs,
-        dwell=0 if stairs else int(sum(p.resting.sum() for p in pieces)),
-        transit=outside,
-        correlation=rho,
-        cells=cells,
+    moved = "pressure" if held == "contraction" else "contraction"
+    heights, most = len({p.level for p in pieces}), max(repeats.values())
+    dwell = 0 if stairs else sum(int(p.resting.sum()) for p in pieces)
+    words = (
+        f"{len(pieces)} {'stairs' if stairs else 'ramps'} of {moved} "
+        f"({' and '.join(dict.fromkeys(c.branch for c in cells))}) at {heights} "
+        f"level{'s' * (heights != 1)} of {held}, up to {most} repeat{'s' * (most != 1)} -> "
+        f"{len(cells)} cells; left out: {dwell} rows of dwell, {outside} between levels; "
+        f"neighbouring rows correlate by {rho:.2f}"
     )
+    return Ramp(cells, words)
 
 
 def _resting(values: Array, change: float) -> NDArray[np.bool_]:

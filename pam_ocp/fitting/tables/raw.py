@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,6 @@ __all__ = [
     "Doubt",
     "RawTable",
     "Reading",
-    "ReadingArguments",
     "ReadingWarning",
     "checked_constants",
     "complete",
@@ -187,8 +186,6 @@ def complete(raw: RawTable, headers: Sequence[str], empty: str = "drop") -> RawT
 
     empty : "drop", or "refuse". Raises InputError where most rows would go.
     """
-    if empty not in ("drop", "refuse"):
-        raise InputError(f"empty = {empty!r}: choose 'drop' or 'refuse'")
     missing = {h: np.isnan(raw.numbers(h)) for h in headers}
     gone = np.any(list(missing.values()), axis=0) if missing else np.zeros(len(raw), bool)
     if not np.any(gone):
@@ -213,55 +210,75 @@ def complete(raw: RawTable, headers: Sequence[str], empty: str = "drop") -> RawT
 # ---- what the user says --------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Reading:
-    """How a file is to be read, where it does not say it itself.
+    """What the user says of a source, whatever it holds, as ``read_table`` and ``read_record`` take
+    it, checked. names : of the columns from the left, where ``columns`` lists them.
 
-    columns : names of the columns from the left. skip : lines or rows at the beginning that are
-    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data,
-    or several to be put on one clock. delimiter, decimal, encoding : of a text. bad_lines : "drop"
-    or "refuse". pivot : what runs down, across, and stands in the cells. constants : columns of one
-    value that the file does not hold. pattern : of the file's name, which holds such values.
+    Raises InputError.
     """
 
-    columns: tuple[str | None, ...] | None = None
-    skip: int = 0
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    ambient_pressure: float = AMBIENT
     sheet: str | int | None = None
+    skip: int = 0
     pick: str | tuple[str, ...] | None = None
+    pivot: tuple[str, ...] | None = None
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
     bad_lines: str = "refuse"
-    pivot: tuple[str, ...] | None = None
     constants: Mapping[str, Any] = field(default_factory=dict)
     pattern: str | None = None
+    empty: str = "drop"
+    missing: Any = "found"
+    names: tuple[str | None, ...] | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        require_count("skip", self.skip, 0)
+        for name, known in (
+            ("decimal", (None, ".", ",")),
+            ("bad_lines", ("refuse", "drop")),
+            ("empty", ("drop", "refuse")),
+        ):
+            value = getattr(self, name)
+            if value not in known:
+                shown = " or ".join(repr(k) for k in known if k)
+                raise InputError(f"{name} = {value!r}: choose {shown}")
+        if self.encoding is not None:
+            _require_encoding(self.encoding)
+        if self.pattern is not None:
+            require_pattern(self.pattern)
+        cut: Any = self.delimiter
+        if cut is not None and (not isinstance(cut, str) or len(cut) != 1):
+            raise InputError(f"delimiter = {cut!r}: give one character, ' ' for blanks")
+        columns: Any = self.columns
+        mapped = isinstance(columns, Mapping)
+        checked = {
+            "columns": dict(columns) if mapped else {},
+            "names": None if mapped or columns is None else _names(columns),
+            "units": dict(self.units or {}),
+            "ambient_pressure": require_ambient(self.ambient_pressure),
+            "pick": tuple(self.pick) if isinstance(self.pick, list) else self.pick,
+            "pivot": None if self.pivot is None else _pivot(self.pivot),
+            "constants": checked_constants(self.constants),
+            "missing": require_missing(self.missing),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
-    def of(cls, columns: Any, **said: Any) -> Reading:
-        """Checked. Raises InputError."""
-        require_count("skip", said.get("skip", 0), 0)
-        if said.get("decimal") not in (None, ".", ","):
-            raise InputError(f"decimal = {said['decimal']!r}: choose '.' or ','")
-        if said.get("bad_lines", "refuse") not in ("refuse", "drop"):
-            raise InputError(f"bad_lines = {said['bad_lines']!r}: choose 'refuse' or 'drop'")
-        if said.get("encoding") is not None:
-            _require_encoding(said["encoding"])
-        said["constants"] = checked_constants(said.get("constants"))
-        if said.get("pattern") is not None:
-            require_pattern(said["pattern"])
-        if isinstance(said.get("pick"), list):
-            said["pick"] = tuple(said["pick"])
-        delimiter = said.get("delimiter")
-        if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1):
-            raise InputError(f"delimiter = {delimiter!r}: give one character, ' ' for blanks")
-        names = None
-        if columns is not None and not isinstance(columns, Mapping):
-            if isinstance(columns, str) or not isinstance(columns, Sequence):
-                raise InputError(
-                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from "
-                    "the left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
-                )
-            names = tuple(None if name is None else str(name) for name in columns)
-        pivot = said.pop("pivot", None)
-        return cls(names, **said, pivot=None if pivot is None else _pivot(pivot))
+    def own(cls) -> tuple[str, ...]:
+        """Names of the arguments that sources of another kind do not have."""
+        return tuple(f.name for f in fields(cls)[len(fields(Reading)) :])
+
+
+def _names(columns: Any) -> tuple[str | None, ...]:
+    if isinstance(columns, str) or not isinstance(columns, Sequence):
+        raise InputError(
+            f"columns = {columns!r}: give {{quantity: header}}, or a list of names from the left, "
+            "as ['length [mm]', 'pressure [bar]', 'force [N]']"
+        )
+    return tuple(None if name is None else str(name) for name in columns)
 
 
 def _require_encoding(encoding: Any) -> None:
@@ -280,51 +297,6 @@ def _pivot(said: Any) -> tuple[str, ...]:
             "pivot=('contraction [%]', 'pressure [bar]', 'force [N]')"
         )
     return tuple(str(s) for s in said)
-
-
-Arguments = TypeVar("Arguments", bound="ReadingArguments")
-
-
-@dataclass(frozen=True)
-class ReadingArguments:
-    """What the user says of a source, whatever it holds: how it is read, its columns and rows."""
-
-    how: Reading
-    columns: Mapping[str, str]
-    units: Mapping[str, str]
-    ambient: float
-    empty: str
-    missing: Any
-
-    @classmethod
-    def of(
-        cls: type[Arguments],
-        columns: Mapping[str, str] | Sequence[str | None] | None = None,
-        units: Mapping[str, str] | None = None,
-        ambient_pressure: float = AMBIENT,
-        empty: str = "drop",
-        missing: Any = "found",
-        **more: Any,
-    ) -> Arguments:
-        """Checked, of arguments as ``read_table`` and ``read_record`` have them.
-
-        Raises InputError.
-        """
-        own = {name: more.pop(name) for name in cls.own() if name in more}
-        return cls(
-            how=Reading.of(columns, **more),
-            columns=dict(columns) if isinstance(columns, Mapping) else {},
-            units=dict(units or {}),
-            ambient=require_ambient(ambient_pressure),
-            empty=empty,
-            missing=require_missing(missing),
-            **own,
-        )
-
-    @classmethod
-    def own(cls) -> tuple[str, ...]:
-        """Names of the arguments that sources of another kind do not have."""
-        return tuple(f.name for f in fields(cls)[len(fields(ReadingArguments)) :])
 
 
 def require_missing(missing: Any) -> Any:

@@ -19,7 +19,7 @@ from ...core.units import unit
 from ...core.variables import Variable
 from .cells import parse_header
 from .clock import (
-    Clock,
+    clock_words,
     doubts_of_clock,
     find_clock,
     mended,
@@ -27,7 +27,7 @@ from .clock import (
     read_clock,
     rows_before_jumps,
 )
-from .columns import check_size, display_of, record_scale, record_variables
+from .columns import check_size, column_scale, display_of, record_variables
 from .doubts import (
     Column,
     Understood,
@@ -36,7 +36,7 @@ from .doubts import (
     doubts_of,
     kind_of,
 )
-from .raw import Doubt, RawTable, Reading, ReadingArguments, complete, say
+from .raw import Doubt, RawTable, Reading, complete, say
 from .sources import is_source, load, naming, sources_of
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class RecordArguments(ReadingArguments):
+class RecordArguments(Reading):
     """What the user says of a record; see :func:`read_record`."""
 
     time: str | None = None
@@ -64,6 +64,7 @@ class RecordArguments(ReadingArguments):
     sample_time: float | str | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.clock not in ("mend", "cut", "refuse"):
             raise InputError(f"clock = {self.clock!r}: choose 'mend', 'cut' or 'refuse'")
         if self.sample_time is not None and self.sample_time != "even":
@@ -146,7 +147,7 @@ def read_record(
     (201,)
     """
     given = {n: value for n, value in locals().items() if n not in ("source", "plant")}
-    words = RecordArguments.of(**given)
+    words = RecordArguments(**given)
     if plant is not None:
         from ...plants.plant import require_plant
 
@@ -156,7 +157,7 @@ def read_record(
         what = f"{source} is a folder" if folder else "source is several"
         raise InputError(f"{what}; give a file, or read all of them by read_records(...)")
     with naming(source):
-        raw = loaded(source, words.how)
+        raw = loaded(source, words)
         parts, notes = record_parts(raw, plant, words)
     longest = max(parts, key=len)
     if len(parts) > 1:
@@ -180,11 +181,11 @@ def read_records(
     >>> len(pam.read_records(paths, plant))
     2
     """
-    words = RecordArguments.of(**options)
+    words = RecordArguments(**options)
     found: list[Trajectory] = []
     for source in [sources] if is_source(sources) else sources_of(sources):
         with naming(source):
-            raw = loaded(source, words.how)
+            raw = loaded(source, words)
             notes: list[str] = []
             for part in [raw] if split is None else _split(raw, split):
                 records, told = record_parts(part, plant, words)
@@ -262,7 +263,7 @@ def record_parts(
     raw = checked_cells(raw, columns, words.missing)
     seen.raw = replace(raw, columns={**seen.raw.columns, **raw.columns})
     t, kind, doubts = read_clock(raw, header, words.units.get("time"))
-    seen.clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
+    seen.clock = clock_words(header, kind, t[~np.isnan(t)])
     factor = unit(raw.unit(header) or "s").factor if not kind else 1.0
     used = {c.header: raw.columns[c.header] for c in columns}
     timed = replace(raw, columns={**used, header: t.tolist()})
@@ -286,7 +287,7 @@ def record_parts(
         notes += doubts_of_clock(header, t, raw.unit(header), words.units.get("time"))
     if len(spans) > 1:
         notes.append(f"the clock jumps: cut into {len(spans)} parts")
-    seen.clock = str(Clock.of(header, kind, t))
+    seen.clock = clock_words(header, kind, t)
     if words.sample_time is not None:
         records = [_even(record, words.sample_time) for record in records]
     return records, notes
@@ -358,7 +359,7 @@ def _column(
     """A column of use with its scale. Raises InputError."""
     base = unit(variable.unit) if plant is not None else None
     wanted = words.units.get(variable.name)
-    scale = record_scale(raw, header, variable.name, base, wanted, words.ambient)
+    scale = column_scale(raw, header, variable.name, base, wanted, words.ambient_pressure)
     if plant is not None:
         kind = kind_of(variable.name, variable.unit, told=True)
     else:

@@ -216,8 +216,8 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
         raw = _table_of(grid, how)
         return replace(raw, dialect=(*said, *raw.dialect))
     names = list(found)
-    if how.columns is not None:
-        given = given_names(label, how.columns, len(names))
+    if how.names is not None:
+        given = given_names(label, how.names, len(names))
         found = {n: found[old] for n, old in zip(given, names, strict=True) if n}
     require_distinct(list(found), label)
     columns = {n: list(c)[how.skip :] for n, c in found.items()}
@@ -325,7 +325,7 @@ def _from_text(text: str, label: str, suffix: str, how: Reading) -> RawTable:
 
 
 def _table_of(grid: Grid, how: Reading) -> RawTable:
-    return tabulated(grid, how.columns, how.pivot, how.pick, how.bad_lines == "drop")
+    return tabulated(grid, how.names, how.pivot, how.pick, how.bad_lines == "drop")
 
 
 def _unpacked(path: Path, how: Reading) -> RawTable:
