@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.arguments import with_kinds
 from ..core.errors import require_count
 from ..core.interrupts import interruptible
+from ..core.lazy import library
 from ..core.trajectory import Trajectory
 from ..core.units import quantity_of
 from ..core.variables import Variable
@@ -34,6 +35,7 @@ __all__ = [
     "name_beside",
     "new_figure",
     "over_time",
+    "plotly",
 ]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -150,6 +152,15 @@ def colour_scale(
     figure = (ax[0] if isinstance(ax, list) else ax).figure
     figure.colorbar(scale, ax=ax, label=label, **place)
     return scale
+
+
+def plotly() -> tuple[Any, Any]:
+    """(graph objects, make_subplots). Raises InputError where plotly is not installed."""
+    library("plotly", "interactive", "interactive=True")
+    import plotly.graph_objects as objects
+    from plotly.subplots import make_subplots
+
+    return objects, make_subplots
 
 
 def layered(count: int) -> Sequence[dict[str, Any]]:

@@ -21,6 +21,7 @@ from .canvas import (
     name_beside,
     new_figure,
     over_time,
+    plotly,
 )
 
 if TYPE_CHECKING:
@@ -43,6 +44,9 @@ __all__ = [
     "plot_trajectory",
 ]
 
+DASHES = ("solid", "dash", "dashdot", "dot")
+"""Strokes as plotly calls them."""
+
 
 def plot_trajectory(
     trajectory: Trajectory,
@@ -63,9 +67,7 @@ def plot_trajectory(
     for name in chosen:
         panels.setdefault(trajectory.variable(name).display_unit, []).append(name)
     if interactive:
-        from .interactive import trajectory_panels
-
-        return trajectory_panels(trajectory, list(panels.values()))
+        return _interactive(trajectory, list(panels.values()))
     if ax is not None:
         if len(panels) > 1:
             raise InputError(
@@ -87,6 +89,36 @@ def plot_trajectory(
             draw(panel, trajectory, name, **style)
         panel.set_ylabel(axis_label(*map(trajectory.variable, members)))
         name_beside(panel)
+    return figure
+
+
+def _interactive(trajectory: Trajectory, panels: Sequence[Sequence[str]]) -> Any:
+    """The same panels as a figure of plotly's, which answers the mouse."""
+    objects, make_subplots = plotly()
+    figure = make_subplots(rows=len(panels), shared_xaxes=True, vertical_spacing=0.03)
+    for row, members in enumerate(panels, start=1):
+        for i, name in enumerate(members):
+            variable = trajectory.variable(name)
+            held = variable.causality == "input" and trajectory.interpolation == "previous"
+            dash = (
+                "dash"
+                if variable.causality == "input"
+                else DASHES[(i // len(COLOURS)) % len(DASHES)]
+            )
+            line = objects.Scatter(
+                x=trajectory.t,
+                y=trajectory[name] / variable.display_factor,
+                name=name,
+                line={"color": COLOURS[i % len(COLOURS)], "dash": dash},
+                line_shape="hv" if held else "linear",
+            )
+            figure.add_trace(line, row=row, col=1)
+        label = axis_label(*map(trajectory.variable, members)).replace("\n", " ")
+        figure.update_yaxes(title_text=label, row=row, col=1)
+    figure.update_xaxes(title_text="time [s]", row=len(panels), col=1)
+    figure.update_layout(
+        height=120 + 190 * len(panels), template="plotly_white", hovermode="x unified"
+    )
     return figure
 
 
