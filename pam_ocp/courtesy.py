@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from .export.machine import machine_plant as machine_plant
     from .export.ssv import save_ssv as save_ssv
     from .export.ssv import write_muscle_ssv as write_muscle_ssv
-    from .figures.html import html_of as html_of
+    from .figures.control import plot_closed_loop as plot_closed_loop
+    from .figures.control import plot_durations as plot_durations
+    from .figures.fit_book import write_fit_book as write_fit_book
     from .figures.limb import animate_limb as animate_limb
     from .figures.limb import plot_limb as plot_limb
-    from .figures.loop import plot_closed_loop as plot_closed_loop
-    from .figures.loop import plot_durations as plot_durations
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
+    from .figures.sheets import html_of as html_of
     from .figures.surface import plot_fit_surface as plot_fit_surface
     from .figures.surface import plot_surface as plot_surface
     from .figures.tables import frame_of as frame_of
@@ -43,20 +44,19 @@ if TYPE_CHECKING:
     from .figures.trajectory import plot_record as plot_record
     from .figures.trajectory import plot_records as plot_records
     from .figures.trajectory import plot_trajectory as plot_trajectory
+    from .figures.vibration import plot_amplitude_map as plot_amplitude_map
     from .figures.vibration import plot_backbone as plot_backbone
     from .figures.vibration import plot_border as plot_border
     from .figures.vibration import plot_branch as plot_branch
     from .figures.vibration import plot_energy as plot_energy
     from .figures.vibration import plot_envelope as plot_envelope
+    from .figures.vibration import plot_hopf_map as plot_hopf_map
     from .figures.vibration import plot_multipliers as plot_multipliers
     from .figures.vibration import plot_phase as plot_phase
     from .figures.vibration import plot_stability as plot_stability
-    from .figures.vibration_maps import plot_amplitude_map as plot_amplitude_map
-    from .figures.vibration_maps import plot_hopf_map as plot_hopf_map
-    from .figures.workbook.fit_book import write_fit_book as write_fit_book
-    from .figures.workbook.motion_book import write_motion_book as write_motion_book
-    from .figures.workbook.motion_book import write_plan_book as write_plan_book
-    from .figures.workbook.motion_book import write_plant_fit_book as write_plant_fit_book
+    from .figures.workbook import write_motion_book as write_motion_book
+    from .figures.workbook import write_plan_book as write_plan_book
+    from .figures.workbook import write_plant_fit_book as write_plant_fit_book
     from .fitting.dynamic.estimation import validate as validate
     from .operating.linear import linearize as linearize
     from .operating.moments import StaticOptimisation as StaticOptimisation
@@ -90,7 +90,7 @@ _HOMES: dict[str, str] = {
     "report_of": "figures.tables",
     "save_result": "figures.tables",
     "home": "rig.homing",
-    "html_of": "figures.html",
+    "html_of": "figures.sheets",
     "identify": "rig.identification",
     "learn": "rig.learning",
     "run_in_c": "rig.real_time",
@@ -99,16 +99,16 @@ _HOMES: dict[str, str] = {
     "tune": "rig.tuning",
     "machine_plant": "export.machine",
     "linearize": "operating.linear",
-    "plot_amplitude_map": "figures.vibration_maps",
+    "plot_amplitude_map": "figures.vibration",
     "plot_backbone": "figures.vibration",
     "plot_border": "figures.vibration",
     "plot_branch": "figures.vibration",
-    "plot_closed_loop": "figures.loop",
-    "plot_durations": "figures.loop",
+    "plot_closed_loop": "figures.control",
+    "plot_durations": "figures.control",
     "plot_energy": "figures.vibration",
     "plot_envelope": "figures.vibration",
     "plot_fit": "figures.trajectory",
-    "plot_hopf_map": "figures.vibration_maps",
+    "plot_hopf_map": "figures.vibration",
     "plot_multipliers": "figures.vibration",
     "plot_muscle": "figures.trajectory",
     "plot_pareto": "figures.plan",
@@ -126,10 +126,10 @@ _HOMES: dict[str, str] = {
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
     "validate": "fitting.dynamic.estimation",
-    "write_fit_book": "figures.workbook.fit_book",
-    "write_motion_book": "figures.workbook.motion_book",
-    "write_plan_book": "figures.workbook.motion_book",
-    "write_plant_fit_book": "figures.workbook.motion_book",
+    "write_fit_book": "figures.fit_book",
+    "write_motion_book": "figures.workbook",
+    "write_plan_book": "figures.workbook",
+    "write_plant_fit_book": "figures.workbook",
     "write_muscle_ssv": "export.ssv",
 }
 """Module in which each name stands; types for annotations are not among them."""

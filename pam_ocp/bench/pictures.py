@@ -84,7 +84,7 @@ _PICK = """(e) => { const p = e.points && e.points[0];
 
 
 class Scene(Element, component=STATIC / "scene.js"):
-    """A plant drawn to scale and moving. scene : of figures.scene.scene_of, or None for nothing.
+    """A plant drawn to scale and moving. scene : of figures.film.scene_of, or None for nothing.
 
     label : for who cannot see it. words, unit : of what its slider moves along ("time", "s").
     seconds : that playing it takes. A scene's ``still`` is the moment that is shown first.

@@ -85,7 +85,7 @@ def require_places(*targets: Path | None) -> None:
         if target is not None:
             require_place(target)
             if target.suffix.lower() == ".xlsx":
-                from ..figures.workbook.book import require_writer
+                from ..figures.workbook import require_writer
 
                 require_writer()
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.arguments import with_kinds
 from ..core.errors import require_count
 from ..core.interrupts import interruptible
+from ..core.lazy import library
 from ..core.trajectory import Trajectory
 from ..core.units import quantity_of
 from ..core.variables import Variable
@@ -18,6 +19,7 @@ from .paper import paper_size, paper_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
 
     from .picture import Picture
 
@@ -26,11 +28,14 @@ __all__ = [
     "MARKS",
     "STROKES",
     "axis_label",
+    "colour_scale",
     "draw",
     "layered",
     "legible",
+    "name_beside",
     "new_figure",
     "over_time",
+    "plotly",
 ]
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
@@ -129,6 +134,33 @@ def draw(ax: Axes, trajectory: Trajectory, name: str, colour: str, **style: Any)
         drawstyle="steps-post" if held else "default",
         **{"linewidth": 1.6, "label": variable.name, **style},
     )
+
+
+def name_beside(ax: Axes) -> None:
+    """The names of a panel's curves, to the right of it."""
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+
+
+def colour_scale(
+    ax: Any, values: tuple[float, float], label: str, colours: Any = "viridis", **place: Any
+) -> ScalarMappable:
+    """The colours of values between two ends, with a bar that names them beside the panel(s)."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = ScalarMappable(Normalize(*values), colours)
+    figure = (ax[0] if isinstance(ax, list) else ax).figure
+    figure.colorbar(scale, ax=ax, label=label, **place)
+    return scale
+
+
+def plotly() -> tuple[Any, Any]:
+    """(graph objects, make_subplots). Raises InputError where plotly is not installed."""
+    library("plotly", "interactive", "interactive=True")
+    import plotly.graph_objects as objects
+    from plotly.subplots import make_subplots
+
+    return objects, make_subplots
 
 
 def layered(count: int) -> Sequence[dict[str, Any]]:

@@ -4,32 +4,33 @@ muscles coloured by their pressure.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arguments import with_kinds
-from ..core.errors import InputError, require_count, require_instance, require_positive
-from ..core.files import atomic_path, require_place
+from ..core.errors import require_instance
+from ..core.files import require_place
 from ..core.interrupts import interruptible
 from ..planning.result import Plan
-from ..plants.sketch import Line, Mark, Polygon, Sketch, Spindle
-from .canvas import new_figure
+from ..plants.hanging import hanging_sketch
+from ..plants.sketch import Disc, Mark, Point, Sketch, Spindle
+from .canvas import colour_scale, new_figure
 from .plan import GREY, colours_of, panels_of
-from .scene import Places, outline, rim, sketch_of
+from .saved import film_of, save_film
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
     from ..core.trajectory import Trajectory
     from ..plants.plant import Plant
 
-__all__ = ["animate_plan"]
+__all__ = ["animate_plan", "scene_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 Frame: TypeAlias = Callable[[int], None]
@@ -60,29 +61,19 @@ def animate_plan(
     'motion.gif'
     """
     require_instance("plan", plan, Plan, "give what plan() returned")
-    target = Path(path)
-    if target.suffix.lower() != ".gif":
-        raise InputError(f"{target.name}: an animation is written as .gif")
+    target, count = film_of(path, 4.0 if seconds is None else seconds, fps)
     require_place(target)
-    length = require_positive("seconds", 4.0 if seconds is None else seconds, "s")
-    require_count("fps", fps, 1, 50)
-    from matplotlib.animation import FuncAnimation, PillowWriter
-
     _ = plan.trajectory  # a failed plan raises here
     assert plan.replay is not None  # of a plan that succeeded
-    count = max(2, round(length * fps))
     motion = plan.replay.trajectory.at(np.linspace(0.0, plan.duration, count))
-    figure, drawn = _film(plan, motion, length)
+    figure, drawn = _film(plan, motion, count / fps)
 
     def frame(i: int) -> list[Any]:
         for draw in drawn:
             draw(i)
         return []
 
-    film = FuncAnimation(figure, frame, frames=count, blit=False)
-    with atomic_path(target) as temporary:
-        film.save(temporary, writer=PillowWriter(fps=fps), dpi=80)
-    return target
+    return save_film(figure, frame, count, target, fps)
 
 
 def _film(plan: Plan, motion: Trajectory, length: float) -> tuple[Figure, list[Frame]]:
@@ -149,12 +140,13 @@ STYLES: dict[str, dict[str, Any]] = {
     "body": {"fc": "#5b6770", "ec": "#333333", "zorder": 4},
     "ground": {"fc": "#c9ced3", "ec": "#6b7278", "hatch": "///", "lw": 0.8},
     "disc": {"fc": "#dfe3e6", "ec": "#6b7278", "zorder": 2},
+    "muscle": {"ec": "#333333", "lw": 1.0, "zorder": 3},
     "rod": {"color": "#333333", "lw": 6, "solid_capstyle": "round", "zorder": 5},
     "rope": {"color": "#555555", "lw": 1.5, "zorder": 1},
     "needle": {"color": "#333333", "lw": 1.5, "zorder": 5},
     "rail": {"color": "#6b7278", "lw": 3, "zorder": 1},
 }
-"""How the shapes of a plant's sketch are drawn."""
+"""How the shapes of a plant's sketch are drawn; those with one colour are lines."""
 
 
 def _scene(plan: Plan, motion: Trajectory) -> Callable[[Axes], Frame] | None:
@@ -165,49 +157,36 @@ def _scene(plan: Plan, motion: Trajectory) -> Callable[[Axes], Frame] | None:
 
 def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
     """The sketch on its stage; what moves its shapes."""
-    plant = plan.plant
+    from matplotlib import colormaps
+
+    plant, colours = plan.plant, colormaps["YlOrRd"]
     x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
     places = Places(plant, x, u)
-    names = [s.muscle for s in sketch.shapes if isinstance(s, Spindle)]
-    muscles = dict(zip(names, _stage(ax, plan, motion, names), strict=True))
-    frames: list[Frame] = []
-    for shape in sketch.shapes:
-        if isinstance(shape, Spindle):
-            frames.append(_spindle(muscles[shape.muscle], places.along([shape.start, shape.end])))
-        elif isinstance(shape, Polygon):
-            (patch,) = ax.fill([], [], **STYLES[shape.style])
-            frames.append(_placed(patch.set_xy, places.along(shape.points)))
-        elif isinstance(shape, Line):
-            (line,) = ax.plot([], [], **STYLES[shape.style])
-            frames.append(_stretched(line, places.along(shape.points)))
-        else:
-            (patch,) = ax.fill([], [], **STYLES["disc"])
-            frames.append(_placed(patch.set_xy, places.along(rim(shape))))
+    shapes = list(shapes_along(plant, sketch, places))
+    largest = max([1e4, *(float(p.max()) for _, _, p in shapes if p is not None)])
+    _stage(ax, largest)
+    moved: list[tuple[Any, bool, Array, Array | None]] = []
+    for style, points, pressure in shapes:
+        line = "color" in STYLES[style]
+        (artist,) = (ax.plot if line else ax.fill)([], [], **STYLES[style])
+        level = None if pressure is None else np.clip(pressure / largest, 0.0, 1.0)
+        moved.append((artist, line, points, level))
     for mark in sketch.marks:
         _marked(ax, plan, mark, places)
-    (left, low), (right, high) = places.along(list(zip(sketch.width, sketch.height, strict=True)))[
-        0
-    ]
-    ax.set_xlim(left, right)
-    ax.set_ylim(low, high)
+    corners = places.along(list(zip(sketch.width, sketch.height, strict=True)))[0]
+    ax.set_xlim(*corners[:, 0])
+    ax.set_ylim(*corners[:, 1])
 
     def draw(i: int) -> None:
-        for frame in frames:
-            frame(i)
+        for artist, line, points, level in moved:
+            if line:
+                artist.set_data(*points[i].T)
+            else:
+                artist.set_xy(points[i])
+            if level is not None:
+                artist.set_facecolor(colours(0.05 + 0.9 * float(level[i])))
 
     return draw
-
-
-def _placed(place: Callable[[Array], Any], points: Array) -> Frame:
-    return lambda i: place(points[i])
-
-
-def _stretched(line: Line2D, points: Array) -> Frame:
-    return lambda i: line.set_data(*points[i].T)
-
-
-def _spindle(muscle: _Muscle, ends: Array) -> Frame:
-    return lambda i: muscle.draw(i, ends[i, 0], ends[i, 1])
 
 
 def _marked(ax: Axes, plan: Plan, mark: Mark, places: Places) -> None:
@@ -234,49 +213,136 @@ def _marked(ax: Axes, plan: Plan, mark: Mark, places: Places) -> None:
             )
 
 
-def _value(plant: Plant, name: str) -> float:
-    return float(plant.variable(name).start or 0.0)
-
-
-class _Muscle:
-    """A spindle between two points, thicker the more it contracts, coloured by its pressure."""
-
-    def __init__(self, ax: Axes, plan: Plan, motion: Trajectory, name: str, largest: float) -> None:
-        from matplotlib import colormaps
-
-        self.length = _value(plan.plant, f"{name}.rest_length")
-        self.kappa = motion[f"{name}.contraction"]
-        self.pressure = motion[f"{name}.pressure"] / largest
-        self.colours = colormaps["YlOrRd"]
-        (self.patch,) = ax.fill([], [], ec="#333333", lw=1.0, zorder=3)
-
-    def draw(self, i: int, a: Sequence[float], b: Sequence[float]) -> None:
-        """Between the points a and b [m]."""
-        self.patch.set_xy(outline(a, b, self.kappa[i], self.length))
-        self.patch.set_facecolor(self.colours(0.05 + 0.9 * float(np.clip(self.pressure[i], 0, 1))))
-
-
-def _stage(ax: Axes, plan: Plan, motion: Trajectory, names: Sequence[str]) -> list[_Muscle]:
-    """An empty stage with a colour bar, and its muscles."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    largest = max((1e4, *(float(motion[f"{n}.pressure"].max()) for n in names)))
+def _stage(ax: Axes, largest: float) -> None:
+    """An empty stage with a bar of colours up to the largest pressure [Pa]."""
     ax.set_aspect("equal")
     ax.axis("off")
-    ax.figure.colorbar(
-        ScalarMappable(Normalize(0.0, largest / 1e5), "YlOrRd"),
-        ax=ax,
-        location="bottom",
-        label="pressure [bar gauge]",
-        fraction=0.05,
-        pad=0.02,
-        aspect=30,
-    )
-    return [_Muscle(ax, plan, motion, n, largest) for n in names]
+    place = {"location": "bottom", "fraction": 0.05, "pad": 0.02, "aspect": 30}
+    colour_scale(ax, (0.0, largest / 1e5), "pressure [bar gauge]", "YlOrRd", **place)
 
 
 def _stop_values(plan: Plan, name: str) -> list[float]:
     """Where the plan's stops are."""
     stops = plan._problem.stops if plan._problem else ()
     return sorted({float(s[name]) for s in stops if name in s and np.ndim(s[name]) == 0})
+
+
+# ---- where shapes stand: films and the page draw them --------------------------------------------
+THICKNESS = 0.09
+"""Radius of a stretched muscle in the picture, in parts of its length."""
+
+
+def sketch_of(plant: Plant) -> Sketch | None:
+    """How a plant looks; None for one that says nothing of it."""
+    return plant.sketch() or hanging_sketch(plant)
+
+
+class Places:
+    """Points of a sketch along a motion: states x (n, moments), inputs u (m, moments)."""
+
+    def __init__(self, plant: Plant, x: Array, u: Array) -> None:
+        self._plant, self._x, self._u = plant, x, u
+
+    def _at(self, expressions: Sequence[Any], x: Array, u: Array) -> Array:
+        """(moments, expressions)."""
+        plant = self._plant
+        flat = ca.vertcat(*(ca.SX(e) for e in expressions))
+        function = ca.Function("points", [plant.x, plant.u, plant.p], [ca.densify(flat)])
+        p = np.tile(plant.vector("parameter")[:, None], (1, x.shape[1]))
+        values: Array = np.asarray(function(x, u, p), float).T
+        return values
+
+    def along(self, points: Sequence[Point]) -> Array:
+        """(moments, points, 2) [m]."""
+        flat = self._at([c for point in points for c in point], self._x, self._u)
+        return flat.reshape(-1, len(points), 2)
+
+    def values(self, name: str) -> Array:
+        """A variable of the plant, (moments,)."""
+        found: Array = self._at([self._plant.expression(name)], self._x, self._u)[:, 0]
+        return found
+
+    def where(self, points: Sequence[Point], state: str, value: float) -> Array:
+        """(points, 2) [m] for one value of a state, all else at its start."""
+        plant = self._plant
+        x = plant.vector("state", {state: value})
+        flat = [c for point in points for c in point]
+        found = self._at(flat, x[:, None], plant.vector("input")[:, None])
+        only: Array = found.reshape(len(points), 2)
+        return only
+
+
+def rim(disc: Disc) -> list[Point]:
+    """Points around a disc."""
+    angles = np.linspace(0.0, 2 * np.pi, 60)
+    (x, y), r = disc.centre, disc.radius
+    return [(x + r * float(np.cos(a)), y + r * float(np.sin(a))) for a in angles]
+
+
+def outline(start: Any, end: Any, kappa: float, rest_length: float) -> Array:
+    """Of a muscle between two points [m], thicker the more it contracts: (points, 2)."""
+    a, b = np.asarray(start, float), np.asarray(end, float)
+    along = b - a
+    across = np.array([-along[1], along[0]]) / np.hypot(*along)
+    s = np.linspace(0.0, 1.0, 40)
+    # a braid's volume hardly shrinks: what it loses in length it gains in girth
+    bulge = THICKNESS * rest_length / np.sqrt(max(1.0 - 2.0 * kappa, 0.2))
+    half = bulge * (0.35 + 0.65 * np.sin(np.pi * s) ** 0.6)
+    middle = a + np.outer(s, along)
+    upper, lower = (middle + sign * np.outer(half, across) for sign in (1, -1))
+    return np.vstack([upper, lower[::-1]])
+
+
+def shapes_along(
+    plant: Plant, sketch: Sketch, places: Places
+) -> Iterator[tuple[str, Array, Array | None]]:
+    """(style, points (moments, n, 2) [m], gauge pressure [Pa] of a muscle) of each shape."""
+    for shape in sketch.shapes:
+        if isinstance(shape, Spindle):
+            tips = places.along([shape.start, shape.end])
+            kappa = places.values(f"{shape.muscle}.contraction")
+            length = float(plant.variable(f"{shape.muscle}.rest_length").start or 0.0)
+            rims = [outline(a, b, k, length) for (a, b), k in zip(tips, kappa, strict=True)]
+            yield "muscle", np.array(rims), places.values(f"{shape.muscle}.pressure")
+        elif isinstance(shape, Disc):
+            yield "disc", places.along(rim(shape)), None
+        else:
+            yield shape.style, places.along(shape.points), None
+
+
+def scene_of(plant: Plant, t: Array, x: Array, u: Array) -> dict[str, Any] | None:
+    """The sketch at moments t, as plain values in mm; None for a plant without one.
+
+    x (n, moments), u (m, moments). Returns ``t``, ``width`` and ``height`` (low, high), and
+    ``shapes``: each a ``style`` with its points in ``frames`` (moments, points, 2), or once where
+    it does not move; muscles have a ``level`` of pressure (0 .. 1) for each moment, too.
+    """
+    sketch = sketch_of(plant)
+    if sketch is None:
+        return None
+    places = Places(plant, x, u)
+    moved = list(shapes_along(plant, sketch, places))
+    ends = [
+        plant.variable(f"{s.muscle}.pressure").max for s in sketch.shapes if isinstance(s, Spindle)
+    ]
+    seen = [float(p.max()) for _, _, p in moved if p is not None]
+    largest = max([1e4, *seen, *(float(e) for e in ends if np.isfinite(e))])
+    shapes: list[dict[str, Any]] = []
+    for style, points, pressure in moved:
+        shapes.append({"style": style, **_frames(points)})
+        if pressure is not None:
+            shapes[-1]["level"] = np.clip(pressure / largest, 0.0, 1.0).round(3).tolist()
+    corners = places.along(list(zip(sketch.width, sketch.height, strict=True)))[0]
+    return {
+        "t": np.asarray(t, float).tolist(),
+        "width": (1e3 * corners[:, 0]).tolist(),
+        "height": (1e3 * corners[:, 1]).tolist(),
+        "largest": largest,
+        "shapes": shapes,
+    }
+
+
+def _frames(points: Array) -> dict[str, Any]:
+    still = bool(np.all(np.ptp(points, axis=0) < 1e-9))
+    shown = points[:1] if still else points
+    return {"frames": (1e3 * shown).round(2).tolist()}

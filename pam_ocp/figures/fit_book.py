@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from ...core.errors import InputError
-from ..canvas import COLOURS
-from .book import Book, address, column_name
+from ..core.errors import InputError
+from .canvas import COLOURS
+from .workbook import Book, address, column_name
 
 if TYPE_CHECKING:
-    from ...fitting.static.force_fit import ForceFit
+    from ..fitting.static.force_fit import ForceFit
 
 __all__ = ["LONGEST", "Formula", "formula_of", "write_fit_book"]
 

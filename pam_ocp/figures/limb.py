@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arguments import with_kinds
-from ..core.atomic import atomic_path
-from ..core.errors import InputError, UnknownNameError, require_count, require_positive
+from ..core.errors import UnknownNameError
 from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..plants.limbs import Limb
+from .canvas import colour_scale
+from .saved import film_of, save_film
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,32 +70,20 @@ def animate_limb(
     --------
     >>> arm.animate(motion, "arm.gif", colour="pressure")  # doctest: +SKIP
     """
-    target = Path(path)
-    if target.suffix.lower() != ".gif":
-        raise InputError(f"{target.name}: an animation is written as .gif")
-    require_count("fps", fps, 1, 50)
-    from matplotlib.animation import FuncAnimation, PillowWriter
-
-    count = max(2, round(require_positive("seconds", seconds, "s") * fps))
+    target, count = film_of(path, seconds, fps)
     shown = motion.at(np.linspace(motion.t[0], motion.t[-1], count))
     x, u = (
         np.array([shown[v.name] for v in part]).reshape(len(part), -1)
         for part in (limb.states, limb.inputs)
     )
     figure, draw = _stage(limb, x, u, colour, view)
-    film = FuncAnimation(figure, draw, frames=count, blit=False)
-    with atomic_path(target) as temporary:
-        film.save(temporary, writer=PillowWriter(fps=fps), dpi=80)
-    return target
+    return save_film(figure, draw, count, target, fps)
 
 
 def _stage(limb: Limb, x: Array, u: Array, colour: str, view: tuple[float, float]) -> Any:
     """(figure, what draws a moment into it)."""
     if colour not in COLOURED:
         raise UnknownNameError("colour", colour, COLOURED)
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     from .picture import Picture
 
     factor, label = COLOURED[colour]
@@ -106,8 +95,8 @@ def _stage(limb: Limb, x: Array, u: Array, colour: str, view: tuple[float, float
     paths, bones = limb.drawing(x)
     figure = Picture(figsize=(6.4, 6.4), layout="constrained")
     axes: Any = figure.add_subplot(projection="3d")
-    scale = ScalarMappable(Normalize(0.0, max(float(values.max()), 1e-9)), "plasma_r")
-    figure.colorbar(scale, ax=axes, label=label, shrink=0.6, pad=0.1)
+    ends = 0.0, max(float(values.max()), 1e-9)
+    scale = colour_scale(axes, ends, label, "plasma_r", shrink=0.6, pad=0.1)
     skeleton = [axes.plot([], [], [], "-o", color="#999999", lw=5, ms=7)[0] for _ in bones[::2]]
     cords = [axes.plot([], [], [], lw=2.5, solid_capstyle="round")[0] for _ in paths]
     everything = np.concatenate([*paths, bones]).transpose(1, 0, 2).reshape(3, -1)

@@ -17,7 +17,7 @@ from ..core.stop import turns
 from ..core.units import significant
 from ..core.variables import Variable
 from ..planning.result import Plan
-from .canvas import COLOURS, axis_label, legible, new_figure, over_time
+from .canvas import COLOURS, axis_label, legible, name_beside, new_figure, over_time
 from .paper import paper_width
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _panel(ax: Axes, plan: Plan, names: Sequence[str], limits: Sequence[Limit]) 
                 ax.plot(limit.t, touching, color=colour, lw=7, alpha=0.25, solid_capstyle="butt")
         _stops(ax, plan, name, colour, factor)
     _within(ax, plan, names)
-    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    name_beside(ax)
 
 
 def _signal(plan: Plan, name: str) -> tuple[Any, Any]:
@@ -160,17 +160,8 @@ def _stops(ax: Axes, plan: Plan, name: str, colour: str, factor: float) -> None:
         if value is None:
             continue
         if np.ndim(value) == 0:
-            ax.plot(
-                t,
-                float(value) / factor,
-                "o",
-                ms=7,
-                mfc="white",
-                mec=colour,
-                mew=1.6,
-                zorder=5,
-                clip_on=False,
-            )
+            ring: dict[str, Any] = {"ms": 7, "mfc": "white", "mec": colour, "mew": 1.6}
+            ax.plot(t, float(value) / factor, "o", **ring, zorder=5, clip_on=False)
         else:
             ends = [plan.plant.variable(name).min, plan.plant.variable(name).max]
             low, high = (own if v is None else v for v, own in zip(value, ends, strict=True))
@@ -207,13 +198,8 @@ def _chart(ax: Axes, touched: dict[str, list[Limit]], duration: float) -> None:
         colour = colours_of([label])[label]
         spans = [span for limit in limits for span in _spans(limit)]
         bars = [(begin, max(end - begin, least)) for begin, end in spans]
-        ax.broken_barh(
-            bars,
-            (row - 0.35, 0.7),
-            color=colour,
-            alpha=0.75 if paper_width() is None else 0.3,
-            lw=0,
-        )
+        alpha = 0.75 if paper_width() is None else 0.3
+        ax.broken_barh(bars, (row - 0.35, 0.7), color=colour, alpha=alpha, lw=0)
     if paper_width() is None:
         ax.set_yticks(range(len(touched)), list(touched), fontsize="small")
         ax.yaxis.tick_right()
@@ -258,16 +244,11 @@ def plot_costates(plan: Plan) -> Figure:
     for ax, (unit, variables) in zip(axes[:, 0], groups.items(), strict=True):
         colours = colours_of([v.name for v in variables])
         for v in variables:
-            ax.plot(
-                costates.t,
-                costates[v.name] * v.display_factor,
-                color=colours[v.name],
-                lw=1.6,
-                label=v.name,
-            )
+            values = costates[v.name] * v.display_factor
+            ax.plot(costates.t, values, color=colours[v.name], lw=1.6, label=v.name)
         ax.axhline(0.0, color=GREY, lw=0.8)
         ax.set_ylabel("per unit" if unit == "1" else f"objective\nper {unit}")
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+        name_beside(ax)
         _phases(ax, plan)
     axes[0, 0].set_title(
         f"{plan.plant.name}: costates, objective {significant(plan.objective)}",
@@ -289,14 +270,9 @@ def plot_pareto(front: Pareto) -> Figure:
         front.values[:, i] / v.display_factor for i, v in enumerate((front.first, front.second))
     )
     ax.plot(x, y, "o-", color=COLOURS[0], ms=5, lw=1.3)
-    ax.plot(x[front.knee], y[front.knee], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.8)
-    ax.annotate(
-        "knee",
-        (x[front.knee], y[front.knee]),
-        (10, 10),
-        textcoords="offset points",
-        color=COLOURS[1],
-    )
+    knee = x[front.knee], y[front.knee]
+    ax.plot(*knee, "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.8)
+    ax.annotate("knee", knee, (10, 10), textcoords="offset points", color=COLOURS[1])
     wrong = list(front.unverified)
     if wrong:
         ax.plot(x[wrong], y[wrong], "x", ms=11, mew=2.2, color="k", label="not verified")
@@ -330,16 +306,8 @@ def plot_robust(robust: RobustPlan) -> Figure:
             for at, (_, _, allowed) in zip(spread.stops, robust.demand.stops, strict=True):
                 if name in allowed:
                     ends = np.array([-1.0, 1.0]) * allowed[name] / factor
-                    ax.plot(
-                        [t[at]] * 2,
-                        ends,
-                        color=COLOURS[1],
-                        lw=4,
-                        alpha=0.8,
-                        solid_capstyle="butt",
-                        zorder=5,
-                        clip_on=False,
-                    )
+                    bar: dict[str, Any] = {"color": COLOURS[1], "lw": 4, "alpha": 0.8, "zorder": 5}
+                    ax.plot([t[at]] * 2, ends, **bar, solid_capstyle="butt", clip_on=False)
             worst = variable.shown(spread.worst(name), 3)
             ax.set_title(f"{title}: {worst} at the stops", loc="left", fontsize="medium")
         for ax in row:

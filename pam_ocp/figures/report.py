@@ -6,21 +6,18 @@ and it prints one object after the other.
 
 from __future__ import annotations
 
-import hashlib
 import os
-import platform
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..core.atomic import atomic_path
+from ..core.digest import built_with, file_digest
 from ..core.errors import InputError, kind_of, require_instance
 from ..core.files import require_ending
 from ..core.stop import verb
-from .html import html_of
+from .sheets import Grid, html_of
 
 __all__ = ["versions", "write_report"]
 
@@ -112,30 +109,19 @@ def write_report(
 def _made_with(sources: Sequence[str | os.PathLike[str]]) -> str:
     """Versions, and digests of the sources."""
     files = [(Path(source).name, _digest(source)) for source in sources]
-    found = _table("Made with", list(versions().items()))
-    return f"<section>{found}{_table('Made from (SHA-256)', files) if files else ''}</section>"
-
-
-def _table(caption: str, rows: Sequence[tuple[str, str]]) -> str:
-    cells = "".join(f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, b in rows)
-    return f"<table><caption>{escape(caption)}</caption><tbody>{cells}</tbody></table>"
+    tables = [Grid(("", ""), list(versions().items()), "Made with")]
+    tables += [Grid(("", ""), files, "Made from (SHA-256)")] if files else []
+    return f"<section>{''.join(t.html(len(t.rows)) for t in tables)}</section>"
 
 
 def versions() -> dict[str, str]:
     """Of this package, first, of Python, and of what numbers come from."""
-    own = {"pam_ocp": __version__, "Python": platform.python_version()}
-    return own | {name: _version(name) for name in PACKAGES}
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "not installed"
+    found = built_with(*PACKAGES)
+    return {"pam_ocp": found["pam_ocp"], **found}
 
 
 def _digest(source: str | os.PathLike[str]) -> str:
     try:
-        return hashlib.sha256(Path(source).read_bytes()).hexdigest()
+        return file_digest(Path(source))
     except OSError as error:
         raise InputError(f"sources: {os.fspath(source)} cannot be read: {error.strerror}") from None

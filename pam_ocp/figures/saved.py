@@ -1,20 +1,21 @@
-"""Figures in files."""
+"""Figures and films in files."""
 
 from __future__ import annotations
 
 import io
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.errors import WriteError
+from ..core.errors import InputError, WriteError, require_count, require_positive
 from ..core.files import atomic_path
 from ..core.interrupts import interruptible
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["drawn", "save_figure"]
+__all__ = ["drawn", "film_of", "save_figure", "save_film"]
 
 
 @interruptible()
@@ -58,3 +59,24 @@ def drawn(figure: Figure, kind: str, dpi: float) -> bytes:
         figure.set_canvas(before[0])
         figure.dpi = before[1]
     return content.getvalue()
+
+
+def film_of(path: str | os.PathLike[str], seconds: float, fps: int) -> tuple[Path, int]:
+    """(the file, how many frames) of a film so long. Raises InputError."""
+    target = Path(path)
+    if target.suffix.lower() != ".gif":
+        raise InputError(f"{target.name}: an animation is written as .gif")
+    require_count("fps", fps, 1, 50)
+    return target, max(2, round(require_positive("seconds", seconds, "s") * fps))
+
+
+def save_film(
+    figure: Figure, draw: Callable[[int], list[Any]], count: int, path: Path, fps: int
+) -> Path:
+    """Write a figure as an animated GIF. draw : makes it the frame of this number."""
+    from matplotlib.animation import FuncAnimation, PillowWriter
+
+    film = FuncAnimation(figure, draw, frames=count, blit=False)
+    with atomic_path(path) as temporary:
+        film.save(temporary, writer=PillowWriter(fps=fps), dpi=80)
+    return path

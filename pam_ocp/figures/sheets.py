@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import base64
+import inspect
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.shown import shown
 from ..core.units import significant
 from ..operating.operating_point import pole_texts
-from .sheet import Grid, Sheet, cell_text
+from .saved import drawn
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ..core.trajectory import Trajectory
     from ..core.variables import Variable
     from ..fitting.dynamic.plant_fit import PlantFit
@@ -24,8 +31,101 @@ if TYPE_CHECKING:
     from ..planning.result import Plan
     from ..plants.plant import Plant
 
-__all__ = ["SHEETS"]
+__all__ = [
+    "DPI",
+    "SHEETS",
+    "Grid",
+    "Sheet",
+    "cell_text",
+    "html_of",
+    "number_in",
+    "sheet_of",
+]
 
+DPI = 60
+"""Of pictures, which are there for a glance: ``.plot()`` gives the whole one."""
+MOST_ROWS, SHORT = 60, 10
+
+
+def cell_text(cell: str | float) -> str:
+    """A text as it is, a number as people read it."""
+    return cell if isinstance(cell, str) else significant(cell).replace("inf", "∞")
+
+
+def number_in(cell: str | float) -> str | float:
+    """The number of a cell, or its text."""
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def _cell(text: str) -> str:
+    """Short ones are not broken where the page is narrow."""
+    kind = ' class="short"' if len(text) <= SHORT else ""
+    return f"<td{kind}>{escape(text)}</td>"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: heads, and rows of texts and of numbers, which are rounded where they are shown. The
+    first column is the row's name.
+    """
+
+    head: tuple[str, ...]
+    rows: Sequence[Sequence[str | float]]
+    title: str = ""
+
+    def html(self, most: int = MOST_ROWS) -> str:
+        """As an HTML table without empty columns, cut after so many rows."""
+        told = [j for j in range(len(self.head)) if any(row[j] != "" for row in self.rows)]
+        head = "".join(f"<th>{escape(self.head[j])}</th>" for j in told)
+        rows = [
+            "<tr>" + "".join(_cell(cell_text(row[j])) for j in told) + "</tr>"
+            for row in self.rows[:most]
+        ]
+        if len(self.rows) > most:
+            more = f"... {len(self.rows) - most} more rows"
+            rows.append(f'<tr><td colspan="{len(told)}">{more}</td></tr>')
+        caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
+        body = f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody>"
+        return f"<table>{caption}{body}</table>"
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What an object shows: heading, verdict (``good`` or not), tables, notes, text, picture."""
+
+    heading: str
+    verdict: str = ""
+    good: bool = True
+    grids: tuple[Grid, ...] = ()
+    notes: tuple[str, ...] = ()
+    text: str = ""
+    picture: Callable[[], Figure] | None = None
+
+    def html(self, dpi: int = DPI) -> str:
+        """As a block of HTML without scripts; readable in light and dark."""
+        parts = [f"<b>{escape(self.heading)}</b>"]
+        if self.verdict:
+            colour, mark = ("#009e73", "✓") if self.good else ("#d55e00", "✗")
+            style = f"border-left:4px solid {colour};padding-left:8px;margin:6px 0"
+            parts.append(f'<div style="{style}">{mark} {escape(self.verdict)}</div>')
+        parts += [grid.html() for grid in self.grids if grid.rows]
+        parts += [f"<div>⚠ {escape(note)}</div>" for note in self.notes]
+        if self.text:
+            parts.append(f'<pre style="line-height:1.25">{escape(self.text)}</pre>')
+        if self.picture is not None and dpi:
+            parts.append(_embedded(self.picture, dpi))
+        return f'<div class="pam_ocp">{"".join(parts)}</div>'
+
+
+def _embedded(picture: Callable[[], Figure], dpi: int) -> str:
+    data = base64.b64encode(drawn(picture(), "png", dpi)).decode("ascii")
+    return f'<img alt="plot" style="max-width:100%" src="data:image/png;base64,{data}"/>'
+
+
+# ---- of each class ------------------------------------------------------------------------------
 KINDS = ("state", "input", "output", "parameter", "constraint")
 
 
@@ -246,3 +346,35 @@ SHEETS: dict[str, Callable[[Any], Sheet]] = {
     "Variable": _variable,
 }
 """By the name of the class; all others show their text and their picture."""
+
+
+# ---- of any object ------------------------------------------------------------------------------
+def html_of(thing: Any, dpi: int = DPI) -> str:
+    """The form in notebooks of any noun or result; see :mod:`pam_ocp.figures.sheets`.
+
+    dpi : of its picture; 0 leaves it out.
+    """
+    return sheet_of(thing).html(dpi)
+
+
+def sheet_of(thing: Any) -> Sheet:
+    """What an object shows: by its class, or its text and its picture."""
+    for cls in type(thing).__mro__:
+        if cls.__name__ in SHEETS and cls.__module__.startswith(f"{__package__.split('.')[0]}."):
+            return SHEETS[cls.__name__](thing)
+    return _plain(thing)
+
+
+def _plain(thing: Any) -> Sheet:
+    """Of a result without a sheet of its own: its text and its picture."""
+    plot = getattr(thing, "plot", None)
+    own = getattr(type(thing).plot, "__module__", "") != shown.__module__ if plot else False
+    drawable = (
+        own
+        and callable(plot)
+        and all(
+            p.default is not p.empty or p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
+            for p in inspect.signature(plot).parameters.values()
+        )
+    )
+    return Sheet(type(thing).__name__, text=str(thing), picture=plot if drawable else None)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.interrupts import interruptible
 from ..muscles.validity import ValidityWarning
-from .canvas import COLOURS
+from .canvas import COLOURS, plotly
 from .paper import paper_size, paper_width
 
 if TYPE_CHECKING:
@@ -70,17 +70,15 @@ def _drawn(
     cells: tuple[Array, Array, Array] | None,
     interactive: bool,
 ) -> Any:
+    there = None if cells is None else (100 * cells[0], cells[1] / 1e5, cells[2])
     if interactive:
-        from .interactive import surface
-
-        return surface(100 * kappa, p / 1e5, z, label, title, cells)
+        return _turning(100 * kappa, p / 1e5, z, label, title, there)
     from .picture import Picture
 
     figure = Picture(figsize=paper_size((8, 6.4))[0], layout="constrained")
     ax: Any = figure.add_subplot(projection="3d")
     ax.plot_surface(100 * kappa, p / 1e5, z, cmap="viridis", alpha=0.85, linewidth=0)
-    if cells is not None:
-        there = 100 * cells[0], cells[1] / 1e5, cells[2]
+    if there is not None:
         ax.scatter(*there, color=COLOURS[1], s=12, depthshade=False)
     ax.set_xlabel("contraction [%]")
     ax.set_ylabel("pressure [bar gauge]")
@@ -88,4 +86,22 @@ def _drawn(
     ax.set_title(title, loc="left", fontsize="medium")
     ax.view_init(elev=24, azim=-52)
     ax.set_box_aspect(None, zoom=0.88 if paper_width() is None else 0.74)
+    return figure
+
+
+def _turning(x: Array, y: Array, z: Array, label: str, title: str, cells: Any) -> Any:
+    """The same by plotly, to be turned with the mouse."""
+    objects, _ = plotly()
+    drawn = [objects.Surface(x=x, y=y, z=z, colorscale="Viridis", opacity=0.9, name=label)]
+    if cells is not None:
+        mark = {"size": 3, "color": COLOURS[1]}
+        there = dict(zip("xyz", cells, strict=True))
+        drawn.append(objects.Scatter3d(**there, mode="markers", marker=mark, name="measured"))
+    figure = objects.Figure(drawn)
+    axes = {
+        "xaxis_title": "contraction [%]",
+        "yaxis_title": "pressure [bar gauge]",
+        "zaxis_title": label,
+    }
+    figure.update_layout(title=title, scene=axes, template="plotly_white", height=640)
     return figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,17 +12,16 @@ import numpy as np
 
 from ..core.errors import InputError, kind_of, require_instance
 from ..core.files import atomic_path, write_json
+from ..core.lazy import library
 from .canvas import COLOURS, new_figure
-from .html import sheet_of
-from .sheet import cell_text, number_in
-from .sheets import SHEETS
+from .sheets import SHEETS, Grid, cell_text, number_in, sheet_of
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Table", "frame_of", "plot_table", "report_of", "save_result", "table_of"]
+__all__ = ["frame_of", "plot_table", "report_of", "save_result", "table_of"]
 
 ENDINGS = (".csv", ".html", ".json", ".txt", ".xlsx")
 MOST_PANELS, MOST_ROWS, WIDEST = 6, 40, 60
@@ -30,15 +29,7 @@ _BY_COLUMN = {"ForceTable"}
 """Of these the notebook shows a summary only."""
 
 
-@dataclass(frozen=True)
-class Table:
-    """Heads, and rows of numbers and texts."""
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
-
-
-def table_of(thing: Any) -> Table:
+def table_of(thing: Any) -> Grid:
     """The table of a result: the largest that it shows in a notebook; else its parts, if it is made
     of several; else its own numbers.
 
@@ -48,18 +39,18 @@ def table_of(thing: Any) -> Table:
     if known - _BY_COLUMN:
         grid = max(sheet_of(thing).grids, key=lambda g: len(g.rows), default=None)
         if grid is not None:
-            return Table(grid.head, tuple(tuple(map(number_in, row)) for row in grid.rows))
+            return Grid(grid.head, tuple(tuple(map(number_in, row)) for row in grid.rows))
     rows = _cases(thing) or [_flat(p) for p in _parts(thing)]
     if rows:
         heads = tuple(dict.fromkeys(n for row in rows for n in row))
         if heads:
-            return Table(heads, tuple(tuple(row.get(n, "") for n in heads) for row in rows))
+            return Grid(heads, tuple(tuple(row.get(n, "") for n in heads) for row in rows))
     columns = _columns(thing)
     if columns:
         arrays = zip(*columns.values(), strict=True)
-        return Table(tuple(columns), tuple(tuple(map(float, row)) for row in arrays))
+        return Grid(tuple(columns), tuple(tuple(map(float, row)) for row in arrays))
     flat = _flat(thing)
-    return Table(("name", "value"), tuple(flat.items()))
+    return Grid(("name", "value"), tuple(flat.items()))
 
 
 def _cases(thing: Any) -> list[dict[str, Any]]:
@@ -126,12 +117,10 @@ def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
 # ---- out of it -----------------------------------------------------------------------------------
 def frame_of(thing: Any) -> pd.DataFrame:
     """The table as a DataFrame. Raises InputError without pandas."""
-    try:
-        import pandas as pd
-    except ImportError:
-        raise InputError("to_pandas needs pandas: pip install 'pam_ocp[studies]'") from None
+    pandas = library("pandas", "studies", "to_pandas")
     table = table_of(thing)
-    return pd.DataFrame(list(table.rows), columns=list(table.head))
+    found: pd.DataFrame = pandas.DataFrame(list(table.rows), columns=list(table.head))
+    return found
 
 
 def report_of(thing: Any) -> str:
@@ -169,7 +158,7 @@ def save_result(thing: Any, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _csv(table: Table) -> str:
+def _csv(table: Grid) -> str:
     import csv
     import io
 
@@ -180,8 +169,8 @@ def _csv(table: Table) -> str:
     return text.getvalue()
 
 
-def _book(name: str, table: Table, path: Path) -> Path:
-    from .workbook.book import Book
+def _book(name: str, table: Grid, path: Path) -> Path:
+    from .workbook import Book
 
     with Book.writing(path, name) as book:
         page = book.sheet(name)

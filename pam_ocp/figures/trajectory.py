@@ -14,11 +14,14 @@ from .canvas import (
     MARKS,
     STROKES,
     axis_label,
+    colour_scale,
     draw,
     layered,
     legible,
+    name_beside,
     new_figure,
     over_time,
+    plotly,
 )
 
 if TYPE_CHECKING:
@@ -41,6 +44,9 @@ __all__ = [
     "plot_trajectory",
 ]
 
+DASHES = ("solid", "dash", "dashdot", "dot")
+"""Strokes as plotly calls them."""
+
 
 def plot_trajectory(
     trajectory: Trajectory,
@@ -61,9 +67,7 @@ def plot_trajectory(
     for name in chosen:
         panels.setdefault(trajectory.variable(name).display_unit, []).append(name)
     if interactive:
-        from .interactive import trajectory_panels
-
-        return trajectory_panels(trajectory, list(panels.values()))
+        return _interactive(trajectory, list(panels.values()))
     if ax is not None:
         if len(panels) > 1:
             raise InputError(
@@ -84,7 +88,37 @@ def plot_trajectory(
                 style["linestyle"] = "--"
             draw(panel, trajectory, name, **style)
         panel.set_ylabel(axis_label(*map(trajectory.variable, members)))
-        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+        name_beside(panel)
+    return figure
+
+
+def _interactive(trajectory: Trajectory, panels: Sequence[Sequence[str]]) -> Any:
+    """The same panels as a figure of plotly's, which answers the mouse."""
+    objects, make_subplots = plotly()
+    figure = make_subplots(rows=len(panels), shared_xaxes=True, vertical_spacing=0.03)
+    for row, members in enumerate(panels, start=1):
+        for i, name in enumerate(members):
+            variable = trajectory.variable(name)
+            held = variable.causality == "input" and trajectory.interpolation == "previous"
+            dash = (
+                "dash"
+                if variable.causality == "input"
+                else DASHES[(i // len(COLOURS)) % len(DASHES)]
+            )
+            line = objects.Scatter(
+                x=trajectory.t,
+                y=trajectory[name] / variable.display_factor,
+                name=name,
+                line={"color": COLOURS[i % len(COLOURS)], "dash": dash},
+                line_shape="hv" if held else "linear",
+            )
+            figure.add_trace(line, row=row, col=1)
+        label = axis_label(*map(trajectory.variable, members)).replace("\n", " ")
+        figure.update_yaxes(title_text=label, row=row, col=1)
+    figure.update_xaxes(title_text="time [s]", row=len(panels), col=1)
+    figure.update_layout(
+        height=120 + 190 * len(panels), template="plotly_white", hovermode="x unified"
+    )
     return figure
 
 
@@ -106,7 +140,7 @@ def plot_fit(fit: ForceFit, title: str = "", *, ax: Axes | None = None) -> Any:
         taut = (table.pressure == p) & ~table.slack
         residual = table.force[taut] - np.asarray(fit.law.tension(p, table.contraction[taut]))
         lower.plot(100 * table.contraction[taut], residual, "o", color=colour, ms=4)
-    _pressure_scale(figure, [upper, lower], pressures)
+    _pressure_scale([upper, lower], pressures)
     lower.axhline(0.0, color="#555555", lw=0.8)
     lower.set_ylabel("measured - fitted [N]")
     lower.set_xlabel("contraction [%]")
@@ -146,18 +180,16 @@ def _colours(values: Any) -> Any:
     return colormaps["viridis"](0.9 * (values - np.min(values)) / spread)
 
 
-def _pressure_scale(figure: Figure, axes: list[Any], pressures: Any) -> None:
+def _pressure_scale(axes: list[Any], pressures: Any) -> None:
     """The colour bar that goes with :func:`_colours`."""
     from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.colors import ListedColormap
 
     if len(pressures) < 2:
         return
-    scale = Normalize(float(pressures.min()) / 1e5, float(pressures.max()) / 1e5)
+    ends = float(pressures.min()) / 1e5, float(pressures.max()) / 1e5
     part = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.9, 256)))
-    label = "pressure [bar gauge]"
-    figure.colorbar(ScalarMappable(scale, part), ax=axes, label=label, fraction=0.05)
+    colour_scale(axes, ends, "pressure [bar gauge]", part, fraction=0.05)
 
 
 def plot_comparison(
@@ -200,12 +232,11 @@ def plot_bode(
     figure, axes = new_figure(2, size=(8, 6), sharex=True)
     magnitude, phase = axes[:, 0]
     frequency = np.geomspace(*hertz, 600)
-    for i, (label, system) in enumerate(systems.items()):
+    for label, system in systems.items():
         row, column = system.output_labels.index(output), system.input_labels.index(source)
         response = np.asarray(system(2j * np.pi * frequency, squeeze=False))[row, column]
-        colour = COLOURS[i % len(COLOURS)]
-        magnitude.loglog(frequency, np.abs(response), color=colour, label=label)
-        phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(response))), color=colour)
+        magnitude.loglog(frequency, np.abs(response), label=label)
+        phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(response))))
     magnitude.set_ylabel(f"|{output} / {source}|\n[{_gain_unit(output, source, units)}]")
     level = magnitude.twinx()
     level.set_ylim(*(20 * np.log10(end) for end in magnitude.get_ylim()))
@@ -231,28 +262,17 @@ def plot_records(comparisons: Sequence[RecordComparison]) -> Figure:
     figure, axes = new_figure(len(rows), 2, size=(11, 1.0 + 2.1 * len(rows)))
     for (left, right), (comparison, agreement) in zip(axes, rows, strict=True):
         variable = comparison.measured.variable(agreement.name)
-        draw(left, comparison.measured, agreement.name, "#888888", linewidth=2.6, label="measured")
-        draw(
-            left,
-            comparison.simulated,
-            agreement.name,
-            COLOURS[0],
-            linewidth=1.2,
-            label="simulated",
-        )
+        name, measured, simulated = agreement.name, comparison.measured, comparison.simulated
+        draw(left, measured, name, "#888888", linewidth=2.6, label="measured")
+        draw(left, simulated, name, COLOURS[0], linewidth=1.2, label="simulated")
         left.set_ylabel(variable.label)
         left.set_title(f"fit {agreement.fit_percent:.1f} %", loc="left", fontsize="small")
         left.legend(frameon=False, fontsize="small")
-        residual = comparison.measured[agreement.name] - comparison.simulated[agreement.name]
-        right.plot(
-            comparison.measured.t, residual / variable.display_factor, color=COLOURS[1], lw=1.2
-        )
+        residual = (measured[name] - simulated[name]) / variable.display_factor
+        right.plot(measured.t, residual, color=COLOURS[1], lw=1.2)
         right.axhline(0.0, color="#555555", lw=0.8)
-        right.set_title(
-            f"measured - simulated, RMSE {variable.shown(agreement.rmse)}",
-            loc="left",
-            fontsize="small",
-        )
+        said = f"measured - simulated, RMSE {variable.shown(agreement.rmse)}"
+        right.set_title(said, loc="left", fontsize="small")
         right.sharex(left)
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
@@ -279,9 +299,7 @@ def plot_load_study(title: str, lines: Mapping[str, Mapping[str, Sequence[float]
             bars = [p / 1e5 for p in columns["pressure"]]
             values = [v * factor for v in columns[name]]
             mark, line = MARKS[i % len(MARKS)], STROKES[i % len(STROKES)]
-            ax.plot(
-                bars, values, line, marker=mark, ms=4, color=COLOURS[i % len(COLOURS)], label=label
-            )
+            ax.plot(bars, values, line, marker=mark, ms=4, label=label)
             most = max(most, *(v for v in values if np.isfinite(v)), 0.0)
         ax.set_ylabel(words)
         ax.set_ylim(0.0, 1.08 * most or 1.0)  # a constant must not lie on the frame
@@ -324,5 +342,5 @@ def plot_muscle(muscle: Muscle, *, ax: Axes | None = None) -> Any:
     if ax is not None:
         ax.legend(frameon=False, fontsize="small")
         return ax.figure
-    _pressure_scale(figure, panels, pressures)
+    _pressure_scale(panels, pressures)
     return figure

@@ -13,7 +13,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..numerics.newton import Array
 from ..plants.plant import Plant
-from .canvas import COLOURS, new_figure
+from .canvas import COLOURS, colour_scale, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,13 +25,16 @@ if TYPE_CHECKING:
     from ..vibration.energy_balance import Energy
     from ..vibration.free import Backbone, FreeVibration
     from ..vibration.hopf_bifurcation import HopfBorder
+    from ..vibration.maps import AmplitudeMap, HopfMap
 
 __all__ = [
+    "plot_amplitude_map",
     "plot_backbone",
     "plot_border",
     "plot_branch",
     "plot_energy",
     "plot_envelope",
+    "plot_hopf_map",
     "plot_multipliers",
     "plot_phase",
     "plot_stability",
@@ -64,14 +67,8 @@ def plot_phase(
     if values is None:
         colours: list[Any] = [COLOURS[i % len(COLOURS)] for i in range(len(trajectories))]
     else:
-        from matplotlib import colormaps
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-
-        scale = Normalize(float(np.min(values)), float(np.max(values)) * (1 + 1e-12))
-        mapping = ScalarMappable(scale, colormaps["viridis"])
-        colours = list(mapping.to_rgba(values))
-        figure.colorbar(mapping, ax=ax, label=label)
+        ends = float(np.min(values)), float(np.max(values)) * (1 + 1e-12)
+        colours = list(colour_scale(ax, ends, label).to_rgba(values))
     for i, trajectory in enumerate(trajectories):
         ax.plot(
             trajectory[position.name] / position.display_factor,
@@ -102,15 +99,9 @@ def plot_envelope(motion: FreeVibration) -> Figure:
     times, deviations = motion.peaks
     for above in (True, False):
         side = (deviations > 0) == above
-        upper.plot(
-            times[side],
-            deviations[side] / factor,
-            "o--",
-            color=COLOURS[1],
-            ms=3,
-            lw=1.0,
-            label="envelope" if above else None,
-        )
+        style: dict[str, Any] = {"color": COLOURS[1], "ms": 3, "lw": 1.0}
+        style["label"] = "envelope" if above else None
+        upper.plot(times[side], deviations[side] / factor, "o--", **style)
     upper.set_ylabel(f"{variable.name} - rest [{variable.display_unit}]")
     upper.legend(frameon=False, fontsize="small", loc="upper right")
     middles = (motion.crossings[:-1] + motion.crossings[1:]) / 2
@@ -133,18 +124,11 @@ def plot_backbone(curves: Mapping[str, Backbone]) -> Figure:
     """Frequency over amplitude, one line for each named backbone."""
     figure, axes = new_figure(1, size=(7, 4.2))
     ax = axes[0, 0]
-    for i, (name, curve) in enumerate(curves.items()):
+    for name, curve in curves.items():
         variable = curve.point.plant.variable(curve.state)
         order = np.argsort(curve.amplitudes)
-        ax.plot(
-            curve.amplitudes[order] / variable.display_factor,
-            curve.frequencies[order],
-            "o-",
-            color=COLOURS[i % len(COLOURS)],
-            ms=3.5,
-            lw=1.3,
-            label=name or None,
-        )
+        amplitudes = curve.amplitudes[order] / variable.display_factor
+        ax.plot(amplitudes, curve.frequencies[order], "o-", ms=3.5, lw=1.3, label=name or None)
         ax.set_xlabel(f"amplitude of {variable.name} [{variable.display_unit}]")
     if any(curves):
         ax.legend(frameon=False, fontsize="small")
@@ -176,13 +160,9 @@ def plot_stability(path: StabilityPath) -> Figure:
     values = path.values / variable.display_factor
     figure, axes = new_figure(1, 2, size=(10, 4.4))
     plane, growth = axes[0]
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    scale = ScalarMappable(Normalize(values.min(), values.max()), "viridis")
+    scale = colour_scale(plane, (values.min(), values.max()), variable.label)
     for column in path.eigenvalues.T:
         plane.scatter(column.real, column.imag, c=scale.to_rgba(values), s=12)
-    figure.colorbar(scale, ax=plane, label=variable.label)
     plane.axvline(0.0, color="#555555", lw=0.8)
     plane.set_xlabel("real part [1/s]")
     plane.set_ylabel("imaginary part [rad/s]")
@@ -269,3 +249,72 @@ def _by_stability(ax: Axes, x: Array, y: Array, stable: NDArray[np.bool_]) -> No
 
 def _spelt(variable: Variable) -> str:
     return f"{variable.label}: {variable.description}" if variable.description else variable.label
+
+
+# ---- maps over two values ------------------------------------------------------------------------
+def plot_hopf_map(found: HopfMap) -> Figure:
+    """The border and its frequency as maps; crosses where vibration begins with a jump."""
+    plant = next(p for row in found.points for p in row if p is not None).plant
+    parameter = plant.variable(found.parameter)
+    figure, axes = new_figure(1, 2, size=(10.5, 4.2))
+    left, right = axes[0]
+    border = found.border / parameter.display_factor
+    _field(left, plant, found.axes, border, f"border: {parameter.label}")
+    _field(right, plant, found.axes, found.frequencies, "frequency at the border [Hz]")
+    hard = found.lyapunov > 0
+    _marks(left, plant, found.axes, hard, "begins with a jump", "x")
+    return figure
+
+
+def plot_amplitude_map(found: AmplitudeMap) -> Figure:
+    """Amplitude and frequency as maps, with the border of stability of the rest."""
+    variable = found.plant.variable(found.state)
+    figure, axes = new_figure(1, 2, size=(10.5, 4.2))
+    left, right = axes[0]
+    swing = found.amplitude / variable.display_factor
+    _field(left, found.plant, found.axes, swing, f"amplitude of {variable.label}")
+    _field(right, found.plant, found.axes, found.frequency, "frequency [Hz]")
+    x, y = _scaled(found.plant, found.axes)
+    if min(found.growth.shape) > 1 and np.nanmin(found.growth) < 0 < np.nanmax(found.growth):
+        for ax in (left, right):
+            ax.contour(x, y, found.growth.T, levels=[0.0], colors=[COLOURS[1]], linewidths=1.8)
+        left.plot([], [], color=COLOURS[1], lw=1.8, label="rest loses its stability")
+    moving = found.amplitude > 0
+    _marks(left, found.plant, found.axes, ~found.closed & moving, "not closed", "x")
+    _marks(left, found.plant, found.axes, found.outside & moving, "leaves the law's range", "o")
+    if left.get_legend_handles_labels()[0]:
+        left.legend(fontsize="small", loc="upper left", framealpha=0.9)
+    return figure
+
+
+def _scaled(plant: Plant, axes: Mapping[str, Array]) -> tuple[Array, Array]:
+    first, second = (values / plant.variable(n).display_factor for n, values in axes.items())
+    return np.asarray(first), np.asarray(second)
+
+
+def _field(ax: Axes, plant: Plant, axes: Mapping[str, Array], values: Array, label: str) -> None:
+    """Values (n, m) as colours of cells around the points; unknown ones hatched."""
+    x, y = _scaled(plant, axes)
+    ax.set_facecolor("#eeeeee")
+    mesh = ax.pcolormesh(x, y, np.ma.masked_invalid(values.T), shading="nearest", cmap="cividis")
+    ax.figure.colorbar(mesh, ax=ax, label=label)
+    ax.grid(False)
+    names: list[Variable] = [plant.variable(n) for n in axes]
+    ax.set_xlabel(names[0].label)
+    ax.set_ylabel(names[1].label)
+
+
+def _marks(
+    ax: Axes,
+    plant: Plant,
+    axes: Mapping[str, Array],
+    where: NDArray[np.bool_],
+    label: str,
+    mark: str,
+) -> None:
+    if not where.any():
+        return
+    x, y = _scaled(plant, axes)
+    i, j = np.nonzero(where)
+    ax.plot(x[i], y[j], mark, ls="", mfc="none", mec=COLOURS[1], ms=6, mew=1.6, label=label)
+    ax.legend(fontsize="small", loc="upper left", framealpha=0.9)

@@ -74,7 +74,7 @@ def _unpacked(folder: Path, files: Mapping[str, bytes]) -> Path:
 
 def _html(made: Made) -> str:
     """As in a notebook, without the picture, which is a file of its own."""
-    from ..figures.html import html_of
+    from ..figures.sheets import html_of
 
     return "" if made.thing is None else html_of(made.thing, dpi=0)
 

@@ -26,7 +26,7 @@ from ...control.point_pid import PointPid
 from ...control.sides import Actuators, PlantSide, Side, side_of
 from ...core.errors import InputError
 from ...export.package import export_fmu
-from ...figures.scene import scene_of
+from ...figures.film import scene_of
 from ...operating.linear import OperatingPoint
 from ...plants.plant import Plant
 from ..look import numbers

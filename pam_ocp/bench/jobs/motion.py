@@ -22,8 +22,8 @@ import numpy as np
 
 from ...core.errors import InputError, PlanError
 from ...core.trajectory import Trajectory
+from ...figures.film import scene_of
 from ...figures.plan import panels_of
-from ...figures.scene import scene_of
 from ...judge.costs import COSTS
 from ...planning.active import limits_along
 from ...planning.planner import Planner, plan

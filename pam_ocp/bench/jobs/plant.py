@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.variables import Variable
-from ...figures.scene import scene_of
+from ...figures.film import scene_of
 from ...operating.linear import linearize, modes
 from ...operating.operating_point import OperatingPoint
 from ...operating.resting_point import EquilibriumError, equilibrium

@@ -220,12 +220,12 @@ def _cells(
         for (branch, run, rows), s in zip(groups, scatters, strict=True)
     )
     moved = "pressure" if held == "contraction" else "contraction"
-    levels, most = len({p.level for p in pieces}), max(repeats.values())
+    heights, most = len({p.level for p in pieces}), max(repeats.values())
     dwell = 0 if stairs else sum(int(p.resting.sum()) for p in pieces)
     words = (
         f"{len(pieces)} {'stairs' if stairs else 'ramps'} of {moved} "
-        f"({' and '.join(dict.fromkeys(c.branch for c in cells))}) at {levels} "
-        f"level{'s' * (levels != 1)} of {held}, up to {most} repeat{'s' * (most != 1)} -> "
+        f"({' and '.join(dict.fromkeys(c.branch for c in cells))}) at {heights} "
+        f"level{'s' * (heights != 1)} of {held}, up to {most} repeat{'s' * (most != 1)} -> "
         f"{len(cells)} cells; left out: {dwell} rows of dwell, {outside} between levels; "
         f"neighbouring rows correlate by {rho:.2f}"
     )

@@ -90,7 +90,7 @@ class Job:
 
     def workbook(self, thing: Any, name: str) -> None:
         """Write a result as a workbook; a warning says where the extra [excel] is missing."""
-        from ...figures.workbook.book import require_writer
+        from ...figures.workbook import require_writer
 
         try:
             require_writer()
