@@ -292,7 +292,8 @@ class Planner:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Symbols do not travel: another process builds the problem anew, once."""
-        return _again, (self.plant, *self._said)
+        stops, keywords = self._said
+        return functools.partial(Planner, self.plant, stops, **keywords), ()
 
     @verb
     def __call__(
@@ -444,8 +445,3 @@ class Planner:
         plant = self.plant.with_values(values) if values else self.plant
         problem = formulate(plant, replace(self._statement, **changed))
         return renewed(self._program, problem)
-
-
-def _again(plant: Plant, stops: Sequence[Any], keywords: dict[str, Any]) -> Planner:
-    """A planner that was pickled."""
-    return Planner(plant, stops, **keywords)

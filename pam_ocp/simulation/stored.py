@@ -63,6 +63,12 @@ CHUNK = 100
 """Cases per file."""
 MOST_DOUBTS = 5
 """That a warning names."""
+STUDY = "study.json"
+FILES = "cases"
+BLOCK = 1000
+"""Files per folder."""
+SOURCES = "files of pam_ocp"
+REMEDY = "give an empty folder, or one that simulate_many(into=...) wrote"
 
 
 def store(
@@ -251,14 +257,7 @@ def _of_task(arguments: str, task: Task) -> Digest:
     return digest_of([arguments, task.first, list(task.cases)])
 
 
-STUDY = "study.json"
-FILES = "cases"
-BLOCK = 1000
-"""Files per folder."""
-SOURCES = "files of pam_ocp"
-REMEDY = "give an empty folder, or one that simulate_many(into=...) wrote"
-
-
+# ---- the folder ----------------------------------------------------------------------------------
 def files_of(folder: Folder) -> Folder:
     """Where the Parquet files are: alone, as readers want them (once they lay beside the study)."""
     apart = folder / FILES

@@ -100,10 +100,11 @@ def test_air_and_exergy_are_what_the_supply_gives(term):
 
 def mass_on_rails(high):
     """x'' = u with a path constraint of its own on v."""
-    plant = pushed(20.0, x={"nominal": 0.5})
-    x = plant.expression("x")
-    plant.constraint("room", x * (1 - x), unit="m2", nominal=0.25, max=high)
-    return plant
+
+    def room(plant, x, v, u):
+        plant.constraint("room", x * (1 - x), unit="m2", nominal=0.25, max=high)
+
+    return pushed(20.0, also=room, x={"nominal": 0.5})
 
 
 def test_what_a_path_constraint_is_exceeded_by_between_points_is_said():

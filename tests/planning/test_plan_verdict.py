@@ -33,11 +33,12 @@ MOVE = [{"x": 0.0}, {"x": 1.0}]
 
 def cart(speed=np.inf):
     """x'' = u, nothing else; a path constraint on u + v, an output with the power u v."""
-    plant = pushed(10.0, x={"max": 2.0}, v={"max": speed})
-    u, v = plant.expression("u"), plant.expression("v")
-    plant.constraint("sum", u + v, max=20.0)
-    plant.output("power", u * v)
-    return plant
+
+    def also(plant, x, v, u):
+        plant.constraint("sum", u + v, max=20.0)
+        plant.output("power", u * v)
+
+    return pushed(10.0, also=also, x={"max": 2.0}, v={"max": speed})
 
 
 def by_hand(plant, statement, pieces=((0.5, 4.0), (0.5, -4.0))):
@@ -504,7 +505,7 @@ def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatc
 
     monkeypatch.setattr(side_by_side._Worker, "__init__", begin)
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    monkeypatch.setattr(side_by_side, "processors", lambda: 3)
     monkeypatch.setattr(side_by_side.Ipopt, "__call__", _slowly(side_by_side.Ipopt.__call__))
     beside = pam.plan(by_valve, **UP)
     assert len(alone.statistics["starts"]) == len(beside.statistics["starts"]) == 4
@@ -533,7 +534,7 @@ def test_where_no_process_can_be_started_all_starts_are_solved_here(by_valve, mo
         raise OSError("no more processes")
 
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    monkeypatch.setattr(side_by_side, "processors", lambda: 3)
     monkeypatch.setattr(side_by_side.subprocess, "Popen", refused)
     assert len(pam.plan(by_valve, **UP).statistics["starts"]) == 4
 
@@ -561,7 +562,7 @@ def test_ctrl_c_among_several_starts_leaves_no_process_behind(by_valve, monkeypa
     from pam_ocp.planning.solvers import side_by_side
 
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    monkeypatch.setattr(side_by_side, "processors", lambda: 3)
     begun = []
     popen = side_by_side.subprocess.Popen
 

@@ -20,9 +20,10 @@ POLYNOMIAL = Collocation(6, 6, "polynomial")
 
 
 def double_integrator(limit=1.0, mass=1.0):
-    plant = pushed(limit, mass, x={"max": 10.0})
-    plant.output("power", plant.expression("u") * plant.expression("v"), unit="W")
-    return plant
+    def power(plant, x, v, u):
+        plant.output("power", u * v, unit="W")
+
+    return pushed(limit, mass, also=power, x={"max": 10.0})
 
 
 AT_REST = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]

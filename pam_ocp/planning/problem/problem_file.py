@@ -201,7 +201,7 @@ def _duration(plant: Plant, where: str, value: Any) -> Any:
     return _seconds(plant, where, value)
 
 
-def _minimise(plant: Plant, where: str, value: Any) -> Any:
+def _word_or_numbers(plant: Plant, where: str, value: Any) -> str | dict[str, float]:
     if isinstance(value, str):
         return value
     return {n: quantity(f"{where}.{n}", v) for n, v in table(where, value).items()}
@@ -304,12 +304,6 @@ def _text(plant: Plant, where: str, value: Any) -> str:
     return value
 
 
-def _memory(plant: Plant, where: str, value: Any) -> str | dict[str, float]:
-    if isinstance(value, str):
-        return value
-    return {name: quantity(f"{where}.{name}", v) for name, v in table(where, value).items()}
-
-
 _HARMLESS = re.compile(r"(?!.*(lib|file))[a-z]\w*", re.IGNORECASE)
 """Options of solvers that neither load libraries nor write files."""
 
@@ -328,10 +322,10 @@ _READERS: dict[str, Callable[[Plant, str, Any], Any]] = {
     "stops": _stops,
     "cyclic": _cyclic,
     "duration": _duration,
-    "minimise": _minimise,
+    "minimise": _word_or_numbers,
     "bounds": _bounds,
     "rest": _flag,
-    "memory": _memory,
+    "memory": _word_or_numbers,
     "phases": _phases,
     "constraints": _constraints,
     "track": _track,

@@ -11,7 +11,6 @@ Whoever names a place (:func:`starts_on`) has them worked on there, as any other
 from __future__ import annotations
 
 import contextlib
-import os
 import pickle
 import subprocess
 import sys
@@ -32,6 +31,7 @@ from ...core.cases import Place, ending
 from ...core.errors import PlanError
 from ...core.executors import placed
 from ...core.stop import TimeIsUp, check
+from ...core.tasks import processors
 from ...numerics.blas import environment
 from ...numerics.solvers import nlpsol
 from ..stages import written
@@ -142,7 +142,7 @@ def _by_processes(
 ) -> list[Outcome]:
     """By processes that know CasADi alone, and this one; short work by this one alone."""
     queue, found = deque(range(len(tasks))), {}
-    others = min(len(tasks), _processors()) - 1
+    others = min(len(tasks), processors()) - 1
     workers: list[_Worker] = []
     try:
         if first * len(tasks) >= PAYS:
@@ -169,13 +169,6 @@ def _by_processes(
             found |= worker.found
             elsewhere |= set(worker.found)
     return _settled(ipopt, program, tasks, found, elsewhere)
-
-
-def _processors() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on this system
-        return os.cpu_count() or 1
 
 
 def _started(

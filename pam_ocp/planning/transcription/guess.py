@@ -53,11 +53,7 @@ LEVELS = 12
 
 def from_solution(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
     """Scaled unknowns along a solution (of this or another mesh)."""
-    times, table = solution.t, solution.states
-
-    def states(t: Array) -> Array:
-        return np.column_stack([np.interp(t, times, column) for column in table.T])
-
+    states = _on_lines(solution.t, solution.states)
     durations = solution.durations
     if len(durations) != len(problem.legs):
         raise InputError(
@@ -70,6 +66,11 @@ def from_solution(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
     if len(peaks) != problem.m.numel():
         peaks = np.ones(problem.m.numel())
     return _sampled(problem, mesh, durations, states, solution.inputs, design, peaks)
+
+
+def _on_lines(t: Array, table: Array) -> Signal:
+    """The columns of a table over time, joined by straight lines."""
+    return lambda times: np.column_stack([np.interp(times, t, column) for column in table.T])
 
 
 def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: float = 1.0) -> Array:
@@ -270,11 +271,7 @@ class Path:
                 rates = np.asarray(plant.function(x.T, u.T, p)[0], float).T
                 missed.append((((rates - wanted) / nominal) ** 2).sum(axis=1))
             u[:, i] = levels[np.argmin(missed, axis=0)]
-
-        def at(times: Array) -> Array:
-            return np.column_stack([np.interp(times, t, column) for column in u.T])
-
-        return at
+        return _on_lines(t, u)
 
 
 def _design(problem: Problem) -> Array:
@@ -435,15 +432,12 @@ def by_leading(problem: Problem, mesh: Mesh) -> Array:
     led = np.array(found)
     x, u = led[:, :nx] * x_nominal, led[:, nx:] * u_nominal
 
-    def at(times: Array) -> Array:
-        return np.column_stack([np.interp(times, t, column) for column in x.T])
-
     def held(times: Array) -> Array:
         """Each step's own inputs."""
         row = np.clip(np.searchsorted(t, times), 0, len(t) - 1)
         return np.asarray(u[row])
 
-    return sampled_along(problem, mesh, durations, at, held)
+    return sampled_along(problem, mesh, durations, _on_lines(t, x), held)
 
 
 def _times(mesh: Mesh, durations: Array) -> Array:

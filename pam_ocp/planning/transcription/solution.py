@@ -82,8 +82,8 @@ class Places:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """They are one symbol, of which each part is taken at once: to put it together of hundreds
-    takes longer than all the rest of a program.
+    """The same as expressions. They are one symbol, of which each part is taken at once: to put it
+    together of hundreds takes longer than all the rest of a program.
     """
 
     w: ca.MX
