@@ -450,7 +450,7 @@ pam.fit_plant(
 )  # noise['x'] = 0 must be > 0
 pam.fit_plant(plant(), cells(), ["mass"])  # records is a Force
 pam.fit_plant(plant(), motion(), ["mass"], method="colocation")  # choose one of collocation
-pam.experiments.design_cells(fitted(), 8, pressure=(6e5, 1e5))  # the lower must be the smaller
+pam.experiments.design_cells(fitted(), 8, pressure=(6e5, 1e5))  # the first the smaller
 # ---- plans
 posed(stops=[{"x": 0.01}])  # stops holds 1: a motion needs at least two
 pam.Stop({"x": 0.01}, rest="yes")  # Stop.rest = 'yes': give True

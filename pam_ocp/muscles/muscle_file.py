@@ -28,8 +28,9 @@ from .pneumatic_muscle import Muscle
 __all__ = ["ENDINGS", "ending_of", "load_muscle", "save_muscle"]
 
 FORMAT = "pam_ocp muscle 1"
-_RANGES = ("pressure_range", "contraction_range")
-_PLAIN = tuple(f.name for f in fields(Muscle) if f.name not in ("law", *_RANGES))
+_PLAIN = tuple(f.name for f in fields(Muscle) if f.name != "law")
+
+
 ENDINGS = (".toml", ".json")
 
 
@@ -56,7 +57,6 @@ def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
     content = {
         "format": FORMAT,
         **{key: getattr(muscle, key) for key in _PLAIN},
-        **{key: list(getattr(muscle, key)) for key in _RANGES},
         "law": muscle.law.name,
         "coefficients": {n: float(v) for n, v in muscle.law.values.items()},
     }
@@ -105,14 +105,7 @@ def _muscle(content: dict[str, Any]) -> Muscle:
     given = table("coefficients", content.get("coefficients", {}))
     if set(given) != wanted:
         raise InputError(f"coefficients {sorted(given)} given, {sorted(wanted)} needed")
-    ranges: dict[str, Any] = {}
-    for key in set(_RANGES) & set(content):
-        values = content[key]
-        if not (isinstance(values, list) and len(values) == 2):
-            raise InputError(f"{key} = {values!r}: give [lowest, highest]")
-        ranges[key] = tuple(require_finite(key, v) for v in values)
     return Muscle(
         law(**{n: require_finite(f"coefficients.{n}", v) for n, v in given.items()}),
         **{key: content[key] for key in _PLAIN if key in content},
-        **ranges,
     )

@@ -16,6 +16,7 @@ from ..core.arguments import with_kinds
 from ..core.errors import (
     InputError,
     require_count,
+    require_ends,
     require_finite,
     require_numbers,
     require_positive,
@@ -97,6 +98,8 @@ class Muscle:
             ("slack_width", "N"),
             ("diameter", "m"),
             ("mass", "kg"),
+            ("burst_pressure", "Pa"),
+            ("pull_off", "N"),
         ):
             value = getattr(self, argument)
             required = argument in ("rest_length", "slack_width")
@@ -104,7 +107,10 @@ class Muscle:
                 number = require_positive(argument, value, unit)
                 doubt(argument, number, unit)
                 object.__setattr__(self, argument, number)
-        self._check_body()
+        for argument in ("mass_per_length", "end_mass"):
+            unit = "kg/m" if argument == "mass_per_length" else "kg"
+            number = require_positive(argument, getattr(self, argument), unit, zero=True)
+            object.__setattr__(self, argument, number)
         own = self.law.values.get("rest_length", self.rest_length)
         symbolic = isinstance(own, ca.SX) or isinstance(self.rest_length, ca.SX)
         if not symbolic and not math.isclose(own, self.rest_length, rel_tol=1e-12):
@@ -113,30 +119,13 @@ class Muscle:
                 f"{own:g} m; give both the same, or use Muscle.with_rest_length"
             )
         for argument, unit in (("pressure_range", "Pa"), ("contraction_range", "1")):
-            ends = getattr(self, argument)
-            if not isinstance(ends, tuple | list | np.ndarray) or len(ends) != 2:
-                raise InputError(f"{argument} = {ends!r}: give (low, high)")
             allowed = CONTRACTIONS if unit == "1" else (-math.inf, math.inf)
             low, high = (
                 require_numbers(argument, require_finite(argument, end, unit), unit, *allowed)
-                for end in ends
+                for end in require_ends(argument, getattr(self, argument), unit)
             )
             object.__setattr__(self, argument, (low, high))
-            if not low < high:
-                raise InputError(
-                    f"{argument} = ({low:g}, {high:g}): the lower end must be the smaller"
-                )
         doubt("pressure_range", self.pressure_range[1], "Pa")
-
-    def _check_body(self) -> None:
-        for argument, unit in (("mass_per_length", "kg/m"), ("end_mass", "kg")):
-            number = require_positive(argument, getattr(self, argument), unit, zero=True)
-            object.__setattr__(self, argument, number)
-        for argument, unit in (("burst_pressure", "Pa"), ("pull_off", "N")):
-            if getattr(self, argument) is not None:
-                number = require_positive(argument, getattr(self, argument), unit)
-                doubt(argument, number, unit)
-                object.__setattr__(self, argument, number)
 
     @property
     def body_mass(self) -> FloatOrSX:

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from static_tables import fit_20
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError, UnknownNameError
-from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
+from pam_ocp.fitting import ForceFit, ForceTable, fit_force
 from pam_ocp.fitting.experiments.cells import design_cells
 from pam_ocp.fitting.experiments.optimal import Criterion, exchange, refine
 from pam_ocp.fitting.experiments.signals import design_experiment
@@ -27,7 +28,7 @@ def counts(rows: np.ndarray) -> dict[float, int]:
 
 @pytest.fixture(scope="module")
 def fit() -> ForceFit:
-    return fit_force(read_table("DMSP-20-300_static.csv", rest_length=0.300))
+    return fit_20()
 
 
 # ---- designs of theory ---------------------------------------------------------------------------
@@ -212,7 +213,7 @@ def test_report_and_file_say_what_to_measure(fit: ForceFit, tmp_path: Path) -> N
         ({"criterion": "E"}, "choose 'D', 'A' or 'I'"),
         ({"parameters": ["a9"]}, "unknown free coefficient in parameters 'a9'"),
         ({"parameters": "a3"}, "give a list of free coefficients"),
-        ({"pressure": (6e5, 1e5)}, "the lower must be the smaller"),
+        ({"pressure": (6e5, 1e5)}, "the first the smaller"),
         ({"pressure": (0, 1e4), "contraction": (0.2, 0.25)}, "slack at all candidates"),
         ({"candidates": ([1e5], [0.1]), "pressure": (0, 1e5)}, "leave pressure and contraction"),
         ({"candidates": ([1e5, 2e5], [0.1])}, "equally long"),

@@ -142,7 +142,7 @@ def test_a_law_of_ones_own_is_in_no_file(tmp_path):
             "coefficients = 3: give a table",
         ),
         ("f.toml", HEAD + PLANE.replace("0.0", "'x'"), "coefficients.h0 = 'x' is not a number"),
-        ("g.toml", HEAD + "pressure_range = [0, 1, 2]\n" + PLANE, "give \\[lowest, highest\\]"),
+        ("g.toml", HEAD + "pressure_range = [0, 1, 2]\n" + PLANE, "give \\(low, high\\)"),
         ("h.yaml", "", "ends in .toml or .json"),
     ],
 )

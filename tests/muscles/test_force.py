@@ -43,10 +43,6 @@ def test_law_in_si_equals_equation_3_in_bar_and_percent(law, bar, percent):
     )
 
 
-def test_published_coefficients_survive_the_round_trip(law):
-    assert list(law.published().values()) == pytest.approx([A1, A2, A3, A4, A5, A6], rel=1e-15)
-
-
 @pytest.mark.parametrize(("bar", "percent"), [(2.0, 3.0), (4.0, 10.0), (6.0, 20.0)])
 def test_stiffness_is_equation_4_with_its_minus_sign_and_the_factor_of_percent(
     fluidic, bar, percent
@@ -55,14 +51,6 @@ def test_stiffness_is_equation_4_with_its_minus_sign_and_the_factor_of_percent(
     by_hand = -100 * slope / 0.4
     assert by_hand > 0
     assert fluidic.stiffness(bar * 1e5, percent / 100) == pytest.approx(by_hand, rel=1e-13)
-
-
-def test_stiffness_is_the_slope_of_force_over_length(fluidic):
-    p, h = 3e5, 1e-6
-    for kappa in np.linspace(0.01, 0.2, 9):
-        length = 0.4 * (1 - kappa)
-        there, here = (float(fluidic.force(p, 1 - (length + s) / 0.4)) for s in (h, -h))
-        assert fluidic.stiffness(p, kappa) == pytest.approx((there - here) / (2 * h), rel=1e-6)
 
 
 def test_pressure_inverts_the_tension_exactly(law):
@@ -176,7 +164,7 @@ def test_coefficients_are_described_as_parameters():
         ({"rest_length": math.nan}, "must be a finite number"),
         ({"rest_length": 0.4, "diameter": -1.0}, "diameter = -1 m must be > 0"),
         ({"rest_length": 0.4, "slack_width": 0.0}, "slack_width = 0 N must be > 0"),
-        ({"rest_length": 0.4, "pressure_range": (6e5, 0.0)}, "lower end must be the smaller"),
+        ({"rest_length": 0.4, "pressure_range": (6e5, 0.0)}, "the first the smaller"),
     ],
 )
 def test_impossible_muscles_are_refused_with_the_value_seen(law, arguments, words):

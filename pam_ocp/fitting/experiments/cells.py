@@ -21,6 +21,7 @@ from ...core.errors import (
     UnknownNameError,
     kind_of,
     require_count,
+    require_ends,
     require_finite,
     require_positive,
 )
@@ -28,7 +29,8 @@ from ...core.files import atomic_path
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..static.force_fit import ForceFit
-from ..statistics import Array, Linearisation, forces_and_slopes, student_t
+from ..static.optimum import sensitivity
+from ..statistics import Array, Linearisation, student_t
 from ..tables.force_table import ForceTable
 from .optimal import Criterion, chosen, exchange, refine
 
@@ -138,10 +140,7 @@ class _Known:
 
     def gradient(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (m,) [N] and its derivatives (m, k) with respect to the free coefficients."""
-        names = list(self.law.values)
-        values = np.array([[float(v) for v in self.law.values.values()]])
-        tension, slopes = forces_and_slopes(type(self.law), p, kappa, values)
-        return tension[0], slopes[0][:, [names.index(n) for n in self.free]]
+        return sensitivity(self.law, self.free, p, kappa)
 
     @property
     def information(self) -> Array:
@@ -359,14 +358,14 @@ def _points(argument: str, given: tuple[ArrayLike, ArrayLike]) -> Array:
     return np.stack([p, kappa], axis=1)
 
 
-def _range(name: str, given: Any, usual: tuple[float, float] | None) -> tuple[float, float]:
+def _range(
+    name: str, given: Any, usual: tuple[float, float] | None, unit: str
+) -> tuple[float, float]:
     if given is None:
         if usual is None:
             raise InputError(f"{name} is missing: give (low, high) that the bench reaches")
         return usual
-    low, high = (require_finite(name, v) for v in given)
-    if not low < high:
-        raise InputError(f"{name} = ({low:g}, {high:g}): the lower must be the smaller")
+    low, high = (require_finite(name, end) for end in require_ends(name, given, unit))
     return low, high
 
 
@@ -383,8 +382,8 @@ def _candidates(
         table = known.table
         p_usual = (max(float(table.pressure.min()), 0.0), float(table.pressure.max()))
         k_usual = (float(table.contraction.min()), float(table.contraction.max()))
-    p_range = _range("pressure", pressure, p_usual)
-    k_range = _range("contraction", contraction, k_usual)
+    p_range = _range("pressure", pressure, p_usual, "Pa")
+    k_range = _range("contraction", contraction, k_usual, "1")
     axes = [np.linspace(*r, GRID) for r in (p_range, k_range)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     return grid, np.array([(r[1] - r[0]) / (GRID - 1) for r in (p_range, k_range)])

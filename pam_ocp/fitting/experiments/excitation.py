@@ -16,7 +16,14 @@ from typing import Any, Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
-from ...core.errors import FitError, InputError, SimulationError, require_count, require_positive
+from ...core.errors import (
+    FitError,
+    InputError,
+    SimulationError,
+    require_count,
+    require_ends,
+    require_positive,
+)
 from ...core.stop import check
 from ...core.trajectory import Trajectory
 from ...numerics.runge_kutta import rk4
@@ -326,11 +333,12 @@ def ranges_of(
     if not isinstance(inputs, Mapping):
         inputs = {n: usual.get(plant.variable(n).name, (-np.inf, np.inf)) for n in inputs}
     found = {}
-    for name, (low, high) in inputs.items():
+    for name, ends in inputs.items():
         variable = plant.variable(name)
         if variable.causality != "input":
             raise InputError(f"inputs: {variable.name} is a {variable.causality}, not an input")
-        low, high = max(float(low), variable.min), min(float(high), variable.max)
+        low, high = require_ends(f"inputs[{name!r}]", ends, variable.unit)
+        low, high = max(low, variable.min), min(high, variable.max)
         if not low < high or not np.isfinite(high - low):
             raise InputError(
                 f"inputs: {variable.name} may run over {low:g} .. {high:g}; give a finite range "
@@ -349,10 +357,7 @@ def _watched(
     own = {v.name: (v.min, v.max) for v in (*plant.states, *plant.constraints)}
     for name, ends in limits.items():
         variable = plant.variable(name)
-        try:
-            low, high = (float(v) for v in ends)
-        except (TypeError, ValueError):
-            raise InputError(f"limits[{name!r}] = {ends!r}: give (low, high)") from None
+        low, high = require_ends(f"limits[{name!r}]", ends, variable.unit)
         low, high = max(low, variable.min), min(high, variable.max)
         if not low < high:
             raise InputError(f"limits: {variable.name} would have to stay in {low:g} .. {high:g}")

@@ -160,16 +160,9 @@ def exchange(
     gains = np.einsum("ij,jk,ik->i", rows, scaled.slope(covariance), rows)
     best = float(np.sum(np.sort(np.repeat(gains, min(repeats, n)))[-n:]))
     least = value - max(best - float(np.sum(gains[indices])), 0.0)
-    return Selection(
-        np.sort(indices), criterion_value(value, criterion, sizes), scaled.efficiency(value, least)
-    )
-
-
-def criterion_value(value: float, criterion: Criterion, sizes: Array) -> float:
-    """Of scaled parameters back to the parameters' own units."""
-    if criterion.weight is not None:
-        return value
-    return value - 2 * float(np.sum(np.log(sizes[list(criterion.chosen)])))
+    # back to the parameters' own units
+    own = 0.0 if criterion.weight is not None else np.sum(np.log(sizes[list(criterion.chosen)]))
+    return Selection(np.sort(indices), value - 2 * float(own), scaled.efficiency(value, least))
 
 
 def _inverse(information: Array) -> Array | None:
@@ -180,20 +173,25 @@ def _inverse(information: Array) -> Array | None:
     return np.asarray(vectors / values @ vectors.T)
 
 
+def _one_more(
+    rows: Array, criterion: Criterion, base: Array, repeats: int, chosen: NDArray[np.intp]
+) -> Array:
+    """The criterion with each of the rows beside the chosen ones; infinite for those of which there
+    are enough.
+    """
+    covariance = np.linalg.inv(base + rows[chosen].T @ rows[chosen])
+    values = criterion.with_one_more(covariance, rows)
+    values[np.bincount(chosen, minlength=len(rows)) >= repeats] = np.inf
+    return values
+
+
 def _built_up(
     rows: Array, n: int, criterion: Criterion, base: Array, repeats: int
 ) -> NDArray[np.intp]:
-    chosen: list[int] = []
-    covariance: Array = np.asarray(np.linalg.inv(base))
+    chosen = np.empty(0, dtype=np.intp)
     for _ in range(n):
-        values = criterion.with_one_more(covariance, rows)
-        full, counts = (
-            np.unique(chosen, return_counts=True) if chosen else (np.empty(0), np.empty(0))
-        )
-        values[full[counts >= repeats].astype(int)] = np.inf
-        chosen.append(int(np.argmin(values)))
-        covariance = np.asarray(np.linalg.inv(base + rows[chosen].T @ rows[chosen]))
-    return np.array(chosen, dtype=np.intp)
+        chosen = np.append(chosen, np.argmin(_one_more(rows, criterion, base, repeats, chosen)))
+    return chosen
 
 
 def _exchanged(
@@ -204,11 +202,7 @@ def _exchanged(
     while True:
         before = value
         for place in range(chosen.size):
-            others = np.delete(chosen, place)
-            covariance = np.linalg.inv(base + rows[others].T @ rows[others])
-            values = criterion.with_one_more(covariance, rows)
-            kinds, counts = np.unique(others, return_counts=True)
-            values[kinds[counts >= repeats]] = np.inf
+            values = _one_more(rows, criterion, base, repeats, np.delete(chosen, place))
             best = int(np.argmin(values))
             if values[best] < value - BETTER * abs(value):
                 chosen[place], value = best, float(values[best])

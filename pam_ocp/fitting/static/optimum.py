@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,7 +22,14 @@ from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
 from .least_squares import BISQUARE, HUBER, PLAIN, LeastSquares, Terms, robust_scale, spread
 
-__all__ = ["Optimum"]
+__all__ = ["Optimum", "sensitivity"]
+
+
+def sensitivity(law: ForceLaw, free: Sequence[str], p: Array, kappa: Array) -> tuple[Array, Array]:
+    """Tension (n,) [N] and its derivatives with respect to the ``free`` coefficients (n, k)."""
+    names, values = list(law.values), np.array([[float(v) for v in law.values.values()]])
+    tension, jacobian = forces_and_slopes(type(law), p, kappa, values)
+    return tension[0], jacobian[0][:, [names.index(n) for n in free]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +66,7 @@ class Optimum(Estimates):
 
     def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
-        names = list(self.law.values)
-        tension, jacobian = forces_and_slopes(type(self.law), p, kappa, self.vector[None])
-        return tension[0], jacobian[0][:, [names.index(n) for n in self.free]]
+        return sensitivity(self.law, self.free, p, kappa)
 
     @cached_property
     def _at_cells(self) -> tuple[Array, Array]:
