@@ -22,9 +22,9 @@ from ..core.errors import InputError
 from ..core.progress import working
 from ..core.shown import shown
 from ..core.stores import Folder, folder_of, write_bytes
-from ..core.tasks import Task, split
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
+from ..core.workers import Task, split
 from .folder import (
     about_file,
     arrow,
