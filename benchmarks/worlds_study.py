@@ -33,8 +33,7 @@ import random_tasks
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp.export.worlds.formulas import identifiers
-from pam_ocp.export.worlds.modelica import RESERVED
+from pam_ocp.export.worlds.modelica import RESERVED, identifiers
 
 TIMES = np.linspace(0.0, 1.0, 6)
 LIMITS = {"jax": 1e-6, "torch": 1e-6, "onnx": 1e-6, "onnx single": 1e-4, "modelica": 1e-6}

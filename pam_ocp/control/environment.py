@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, UnknownNameError, require_count, require_positive
+from ..core.lazy import library
 from ..core.stop import verb
 from ..export.worlds.jax_world import JaxPlant, jax_plant
-from ..export.worlds.signature import library
 from ..planning.planner import plan
 from ..plants.plant import Plant, Values, require_plant
 

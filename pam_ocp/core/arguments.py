@@ -18,6 +18,7 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 import numpy as np
 
+from .errors import with_article
 from .exceptions import InputError, PamError, nearest
 
 __all__ = ["blamed", "require_known_keywords", "with_kinds"]
@@ -191,4 +192,4 @@ def _words(hint: Any) -> str:
     if kind is Callable:
         return "a function"
     name = getattr(kind, "__name__", str(kind))
-    return WORDS.get(kind) or f"a{'n' if name[0] in 'AEIO' else ''} {name}"
+    return WORDS.get(kind) or with_article(name)

@@ -22,8 +22,19 @@ from .executors import Place, on_executor, placed
 from .interrupts import interruptible
 from .progress import working
 from .stop import check
-from .tasks import Answer, Errand, Finish, Task, Work, processors, split, usual_size
-from .workers import forks, in_workers, nested
+from .workers import (
+    Answer,
+    Errand,
+    Finish,
+    Task,
+    Work,
+    forks,
+    in_workers,
+    nested,
+    processors,
+    split,
+    usual_size,
+)
 
 __all__ = ["Loop", "Place", "each", "ending", "results_of"]
 

@@ -29,10 +29,6 @@ _LONG_TEXT = re.compile(r"(?<!\w)('[^'\n]{60})[^'\n]{140,}'(?!\w)")
 """A value between quotes that is too long for a sentence."""
 
 
-def _shortened(message: str) -> str:
-    return _LONG_TEXT.sub(r"\1...'", message)
-
-
 class PamError(Exception):
     """Base of every error that pam_ocp raises on purpose.
 
@@ -47,7 +43,7 @@ class PamError(Exception):
     """
 
     def __init__(self, *said: object) -> None:
-        super().__init__(*(_shortened(s) if isinstance(s, str) else s for s in said))
+        super().__init__(*(_LONG_TEXT.sub(r"\1...'", s) if isinstance(s, str) else s for s in said))
 
 
 class InputError(PamError, ValueError):

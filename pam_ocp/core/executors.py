@@ -23,8 +23,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from .errors import InputError, kind_of, require_count
 from .stop import ask, check, yielded
-from .tasks import GIVEN_UP, LOOK, TRIES, Answer, Errand, Task, packed, remote
-from .workers import in_workers
+from .workers import GIVEN_UP, LOOK, TRIES, Answer, Errand, Task, in_workers, packed, remote
 
 __all__ = ["Client", "Place", "end_pool", "on_executor", "placed"]
 

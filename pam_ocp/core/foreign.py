@@ -43,6 +43,7 @@ __all__ = [
     "read_hdf5",
     "read_mat",
     "read_sheets",
+    "sheets_named",
 ]
 
 Array: TypeAlias = NDArray[Any]
@@ -69,13 +70,17 @@ _CELL, _STRUCTURE, _CHARACTERS, _DOUBLE, _LAST, _OPAQUE = 1, 2, 4, 6, 15, 17
 """Classes of matrices; from double to the last they are numbers."""
 _COMPLEX = 0x0800
 MOST_ENTRIES = 1_000_000
-"""Of all cells and structures of a file, each of which becomes an object of Python."""
+"""Of all cells and structures of a file, each of which becomes an object of Python (of HDF5: texts,
+characters of MATLAB, and cells).
+"""
+MOST_OBJECTS = 20_000
+"""Groups, datasets and references of an HDF5 file."""
 MOST_CHARACTERS = 10_000_000
 """Of all its text."""
 HEADERS = 8
 """Elements of a matrix that are none of its entries, at most."""
 MOST_LEVELS = 16
-"""Cells and structures within each other."""
+"""Cells and structures, or groups, within each other."""
 
 
 class _Budget:
@@ -312,8 +317,7 @@ def read_sheets(
         require_unpacked(path, MOST_SHEET_BYTES)
         book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
         try:
-            names = [s.title for s in book.worksheets]
-            chosen = names if sheet is None else [_sheet_named(path, names, sheet)]
+            chosen = sheets_named(path, [s.title for s in book.worksheets], sheet)
             budget = MOST_SHEET_CELLS
             found: dict[str, list[Sequence[Any]]] = {}
             for name in chosen:
@@ -324,12 +328,17 @@ def read_sheets(
     return found
 
 
-def _sheet_named(path: str | os.PathLike[str], names: list[str], sheet: str | int) -> str:
+def sheets_named(
+    path: str | os.PathLike[str], names: list[str], sheet: str | int | None
+) -> list[str]:
+    """All sheets, or the one of this name or number (from 1). Raises UnknownNameError."""
+    if sheet is None:
+        return names
     if isinstance(sheet, int) and not isinstance(sheet, bool) and 1 <= sheet <= len(names):
-        return names[sheet - 1]
+        return [names[sheet - 1]]
     if sheet not in names:
         raise UnknownNameError(f"sheet of {Path(path).name}", str(sheet), names)
-    return str(sheet)
+    return [str(sheet)]
 
 
 def _rows(path: str | os.PathLike[str], sheet: Any, budget: int) -> list[Sequence[Any]]:
@@ -394,12 +403,116 @@ def read_hdf5(path: str | os.PathLike[str], content: bytes | None = None) -> dic
     with library(path, "an HDF5 file (MATLAB -v7.3)", "hdf5"):
         import h5py
 
-        from .hdf5 import tree_of
-
         source = path if content is None else io.BytesIO(content)
         size = os.path.getsize(path) if content is None else len(content)
         with h5py.File(source, "r") as file:
-            return tree_of(file, most_unpacked(size))
+            return _Tree(file, most_unpacked(size)).group(file, 0)
+
+
+class _Tree:
+    """An HDF5 file as nested mappings: what lies in the file itself, within limits, as links may
+    lead in circles.
+
+    Format of MATLAB's: structures are groups, cells are references, text is numbers with the
+    attribute ``MATLAB_class`` "char", and matrices stand transposed (MathWorks, "MAT-File
+    Versions").
+    """
+
+    def __init__(self, file: Any, most: int) -> None:
+        self.file, self.left, self.objects = file, most, MOST_OBJECTS
+        self.entries = MOST_ENTRIES
+
+    def value(self, thing: Any, level: int) -> Any:
+        self.objects -= 1
+        if self.objects < 0 or level > MOST_LEVELS:
+            raise InputError(
+                f"it holds more than {MOST_OBJECTS} parts, or is nested more than {MOST_LEVELS} "
+                "deep; save the table as CSV"
+            )
+        if hasattr(thing, "keys"):
+            return self.group(thing, level)
+        return self.dataset(thing, level)
+
+    def take(self, entries: int) -> None:
+        self.entries -= entries
+        if self.entries < 0:
+            raise InputError(
+                f"it holds more than {MOST_ENTRIES} texts and cells; save the table as CSV"
+            )
+
+    def group(self, group: Any, level: int) -> dict[str, Any]:
+        import h5py
+
+        found = {}
+        for name in group:
+            if name.startswith("#") or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue  # MATLAB's own stores, and links that may lead out of the file
+            part = group[name]
+            if not isinstance(part, h5py.Group | h5py.Dataset):
+                continue
+            value = self.value(part, level + 1)
+            if value is not None:
+                found[_named(name, part)] = value
+        return found
+
+    def dataset(self, data: Any, level: int) -> Any:
+        import h5py
+
+        kind = _text(data.attrs.get("MATLAB_class", ""))
+        if data.shape is None or data.is_virtual or data.external:
+            return None  # empty, or its numbers stand in other files
+        if "MATLAB_empty" in data.attrs:
+            return np.empty((0, 0))
+        self.left -= data.nbytes
+        if self.left < 0:
+            raise InputError("it unpacks to more than is allowed; save it as CSV in parts")
+        if h5py.check_dtype(ref=data.dtype) is not None:
+            return self.cells(data, level)
+        if kind == "char" or data.dtype.kind in "OSV":  # becomes an object of Python each
+            self.take(data.size)
+        values = self.read(data)
+        if kind == "char":
+            return np.array(["".join(map(chr, row)) for row in np.atleast_2d(values.T)])
+        if getattr(values, "dtype", None) is not None and values.dtype.kind in "OS":
+            return np.array([_text(v) for v in np.ravel(values)])
+        if kind and getattr(values, "ndim", 0) >= 2:
+            return values.T
+        return values
+
+    def read(self, data: Any) -> Any:
+        """What a dataset holds. Texts of any length may all lie in one place of the file, so they
+        are read in blocks that hold what is left even if each were as long as the file.
+        """
+        if data.dtype.kind != "O" or not data.shape:
+            return data[()]
+        found = np.empty(data.shape, dtype=object)
+        row = int(np.prod(data.shape[1:])) * self.file.id.get_filesize()
+        for start in range(0, data.shape[0], block := max(1, self.left // max(1, row))):
+            found[start : start + block] = part = data[start : start + block]
+            self.left -= sum(len(v) for v in np.ravel(part) if hasattr(v, "__len__"))
+            if self.left < 0:
+                raise InputError("it unpacks to more than is allowed; save it as CSV in parts")
+        return found
+
+    def cells(self, data: Any, level: int) -> Any:
+        """An array of objects, as MATLAB shows it."""
+        self.take(data.size)
+        made = np.empty(data.shape, dtype=object)
+        for index, reference in np.ndenumerate(data[()]):
+            made[index] = self.value(self.file[reference], level + 1) if reference else None
+        return made.T
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _named(name: str, part: Any) -> str:
+    """``p [bar]`` where an attribute says the unit."""
+    for attribute in ("unit", "units", "Unit", "Units"):
+        if attribute in part.attrs and "[" not in name:
+            return f"{name} [{_text(part.attrs[attribute])}]"
+    return name
 
 
 def _require_bytes(path: str | os.PathLike[str], size: int) -> None:

@@ -33,15 +33,18 @@ def load(name: str) -> ModuleType:
         return importlib.import_module(name)
 
 
-def library(name: str, extra: str, asks: str) -> Any:
-    """A library of an extra, imported now. Raises InputError where it is not installed."""
+def library(name: str, extra: str, asks: str, called: str = "") -> Any:
+    """A library of an extra, imported now. Raises InputError where it is not installed.
+
+    called : what it is called in the message, where that is not its module.
+    """
     try:
         return load(name)
     except ImportError:
         from .exceptions import InputError
 
         raise InputError(
-            f"{asks} needs {name}, which is not installed: pip install 'pam_ocp[{extra}]'"
+            f"{asks} needs {called or name}, which is not installed: pip install 'pam_ocp[{extra}]'"
         ) from None
 
 
@@ -53,12 +56,18 @@ def lazily(
     module : its ``__name__``. homes : {name: the module below ``package`` that defines it}.
     A name is looked up once; from then on it is the module's own.
     """
+    return _face(module, homes, lambda name: getattr(load(f"{package}.{homes[name]}"), name))
 
+
+def _face(
+    module: str, homes: Mapping[str, Any], find: Callable[[str], Any]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     def __getattr__(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {module!r} has no attribute {name!r}{_hint(name, homes)}")
-        value = getattr(load(f"{package}.{homes[name]}"), name)
-        vars(sys.modules[module])[name] = value
+        value = find(name)
+        if not isinstance(value, ModuleType):  # a submodule becomes one by itself
+            vars(sys.modules[module])[name] = value
         return value
 
     def __dir__() -> list[str]:
@@ -85,9 +94,7 @@ def from_stub(
             place = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
             homes |= {alias.name: (place, node.module is None) for alias in node.names}
 
-    def __getattr__(name: str) -> Any:
-        if name not in homes:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}{_hint(name, homes)}")
+    def find(name: str) -> Any:
         place, submodule = homes[name]
         if submodule:
             return load(f"{place}.{name}")
@@ -96,10 +103,6 @@ def from_stub(
             from .arguments import with_kinds
 
             with_kinds(value)
-        vars(sys.modules[module])[name] = value
         return value
 
-    def __dir__() -> list[str]:
-        return sorted({*vars(sys.modules[module]), *homes})
-
-    return __getattr__, __dir__, sorted(homes)
+    return *_face(module, homes, find), sorted(homes)

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from .exceptions import InputError, UnknownNameError
+from .exceptions import InputError
 from .files import MOST_ROWS, MOST_SHEET_CELLS, most_unpacked, require_file, require_size
-from .foreign import library
+from .foreign import library, sheets_named
 
 __all__ = ["is_bag", "read_bag", "read_calamine", "read_mcap", "read_tdms"]
 
@@ -265,15 +265,8 @@ def read_calamine(
         from python_calamine import CalamineWorkbook
 
         book = CalamineWorkbook.from_path(os.fspath(path))
-        names, budget = list(book.sheet_names), MOST_SHEET_CELLS
-        if isinstance(sheet, int) and 1 <= sheet <= len(names):
-            chosen = [names[sheet - 1]]
-        elif sheet is not None and sheet not in names:
-            raise UnknownNameError(f"sheet of {Path(path).name}", str(sheet), names)
-        else:
-            chosen = names if sheet is None else [str(sheet)]
-        found = {}
-        for name in chosen:
+        found, budget = {}, MOST_SHEET_CELLS
+        for name in sheets_named(path, list(book.sheet_names), sheet):
             one = book.get_sheet_by_name(name)
             budget -= one.total_height * one.total_width
             if budget < 0:

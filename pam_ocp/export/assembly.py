@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import uuid
+import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,13 +16,24 @@ from typing import Any
 from ..core.files import atomic_path, require_ending
 from ..core.trajectory import Trajectory
 from . import compile as compiler
-from . import description, documentation, source, terminals
+from . import description, documentation, source
 from .c_keywords import C_KEYWORDS
-from .layout import Layout
+from .layout import Entry, Layout
 from .runtime import c_text
 from .settings import Settings
+from .source import MAIN_SOURCE
 
-__all__ = ["Content", "model_identifier", "write_archive", "write_fmu"]
+__all__ = [
+    "SIGNAL_ICON",
+    "Content",
+    "build_description",
+    "experiments",
+    "model_identifier",
+    "references",
+    "terminals",
+    "write_archive",
+    "write_fmu",
+]
 
 _DATE = (2000, 1, 1, 0, 0, 0)
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
@@ -126,8 +138,8 @@ def _pages(layout: Layout, settings: Settings, identifier: str, content: Content
     icons, extra = "terminalsAndIcons", "extra/org.fmi-standard.fmi-ls-ref"
     reference = content.reference
     trees = {
-        "sources/buildDescription.xml": terminals.build_description(identifier),
-        f"{icons}/terminalsAndIcons.xml": terminals.terminals(layout),
+        "sources/buildDescription.xml": build_description(identifier),
+        f"{icons}/terminalsAndIcons.xml": terminals(layout),
     }
     pages = {
         "documentation/index.html": documentation.page(
@@ -142,8 +154,8 @@ def _pages(layout: Layout, settings: Settings, identifier: str, content: Content
             table = documentation.reference_table(reference, {e.name for e in entries})
             pages[f"documentation/{identifier}_{suffix}.csv"] = table
         span = float(reference.t[0]), float(reference.t[-1])
-        trees[f"{extra}/fmi-ls-manifest.xml"] = terminals.references(identifier)
-        trees[f"{extra}/experiments.xml"] = terminals.experiments(
+        trees[f"{extra}/fmi-ls-manifest.xml"] = references(identifier)
+        trees[f"{extra}/experiments.xml"] = experiments(
             identifier, *span, settings.step_size, source.proposed_tolerance(settings.tolerance)
         )
     return pages | {name: description.to_text(tree) for name, tree in trees.items()}
@@ -189,7 +201,7 @@ def _icons(fmi: str) -> dict[str, bytes]:
     png, folder = documentation.icon_png(), "terminalsAndIcons"
     icons = {
         f"{folder}/icon.png": png,
-        f"{folder}/{terminals.SIGNAL_ICON}.png": documentation.signal_png(),
+        f"{folder}/{SIGNAL_ICON}.png": documentation.signal_png(),
     }
     return icons | ({"model.png": png} if fmi == "2.0" else {})
 
@@ -203,3 +215,125 @@ def write_archive(path: Path, content: Mapping[str, bytes]) -> None:
             info.create_system = 3
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(info, content[name])
+
+
+# ---- neighbours of modelDescription.xml, the same in FMI 2 and 3 -----------------------------
+SIGNAL_ICON = "signal"
+"""Base name of the picture of a terminal."""
+_KIND = "org.pam_ocp"
+_COLOUR = "51 68 85"
+
+
+def build_description(identifier: str) -> ET.Element:
+    """sources/buildDescription.xml: how to compile the sources. FMI 2.0.4 took it from FMI 3."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(
+        root,
+        "BuildConfiguration",
+        modelIdentifier=identifier,
+        description="one translation unit, C11, no library but the mathematical one",
+    )
+    files = ET.SubElement(configuration, "SourceFileSet", language="C11")
+    ET.SubElement(files, "SourceFile", name=MAIN_SOURCE)
+    return root
+
+
+def terminals(layout: Layout) -> ET.Element:
+    """terminalsAndIcons.xml: the icon, and one terminal for each part with inputs and outputs.
+
+    A terminal gathers the variables ``part.*`` (a muscle's command, force, ...), and one more the
+    inputs and outputs of the whole. They match as buses do: members of one name belong together,
+    so the terminal ``muscle1`` of a controller fits the terminal ``muscle1`` of a plant. Parts
+    stand on the right border of the icon, the whole on the left. FMI 2.0.4 took the file from
+    FMI 3.
+    """
+    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    drawing = ET.SubElement(root, "GraphicalRepresentation")
+    square = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
+    ET.SubElement(drawing, "CoordinateSystem", {**square, "suggestedScalingFactorTo_mm": "0.1"})
+    ET.SubElement(drawing, "Icon", square)
+    groups: dict[str, list[Entry]] = {}
+    for entry in layout.entries:
+        if entry.is_output or entry.role == "input":
+            groups.setdefault(entry.name.rpartition(".")[0] or layout.name, []).append(entry)
+    if not groups:
+        return root
+    parent = ET.SubElement(root, "Terminals")
+    parts = [name for name in groups if name != layout.name]
+    for name, members in groups.items():
+        part = name in parts
+        kind = name.rpartition(".")[2].rstrip("0123456789") if part else "model"
+        terminal = ET.SubElement(
+            parent, "Terminal", name=name, matchingRule="bus", terminalKind=f"{_KIND}.{kind}"
+        )
+        for entry in members:
+            ET.SubElement(
+                terminal,
+                "TerminalMemberVariable",
+                variableName=entry.name,
+                memberName=entry.name.rpartition(".")[2],
+                variableKind="signal",
+            )
+        height = 0.0
+        if part:
+            height = 100.0 - 200.0 * (parts.index(name) + 1) / (len(parts) + 1)
+        x = 100 if part else -100
+        place = {"x1": x - 10, "y1": height - 10, "x2": x + 10, "y2": height + 10}
+        ET.SubElement(
+            terminal,
+            "TerminalGraphicalRepresentation",
+            {
+                "defaultConnectionColor": _COLOUR,
+                "defaultConnectionStrokeSize": "1.0",
+                **{corner: f"{value:g}" for corner, value in place.items()},
+                "iconBaseName": SIGNAL_ICON,
+            },
+        )
+    return root
+
+
+# ---- fmi-ls-ref: which of the files are reference results ---------------------------------------
+
+
+def references(identifier: str) -> ET.Element:
+    """fmi-ls-manifest.xml of the layered standard FMI-LS-REF (1.0.0-alpha.1)."""
+    space = "fmi-ls:"
+    root = ET.Element(
+        "fmiReferences",
+        {
+            "xmlns:fmi-ls": "http://fmi-standard.org/fmi-ls-manifest",
+            f"{space}fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
+            f"{space}fmi-ls-version": "1.0.0-alpha.1",
+            f"{space}fmi-ls-description": "Layered Standard providing information on related "
+            "files included in an FMU.",
+        },
+    )
+    for type_, file, role, meaning in (
+        ("application/xml", "experiments.xml", "experiment/validation", "the reference motion"),
+        ("text/csv", f"../../documentation/{identifier}_in.csv", "other", "its inputs"),
+        ("text/csv", f"../../documentation/{identifier}_ref.csv", "result", "its outputs"),
+    ):
+        attributes = {"type": type_, "source": file, "role": role, "description": meaning}
+        ET.SubElement(root, "Related", attributes)
+    return root
+
+
+def experiments(
+    identifier: str, start: float, stop: float, step: float, tolerance: float
+) -> ET.Element:
+    """experiments.xml beside the manifest: stimuli and results of the reference motion."""
+    root = ET.Element("Experiments")
+    experiment = ET.SubElement(
+        root,
+        "Experiment",
+        name="reference",
+        description="the reference motion: inputs are joined by straight lines",
+        startTime=repr(start),
+        stopTime=repr(stop),
+        tolerance=repr(tolerance),
+        stepSize=repr(step),
+    )
+    for element, suffix in (("Stimuli", "in"), ("References", "ref")):
+        file = f"../../documentation/{identifier}_{suffix}.csv"
+        ET.SubElement(experiment, element, type="text/csv", source=file)
+    return root

@@ -28,7 +28,7 @@ from .compile import compile_library, native
 from .lanes import MAIN as LANES
 from .lanes import LaneCases, lane_sources, lanes_here
 from .runtime import c_text
-from .source import plant_code
+from .source import plant_code, work_of
 
 __all__ = ["MachinePlant", "machine_function", "machine_plant", "quick"]
 
@@ -239,10 +239,7 @@ def _sources(plant: Plant) -> dict[str, str]:
         "SOLVER_N": x.size1(),
         "NU": u.size1(),
         "NY": y.size1(),
-        "PLANT_ARG": max(f.sz_arg() for f in functions),
-        "PLANT_RES": max(f.sz_res() for f in functions),
-        "PLANT_IW": max(1, *(f.sz_iw() for f in functions)),
-        "PLANT_W": max(1, *(f.sz_w() for f in functions)),
+        **work_of("PLANT", functions),
     }
     data = "\n".join(f"#define {name} {value}" for name, value in defines.items())
     return {**_own(), "simulate_data.h": f"{data}\n", "plant.c": plant_code(functions)}

@@ -162,13 +162,7 @@ def block_sources(block: Block) -> source.ModelCode:
             f"block {block.name!r}: its step calls {found[0].strip()!r} in C, so that neither its "
             "memory nor its work is bounded; write it with loops of fixed length"
         )
-    work = {
-        "BLOCK_ARG": max(3, step.sz_arg()),
-        "BLOCK_RES": max(2, step.sz_res()),
-        "BLOCK_IW": max(1, step.sz_iw()),
-        "BLOCK_W": max(1, step.sz_w()),
-    }
-    return source.ModelCode({"plant.c": code}, work)
+    return source.ModelCode({"plant.c": code}, source.work_of("BLOCK", [step], (3, 2)))
 
 
 def block_data(layout: BlockLayout) -> dict[str, Any]:

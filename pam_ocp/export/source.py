@@ -25,6 +25,7 @@ __all__ = [
     "number",
     "plant_sources",
     "table",
+    "work_of",
 ]
 
 MAIN_SOURCE = "fmu.c"
@@ -105,13 +106,22 @@ def plant_functions(plant: Plant) -> list[ca.Function]:
 def plant_sources(plant: Plant) -> ModelCode:
     """The plant's own C code."""
     functions = plant_functions(plant)
-    work = {
-        "PLANT_ARG": max(f.sz_arg() for f in functions),
-        "PLANT_RES": max(f.sz_res() for f in functions),
-        "PLANT_IW": max(1, *(f.sz_iw() for f in functions)),
-        "PLANT_W": max(1, *(f.sz_w() for f in functions)),
+    return ModelCode({"plant.c": plant_code(functions)}, work_of("PLANT", functions))
+
+
+def work_of(
+    prefix: str, functions: Sequence[ca.Function], least: tuple[int, int] = (0, 0)
+) -> dict[str, int]:
+    """The work memory that one call of any of these functions takes, as C's defines.
+
+    least : of pointers to arguments and to results.
+    """
+    return {
+        f"{prefix}_ARG": max(least[0], *(f.sz_arg() for f in functions)),
+        f"{prefix}_RES": max(least[1], *(f.sz_res() for f in functions)),
+        f"{prefix}_IW": max(1, *(f.sz_iw() for f in functions)),
+        f"{prefix}_W": max(1, *(f.sz_w() for f in functions)),
     }
-    return ModelCode({"plant.c": plant_code(functions)}, work)
 
 
 def plant_code(functions: Sequence[ca.Function]) -> str:

@@ -13,7 +13,6 @@ from ..core.arguments import with_kinds
 from ..core.errors import require_names
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
-from ..core.variables import Variable
 
 __all__ = ["LoopVerdict", "judge_loop"]
 
@@ -138,7 +137,8 @@ def judge_loop(
     faults += told
     broken = _broken(motion, limits or {}, set(inputs))
     faults += [
-        f"{n} leaves its range by {_told(motion.variable(n), size)}" for n, size in broken.items()
+        f"{n} leaves its range by {motion.variable(n).shown(size, FIGURES)}"
+        for n, size in broken.items()
     ]
     if not broken:
         kept.append("limits kept")
@@ -194,8 +194,8 @@ def _missed(
             if stroke <= SMALLEST_STROKE * variable.nominal:
                 way, unit = variable.nominal, f"its nominal {variable.shown(variable.nominal)}"
             words[name] = (
-                f"{name} ends {_told(variable, error)} from its set point "
-                f"{_told(variable, goal[-1], 2 * FIGURES)} ({100 * error / way:.3g} % of {unit})"
+                f"{name} ends {variable.shown(error, FIGURES)} from its set point "
+                f"{variable.shown(goal[-1], 2 * FIGURES)} ({100 * error / way:.3g} % of {unit})"
                 f"{_manner(motion, name, motion[name] - goal, MISSED * stroke, behind)}"
             )
     return shares, words
@@ -212,7 +212,7 @@ def _manner(
     times = motion.t[second][wide][1:][np.diff(np.sign(around[wide])) != 0]
     if swing > allowed and len(times) >= TURNS:
         often = (len(times) - 1) / (2 * (times[-1] - times[0]))
-        told = f", swinging by {_told(motion.variable(name), swing)} at {often:.2g} Hz"
+        told = f", swinging by {motion.variable(name).shown(swing, FIGURES)} at {often:.2g} Hz"
         if behind:
             told += (
                 f", while the dead zone of {', '.join(behind)} is crossed behind a part that "
@@ -223,11 +223,6 @@ def _manner(
     if len(times) <= 1 and LITTLE * begin < end < begin / 2:
         return ", still on its way"
     return ""
-
-
-def _told(variable: Variable, value: float, figures: int = FIGURES) -> str:
-    """A value for people: rounded, and 0 where only arithmetic says otherwise."""
-    return variable.shown(value, figures)
 
 
 def _idle(

@@ -9,7 +9,6 @@ have brought about is what its surroundings bring about by themselves.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
@@ -25,7 +24,7 @@ from .asked import Limit, Point
 from .driven import Driven
 from .statement import TIME, Profile, subject
 
-__all__ = ["Rows", "begun", "rest_at", "rows_of"]
+__all__ = ["Row", "begun", "rest_at", "rows_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -47,20 +46,17 @@ SPEED = 10.0
 """Times its nominal in a second: the unit of a state's rate."""
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """What vanishes where positions rest: (label, expression, nominal, by inputs at once)."""
-
-    rows: tuple[tuple[str, ca.SX, float, bool], ...]
+Row: TypeAlias = "tuple[str, ca.SX, float, bool]"
+"""What vanishes where positions rest: (label, expression, nominal, by inputs at once)."""
 
 
-def rows_of(plant: Plant, points: Sequence[Point], names: Mapping[str, object]) -> Rows:
+def rows_of(plant: Plant, points: Sequence[Point], names: Mapping[str, object]) -> list[Row]:
     """Rate and acceleration of each position, but for what a stop says itself (``names``)."""
     named = _spoken(plant, points)
     positions = plant.resting(named)
     rates = plant.function(plant.x, plant.u, plant.p)[0]
     order = [v.name for v in plant.states]
-    found = []
+    found: list[Row] = []
     for position in positions:
         i = order.index(position.name)
         variable, rate = plant.states[i], rates[i]
@@ -82,7 +78,7 @@ def rows_of(plant: Plant, points: Sequence[Point], names: Mapping[str, object]) 
             rate = ca.jtimes(expression, plant.x, rates)
             row = (f"der({variable.name})", rate, SPEED * variable.nominal, _by_inputs(plant, rate))
             found.append(row)
-    return Rows(tuple(found))
+    return found
 
 
 def _spoken(plant: Plant, points: Sequence[Point]) -> list[str]:
@@ -100,19 +96,19 @@ def _by_inputs(plant: Plant, expression: ca.SX) -> bool:
 
 
 def rest_at(
-    run: Driven, point: Point, rows: Rows, limits: Sequence[Limit]
+    run: Driven, point: Point, rows: Sequence[Row], limits: Sequence[Limit]
 ) -> Iterator[tuple[str, float]]:
     """(what moves at a stop, by how much in nominals)."""
     plant, p = run.plant, run.plant.vector("parameter")
     label = f"{point.label}: {{}} at rest".format
-    direct = [row for row in rows.rows if not row[3]]
+    direct = [row for row in rows if not row[3]]
     if direct:
         every = ca.vertcat(*(e / nominal for _, e, nominal, _ in direct))
         function = ca.Function("moving", [plant.x, plant.u, plant.p], [every])
         for x, u, _ in run.sides(point.time):
             values = np.abs(np.asarray(function(x, u, p), float).ravel())
             yield from ((label(row[0]), float(v)) for row, v in zip(direct, values, strict=True))
-    jumping = [row for row in rows.rows if row[3]]
+    jumping = [row for row in rows if row[3]]
     if jumping:
         x, u, _ = run.sides(point.time)[-1]
         every = ca.vertcat(*(e / nominal for _, e, nominal, _ in jumping))

@@ -1,4 +1,5 @@
-"""Air on its way: places that hold it, streams between them, and what each stream carries.
+"""Air on its way: places that hold it, streams between them, what each stream carries, and the
+balance of the air in a muscle.
 
 Absolute pressures, as in :mod:`pam_ocp.muscles.gas`.
 """
@@ -13,9 +14,31 @@ import casadi as ca
 
 from ..core.system import Declares
 from ..muscles.dead_zone import smooth_step
-from ..muscles.gas import LAMINAR_RATIO, iso6358
+from ..muscles.gas import (
+    HEAT_CAPACITY,
+    LAMINAR_RATIO,
+    Chamber,
+    Gas,
+    air_mass,
+    energy_balance,
+    iso6358,
+)
+from ..muscles.heat import Rubber
 
-__all__ = ["Air", "Place", "Stream", "between", "boundless", "holding", "through"]
+__all__ = [
+    "Air",
+    "Place",
+    "Stream",
+    "Warmth",
+    "air_temperature",
+    "balance",
+    "between",
+    "boundless",
+    "declaring",
+    "holding",
+    "show",
+    "through",
+]
 
 ROUNDING = 1e-5
 """Flows in tubes [kg/s] below this carry air of both temperatures: some 1 % of a usual flow."""
@@ -106,3 +129,124 @@ def _upwind(one: Place, two: Place, flow: Any) -> ca.SX:
         return here
     mixed = there + smooth_step((flow + 1) / 2) * (here - there)
     return ca.SX(ca.fmax(mixed, COLDEST))
+
+
+LEAST_TEMPERATURE, LARGEST_TEMPERATURE = 150.0, 700.0
+"""Bounds of temperatures [K]: adiabatic venting and filling stay within."""
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """What a warm wall does; see :class:`pam_ocp.plants.valves.Filling`."""
+
+    stiffening: ca.SX | None = None
+    warm: Callable[[Any], None] | None = None
+
+
+def _temperature_state(plant: Declares, name: str, start: float, words: str) -> ca.SX:
+    return plant.state(
+        name,
+        unit="K",
+        min=LEAST_TEMPERATURE,
+        max=LARGEST_TEMPERATURE,
+        start=start,
+        nominal=30.0,
+        memory="settling",
+        description=words,
+    )
+
+
+def air_temperature(plant: Declares, name: str, gas: Gas, chamber: Chamber) -> ca.SX:
+    """Of the air in the muscle: a state where the gas has heat, else that of the surroundings."""
+    if gas.heat is None:
+        return chamber.temperature
+    words = f"temperature of the air in {name}"
+    return _temperature_state(plant, f"{name}.temperature", gas.temperature, words)
+
+
+def balance(
+    plant: Declares,
+    name: str,
+    gas: Gas,
+    chamber: Chamber,
+    pressure: ca.SX,
+    air: Air,
+    net: Stream,
+    rate: ca.SX,
+    declare: Callable[..., Any],
+) -> Warmth:
+    """State the equations of the air in a muscle; pressure : its state, gauge.
+    rate = dkappa/dt [1/s].
+    """
+    if gas.heat is None:
+        plant.der(pressure, chamber.pressure_rate(air.absolute, net.mass, rate))
+        return Warmth()
+    h = gas.heat.coefficient(air.absolute, air.temperature, declare)
+    wall, warmth = chamber.temperature, Warmth()
+    if gas.rubber is not None:
+        wall = _temperature_state(
+            plant, f"{name}.rubber_temperature", gas.temperature, f"temperature of {name} itself"
+        )
+    heat = h * chamber.area * (wall - air.temperature)
+    if gas.rubber is not None:
+        warmth = _rubber(plant, gas.rubber, wall, -heat, chamber, declare)
+    growing = chamber.slope * rate
+    rates = energy_balance(
+        air.absolute, air.temperature, chamber.volume, growing, net.mass, net.carried, heat
+    )
+    plant.der(pressure, rates[0])
+    plant.der(air.temperature, rates[1])
+    mass = air_mass(air.absolute, chamber.volume, air.temperature)
+    show(
+        plant,
+        name,
+        ("air_mass", mass, "kg", 1e-3, "air in the muscle"),
+        ("enthalpy_flow", HEAT_CAPACITY * net.carried, "W", 100.0, "enthalpy into the muscle"),
+        ("heat_flow", heat, "W", 10.0, "heat from the wall into the air"),
+    )
+    return warmth
+
+
+def declaring(plant: Declares, prefix: str, whose: str) -> Callable[..., Any]:
+    """What declares parameters ``<prefix>.<key>``, described by its key unless by other words."""
+
+    def declare(key: str, value: float, **attributes: Any) -> ca.SX:
+        words = attributes.pop("description", key.replace("_", " "))
+        return plant.parameter(
+            f"{prefix}.{key}", value, description=f"{words} {whose}", **attributes
+        )
+
+    return declare
+
+
+def show(plant: Declares, name: str, *shown: tuple[str, ca.SX, str, float, str]) -> None:
+    """Declare outputs ``<name>.<key>``: (key, value, unit, nominal, words) of each."""
+    for key, value, unit, nominal, words in shown:
+        plant.output(
+            f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
+        )
+
+
+def _rubber(
+    plant: Declares,
+    rubber: Rubber,
+    temperature: ca.SX,
+    heat: ca.SX,
+    chamber: Chamber,
+    declare: Callable[..., Any],
+) -> Warmth:
+    """The wall's own temperature, and its effect."""
+    capacity, outward, stiffening, reference, share = (
+        declare(f"rubber_{key}", value, **attributes)
+        for key, value, attributes in (
+            ("capacity", rubber.capacity, {"unit": "J/K", "min": 1e-6, "nominal": 100.0}),
+            ("outward", rubber.outward, {"unit": "W/K", "min": 0.0}),
+            ("stiffening", rubber.stiffening, {"unit": "1/K", "nominal": 1e-3}),
+            ("reference", rubber.reference, {"unit": "K", "min": 1.0, "nominal": 300.0}),
+            ("warming", rubber.warming, {"min": 0.0}),
+        )
+    )
+    lost, warm = plant.gathered()
+    cooling = outward * (temperature - chamber.temperature)
+    plant.der(temperature, (heat - cooling + share * lost) / capacity)
+    return Warmth(stiffening * (temperature - reference), warm)

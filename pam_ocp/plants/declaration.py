@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -18,14 +20,61 @@ from ..muscles.dead_zone import dead_zone, dead_zone_inverse
 from ..muscles.pneumatic_muscle import Muscle
 from .damping import Loss
 from .dead_time import DeadTime, DelayLine, as_dead_time, delay_line
-from .equations import CHANGEABLE, DEFINED, Equations
 from .feeds import AttachedMuscle, Feed, attach
 from .opening import Asked, FlowPath, Lead, Opening, checked_commands, flow_path, path_of
 from .sensors import Sensor, as_sensor
 
-__all__ = ["Declaration"]
+__all__ = [
+    "CHANGEABLE",
+    "DEFINED",
+    "Declaration",
+    "Equations",
+]
 
 Part = TypeVar("Part")
+
+
+# in the order of the plant's function: arguments, and results (a state's is its derivative)
+CHANGEABLE: tuple[Causality, ...] = ("state", "input", "parameter")
+DEFINED: tuple[Causality, ...] = ("state", "output", "constraint")
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Expressions and functions of a finished plant: x' = xdot(x, u, p), y and c alike.
+
+    All copies of a plant share one; ``c`` are its path constraints.
+    """
+
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+    xdot: ca.SX
+    y: ca.SX
+    c: ca.SX
+    built: OrderedDict[Any, Any] = field(default_factory=OrderedDict)
+    """What verbs have built from these expressions, the latest last."""
+
+    @cached_property
+    def function(self) -> ca.Function:
+        return ca.Function(
+            "plant",
+            [self.x, self.u, self.p],
+            [self.xdot, self.y, self.c],
+            ["x", "u", "p"],
+            ["xdot", "y", "c"],
+        )
+
+    @cached_property
+    def jacobians(self) -> ca.Function:
+        blocks = [ca.jacobian(e, z) for e in (self.xdot, self.y) for z in (self.x, self.u)]
+        return ca.Function(
+            "jacobians",
+            [self.x, self.u, self.p],
+            [ca.densify(b) for b in blocks],
+            ["x", "u", "p"],
+            ["A", "B", "C", "D"],
+        )
 
 
 @locked
@@ -66,8 +115,8 @@ class Declaration:
     def der(self, state: ca.SX, derivative: Any) -> None:
         """State the equation d(state)/dt = derivative."""
         self._open()
-        name = next((n for n, s in self._symbols.items() if s is state), None)
-        if name is None or self._variables[name].causality != "state":
+        name = self._name_of(state)
+        if self._symbols.get(name) is not state or self._variables[name].causality != "state":
             raise InputError(f"der({state}): the first argument must be the symbol of a state")
         if name in self._expressions:
             raise InputError(f"der({name}) is given twice")
@@ -114,7 +163,7 @@ class Declaration:
             return self._opening_behind(
                 name, commands[0], forward, inverse, paths, lead, asked, attributes
             )
-        names = [next((n for n, s in self._symbols.items() if s is c), str(c)) for c in commands]
+        names = [self._name_of(c) for c in commands]
         variable = self._as_opening(name, names, attributes)
         symbol = ca.SX.sym(name)
         opening = Opening(variable, symbol, tuple(names), forward, tuple(inverse(symbol)))
@@ -146,7 +195,7 @@ class Declaration:
 
         In openings the same states move without a dead zone behind them and without play.
         """
-        of = next((n for n, s in self._symbols.items() if s is command), str(command))
+        of = self._name_of(command)
         variable = self._as_opening(name, [of], attributes)
         entry = command if asked is None else asked.symbol
         symbol = ca.SX.sym(name)
@@ -184,7 +233,7 @@ class Declaration:
             of :meth:`opening`.
         """
         behind, command = self._followed(command)
-        name_of = next((n for n, s in self._symbols.items() if s is command), str(command))
+        name_of = self._name_of(command)
         checked_commands("dead_zone", [name_of], self._variables)
         variable, effect = self._variables[name_of], dead_zone(command, ca.SX(width))
         known = [v for v in self._variables.values() if v.causality == "parameter"]
@@ -210,10 +259,9 @@ class Declaration:
 
     def _followed(self, command: ca.SX) -> tuple[ca.SX | None, ca.SX]:
         """(None, the symbol of an input), or (a position, the input that it follows)."""
-        if any(s is command for n, s in self._symbols.items()):
-            name = next(n for n, s in self._symbols.items() if s is command)
-            if self._variables[name].causality == "input":
-                return None, command
+        own = self._name_of(command)
+        if self._symbols.get(own) is command and self._variables[own].causality == "input":
+            return None, command
         seen, found = set[str](), list(ca.symvar(ca.SX(command)))
         for s in found:  # which grows as it is gone through
             if s.name() not in seen:
@@ -271,7 +319,7 @@ class Declaration:
         command : the symbol of an input. dead_time : a DeadTime, or its time [s]. name : of what is
         declared for it (``<name>.dead_time``, ``<name>.delay1``, ...); by default the input's.
         """
-        of = next((n for n, s in self._symbols.items() if s is command), str(command))
+        of = self._name_of(command)
         line = as_dead_time(dead_time)
         if line is None or of not in self._variables or self._variables[of].causality != "input":
             raise InputError(
@@ -350,6 +398,10 @@ class Declaration:
             feed=feed,
             losses=losses,
         )
+
+    def _name_of(self, symbol: Any) -> str:
+        """What a symbol was declared as; its text where it was not."""
+        return next((n for n, s in self._symbols.items() if s is symbol), str(symbol))
 
     def _open(self) -> None:
         if self._system is not None:

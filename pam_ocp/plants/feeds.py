@@ -14,20 +14,26 @@ from ..core.stop import turns
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
+from .airflow import show
 from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
 from .dead_time import DeadTime
 from .kinds import FEEDS
 from .pair_regulator import PairRegulator
-from .quick_exhaust import QuickExhaust
-from .receiver import Receiver
+from .receiver import Compressor, PressureRegulator, Receiver
 from .regulator import Regulator, in_si, pressure_attributes
 from .servo_valve import ServoValve
-from .sources import Compressor, PressureRegulator
 from .spools import FirstOrderSpool, SecondOrderSpool
-from .tubes import LumpedTube, Tube
-from .valve_catalogue import valve, valve_names
-from .valves import EXERGY_FLOOR, Filling, GasFeed, OnOffValves, SpoolValve
+from .tubes import LumpedTube, QuickExhaust, Tube
+from .valves import (
+    EXERGY_FLOOR,
+    Filling,
+    GasFeed,
+    OnOffValves,
+    SpoolValve,
+    valve,
+    valve_names,
+)
 
 __all__ = [
     "AttachedMuscle",
@@ -87,14 +93,7 @@ def _meter_work(
             nominal=0.1,
             description=f"mass of {name} itself",
         )
-        for key, value, unit, words in per_mass:
-            plant.output(
-                f"{name}.{key}",
-                value / own,
-                unit=unit,
-                nominal=100.0,
-                description=f"{words} ({name})",
-            )
+        show(plant, name, *((k, value / own, unit, 100.0, w) for k, value, unit, w in per_mass))
     return work
 
 

@@ -18,10 +18,10 @@ from .feeds import Feed
 from .hanging import GRAVITY
 from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied, as_loads
-from .pair import mirrored_pair, reach
 from .pair_regulator import feeds_of_pair
 from .plant import Plant
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box
+from .slide import mirrored_pair, reach
 
 __all__ = ["AntagonisticJoint", "MomentArm"]
 

@@ -20,6 +20,7 @@ from ..muscles.gas import ConsistentVolume, air_mass
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_muscle
 from .damping import Loss
+from .declaration import CHANGEABLE
 from .feeds import AttachedMuscle, Feed
 from .loads import Coordinate, Damper, DryFriction, Load, Spring, Wall, applied, as_loads
 from .plant import Plant
@@ -406,11 +407,9 @@ class Limb(Plant):
             ca.SX.sym("acceleration", len(self.joints)),
             ca.SX.sym("pressure", len(self.muscles)),
         ]
-        columns = [ca.vertcat(*(self._symbols[v.name] for v in self._of(c))) for c in _CHANGEABLE]
+        columns = [self._column(self._symbols, c) for c in CHANGEABLE]
         self._anatomy = dict(zip(names, function.call([*columns, *self._arguments]), strict=True))
 
-
-_CHANGEABLE: tuple[Any, ...] = ("state", "input", "parameter")
 
 limb = Limb
 """The short name: ``pam.plants.limb("arm.urdf", muscles)``."""

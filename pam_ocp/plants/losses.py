@@ -11,10 +11,8 @@ from .damping import (
     StiffnessDamping,
 )
 from .force_velocity import ForceVelocity
-from .load_creep import LoadCreep
-from .memory import BoucWen, Creep, MaxwellSlip
-from .play import SlipElements
-from .prandtl_ishlinskii import PrandtlIshlinskii
+from .memory import BoucWen, Creep, LoadCreep, MaxwellSlip
+from .prandtl_ishlinskii import PrandtlIshlinskii, SlipElements
 from .softening import Preconditioning
 from .strand_friction import StrandFriction
 

@@ -15,6 +15,7 @@ from ..muscles.pneumatic_muscle import Muscle
 from .damping import Damping, Loss
 from .hanging import HangingLoad
 from .kinds import FEEDS, PLANTS
+from .regulator import pressure_attributes
 
 __all__ = ["PositionFeedback", "RegulatedLoad"]
 
@@ -72,23 +73,16 @@ class PositionFeedback:
         self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         """Declare the loop; return the gauge pressure [Pa]."""
-        top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
+        attributes = pressure_attributes(muscle, self.max_pressure)
+        top = attributes["max"]
         pressure = plant.state(
             f"{name}.pressure",
-            unit="Pa",
-            min=0.0,
-            max=top,
-            start=top / 2,
-            nominal=1e5,
+            **attributes,
             description=f"gauge pressure in {name}",
         )
         middle = plant.input(
             f"{name}.set_pressure",
-            unit="Pa",
-            min=0.0,
-            max=top,
-            start=top / 2,
-            nominal=1e5,
+            **attributes,
             description=f"commanded gauge pressure of {name} at its reference",
         )
         reference = plant.input(

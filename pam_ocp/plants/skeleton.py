@@ -10,7 +10,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, UnknownNameError
-from ..core.lazy import load
+from ..core.lazy import library
 
 __all__ = ["Joint", "Link", "Skeleton", "found_file", "read_skeleton"]
 
@@ -277,12 +277,7 @@ def _unit(name: str, axis: Array) -> Array:
 
 
 def _adam() -> Any:
-    try:
-        return load("adam.casadi")
-    except ImportError:
-        raise InputError(
-            "a limb needs adam-robotics, which is not installed: pip install 'pam_ocp[limbs]'"
-        ) from None
+    return library("adam.casadi", "limbs", "a limb", "adam-robotics")
 
 
 def found_file(path: str | os.PathLike[str]) -> Path:
@@ -433,13 +428,7 @@ def _origin(element: ET.Element) -> tuple[Array, Array]:
 # ---- MJCF --------------------------------------------------------------------------------------
 def _of_mjcf(file: Path) -> tuple[str, list[Link], list[Joint], Array]:
     """Bodies as MuJoCo's compiler has them; where one has several joints, links between them."""
-    try:
-        mujoco = load("mujoco")
-    except ImportError:
-        raise InputError(
-            "a limb of an MJCF file needs mujoco, which is not installed: pip install "
-            "'pam_ocp[mujoco]'"
-        ) from None
+    mujoco = library("mujoco", "mujoco", "a limb of an MJCF file")
     try:
         model = mujoco.MjModel.from_xml_path(str(file))
     except ValueError as error:
@@ -475,13 +464,9 @@ def _of_mjcf(file: Path) -> tuple[str, list[Link], list[Joint], Array]:
             child = links[-1].name if last else f"{links[-1].name}.{joint.name}"
             if not last:
                 links.insert(-1, Link(child, *pose))
-            joints.append(_joined(joint, parent, child))
+            joints.append(replace(joint, parent=parent, child=child))
             parent = child
     return str(model.names.split(b"\0")[0].decode()), links, joints, model.opt.gravity.copy()
-
-
-def _joined(joint: Joint, parent: str, child: str) -> Joint:
-    return Joint(**{**vars(joint), "parent": parent, "child": child})
 
 
 def _mjcf_joint(mujoco: Any, model: Any, data: Any, k: int) -> Joint:

@@ -12,12 +12,15 @@ from .damping import ConstantDamping, Damping, Loss
 from .feeds import Feed
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied, as_loads
-from .pair import mirrored_pair, reach
-from .pair_regulator import feeds_of_pair
+from .pair_regulator import COMMAND, feeds_of_pair
 from .plant import Plant
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
-__all__ = ["AntagonisticSlide"]
+__all__ = [
+    "AntagonisticSlide",
+    "mirrored_pair",
+    "reach",
+]
 
 
 @PLANTS.register(units={"mass": "kg", "pre_contraction": "1", "stroke": "m"})
@@ -148,3 +151,29 @@ class AntagonisticSlide(Plant):
             (-3.6 * half, 2.4 * half),
             (Mark("x", [(x, -1.35 * half), (x, -2.2 * half)], "below"),),
         )
+
+
+def reach(muscle: Muscle, pre_contraction: float) -> float:
+    """How far [m] a muscle may shorten or lengthen before it leaves its range of contraction."""
+    low, high = muscle.contraction_range
+    if not low < pre_contraction < high:
+        raise InputError(
+            f"pre_contraction = {pre_contraction:g} is outside the muscle's range of contraction "
+            f"{low:g} .. {high:g}: a muscle would be slack or overstretched in the middle"
+            + meant_within(pre_contraction, "1", low, high)
+        )
+    return min(pre_contraction - low, high - pre_contraction) * float(muscle.rest_length)
+
+
+def mirrored_pair(plant: Plant) -> dict[str, tuple[float, str]]:
+    """Each state and input of muscle1 mapped to that of muscle2, and back; a command that both
+    share to its negative.
+    """
+    swapped = {}
+    for variable in (*plant.states, *plant.inputs):
+        if variable.name.partition(".")[0] == COMMAND:
+            swapped[variable.name] = (-1.0, variable.name)
+        for one, two in (("muscle1.", "muscle2."), ("muscle2.", "muscle1.")):
+            if variable.name.startswith(one):
+                swapped[variable.name] = (1.0, two + variable.name.removeprefix(one))
+    return swapped

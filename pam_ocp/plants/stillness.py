@@ -324,20 +324,21 @@ def _rest_rows(plant: System, positions: tuple[Position, ...]) -> list[tuple[Pos
     return sorted((rows[i] for i in kept), key=lambda row: (order[row[0].name], row[1]))
 
 
-def _structure(plant: System) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:
-    """(states, what each rate depends on: states, inputs that are chosen)."""
-    found = plant.cached("what rates depend on", lambda: _dependencies(plant))
-    names, a, b = found
-    return list(names), a.copy(), b.copy()
+def _structure(plant: System) -> tuple[list[str], Pattern, Pattern]:
+    """(states, what each rate depends on: states, inputs that are chosen); not to be changed."""
 
+    def build() -> tuple[list[str], Pattern, Pattern]:
+        xdot = plant.function(plant.x, plant.u, plant.p)[0]
+        a, b = (
+            np.array(ca.DM(ca.jacobian(xdot, z).sparsity(), 1)).astype(bool)
+            for z in (plant.x, plant.u)
+        )
+        chosen = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+        names = [v.name for v in plant.states]
+        return names, a, b.reshape(len(names), len(plant.inputs))[:, chosen]
 
-def _dependencies(plant: System) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:
-    names = [v.name for v in plant.states]
-    xdot = plant.function(plant.x, plant.u, plant.p)[0]
-    a = np.array(ca.DM(ca.jacobian(xdot, plant.x).sparsity(), 1)).astype(bool)
-    chosen = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
-    b = np.array(ca.DM(ca.jacobian(xdot, plant.u).sparsity(), 1)).astype(bool)
-    return names, a, b.reshape(len(names), len(plant.inputs))[:, chosen]
+    found: tuple[list[str], Pattern, Pattern] = plant.cached("what rates depend on", build)
+    return found
 
 
 def totals(plant: System) -> tuple[str, ...]:

@@ -2,29 +2,62 @@
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cache
+from importlib.resources import files
+from typing import Any, cast
 
 import casadi as ca
 
-from ..core.errors import InputError, require_finite, require_instance, require_positive
+from ..core.errors import (
+    InputError,
+    UnknownNameError,
+    require_finite,
+    require_instance,
+    require_positive,
+)
+from ..core.stop import verb
 from ..core.system import Declares
 from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse
 from ..muscles.gas import Chamber, Gas, conductance_from_flow, specific_exergy
 from ..muscles.pneumatic_muscle import Muscle
-from .airflow import Air, Place, Stream, boundless, holding, through
+from .airflow import (
+    Air,
+    Place,
+    Stream,
+    air_temperature,
+    balance,
+    boundless,
+    declaring,
+    holding,
+    show,
+    through,
+)
 from .components import component
-from .contents import air_temperature, balance
 from .kinds import FEEDS
 from .opening import WAYS
-from .quick_exhaust import QuickExhaust
 from .receiver import Supply
-from .spools import Spool
-from .tubes import Around, Tube, TubeComponent
+from .spools import FirstOrderSpool, Spool
+from .tubes import Around, QuickExhaust, Tube, TubeComponent
 
-__all__ = ["Filling", "GasFeed", "OnOffValves", "SpoolValve", "Tube"]
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
+
+__all__ = [
+    "Filling",
+    "GasFeed",
+    "OnOffValves",
+    "SpoolValve",
+    "Tube",
+    "valve",
+    "valve_entry",
+    "valve_names",
+]
 
 LOWEST_PRESSURE = -2e4
 """Lower bound of a gas pressure [Pa gauge]: below ambient the membrane collapses."""
@@ -137,11 +170,7 @@ class GasFeed(ABC):
     ) -> Filling:
         """Declare states, inputs and parameters of the gas; give its expressions."""
 
-        def declare(key: str, value: float, **attributes: Any) -> ca.SX:
-            words = attributes.pop("description", key.replace("_", " "))
-            return plant.parameter(
-                f"{name}.gas.{key}", value, description=f"{words} ({name})", **attributes
-            )
+        declare = declaring(plant, f"{name}.gas", f"({name})")
 
         def pressure_state(state: str) -> ca.SX:
             return self._pressure_state(plant, name, muscle, state)
@@ -171,7 +200,7 @@ class GasFeed(ABC):
         ]
         if self.gas.heat is not None:
             shown.append(("vent_flow", vented.mass, "kg/s", 1e-3, "air to the surroundings"))
-        _outputs(plant, name, shown)
+        show(plant, name, *shown)
         each = specific
         if each is None:
             air, t0 = source.air, chamber.temperature
@@ -208,7 +237,7 @@ class GasFeed(ABC):
                 plant.der(exergy, air.exergy_flow)
             share = work / ca.sqrt(exergy**2 + EXERGY_FLOOR**2)
             meters.append(("efficiency", share, "1", 1.0, "work per exergy drawn"))
-        _outputs(plant, name, meters)
+        show(plant, name, *meters)
 
     # ---- parts ------------------------------------------------------------------------------
     def _pressure_state(self, plant: Declares, name: str, muscle: Muscle, state: str) -> ca.SX:
@@ -286,15 +315,6 @@ class GasFeed(ABC):
         vented = through(port, outside, outlet, b, venting)
         leaked = through(muscle, outside, leak, b)
         return drawn, Stream(vented.mass + leaked.mass, vented.carried + leaked.carried)
-
-
-def _outputs(
-    plant: Declares, name: str, shown: Sequence[tuple[str, ca.SX, str, float, str]]
-) -> None:
-    for key, value, unit, nominal, words in shown:
-        plant.output(
-            f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
-        )
 
 
 @FEEDS.register(units=GAS_UNITS)
@@ -454,3 +474,58 @@ class OnOffValves(GasFeed):
             **_opening(name),
         )
         return filling, venting
+
+
+# ---- the catalogue, from valves.toml, each with its source ---------------------------------------
+_TAKEN = ("conductance", "exhaust_conductance", "critical_ratio")
+
+
+@cache
+def _catalogue() -> dict[str, dict[str, Any]]:
+    text = files(__package__).joinpath("valves.toml").read_text("utf-8")
+    return cast(dict[str, dict[str, Any]], tomllib.loads(text))
+
+
+def valve_names() -> list[str]:
+    """The names that :func:`valve` knows.
+
+    Examples
+    --------
+    >>> len(pam.feeds.valve_names()) > 2
+    True
+    """
+    return list(_catalogue())
+
+
+def valve_entry(name: str) -> dict[str, Any]:
+    """What the catalogue says of a valve: figures, ``source``, ``how_sure``.
+
+    Raises UnknownNameError with the nearest names.
+    """
+    if name not in _catalogue():
+        raise UnknownNameError("valve", name, valve_names())
+    return dict(_catalogue()[name])
+
+
+@verb
+def valve(name: str, **arguments: Any) -> GasFeed:
+    """The feed of a valve of the catalogue, a ``SpoolValve`` or ``OnOffValves``.
+
+    arguments : of the feed besides, such as ``supply=5e5``, ``tube=...``; they go before the
+        catalogue's. See :func:`valve_entry` for the source, and what it does not know.
+
+    Raises UnknownNameError with the nearest names.
+
+    Examples
+    --------
+    >>> feed = pam.feeds.valve(pam.feeds.valve_names()[0], supply=5e5)
+    >>> feed.supply
+    500000.0
+    """
+    entry = valve_entry(name)
+    known = {key: entry[key] for key in _TAKEN if key in entry}
+    if "nominal_flow" in entry:
+        known["conductance"] = conductance_from_flow(entry["nominal_flow"])
+    if "spool_time" in entry:
+        known["spool"] = FirstOrderSpool(entry["spool_time"])
+    return cast(GasFeed, FEEDS[entry["feed"]](**{**known, **arguments}))

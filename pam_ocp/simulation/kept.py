@@ -24,7 +24,7 @@ from ..core.errors import InputError, UnknownNameError, require_positive
 from ..core.progress import Bar, working
 from ..core.shown import shown
 from ..core.stores import Folder, Store, folder_of, write_bytes
-from ..core.tasks import Task
+from ..core.workers import Task
 from .batches import BATCH, Batch, Case, Numbers, Rows, batches
 from .reducers import Reduction
 from .statistics import SobolCases, SobolIndices, Statistic

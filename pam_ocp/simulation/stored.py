@@ -28,9 +28,9 @@ from ..core.files import json_of, read_json, reading, require_format, spelled, w
 from ..core.progress import working
 from ..core.shown import shown
 from ..core.stores import Folder, Remote, folder_of, opened, write_bytes
-from ..core.tasks import Task, split
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
+from ..core.workers import Task, split
 from .batches import Case, Result, Simulation
 
 if TYPE_CHECKING:

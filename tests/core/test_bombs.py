@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.core import files, foreign, hdf5
+from pam_ocp.core import files, foreign
 from pam_ocp.core.files import json_of, members_of, most_unpacked, read_npz, write_json, write_npz
 from pam_ocp.core.foreign import read_hdf5, read_mat
 from pam_ocp.export.archive import require_safe
@@ -243,7 +243,7 @@ def test_texts_of_any_length_are_read_as_they_are(tmp_path, h5py):
 
 @pytest.mark.parametrize("what", ["letters", "references"])
 def test_very_many_texts_or_cells_are_not_made(tmp_path, h5py, monkeypatch, what):
-    monkeypatch.setattr(hdf5, "MOST_ENTRIES", 1000)
+    monkeypatch.setattr(foreign, "MOST_ENTRIES", 1000)
     path = tmp_path / "a.h5"
     kind = "S1" if what == "letters" else h5py.ref_dtype
     with h5py.File(path, "w") as file:

@@ -348,7 +348,6 @@ def test_per_mass_and_efficiency_come_with_every_feed() -> None:
         (lambda: pam.compare_laws(None), "table is None"),
         (lambda: pam.read_records([]), "sources is empty"),
         (lambda: pam.Variable("a", "foo"), "causality = 'foo'"),
-        (lambda: pam.losses.Creep(-1), r"Creep\.stiffness = -1 N must be >= 0"),
         (lambda: pam.losses.MaxwellSlip((1.0, 2.0), 0.01), "2 of friction and 1 of yield"),
         (
             lambda: pam.closed_loop(

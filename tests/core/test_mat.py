@@ -81,15 +81,6 @@ def test_cells_within_cells_are_read_to_a_depth_and_no_further(tmp_path):
         matrices_of((tmp_path / "a.mat").read_bytes(), 10**7)
 
 
-def test_more_entries_than_allowed_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("pam_ocp.core.foreign.MOST_ENTRIES", 50)
-    cells = np.empty((10, 10), object)
-    cells.fill(np.array([[1.0]]))
-    savemat(tmp_path / "a.mat", {"cells": cells})
-    with pytest.raises(ValueError, match="more than 50 entries"):
-        matrices_of((tmp_path / "a.mat").read_bytes(), 10**7)
-
-
 def test_other_versions_are_refused():
     with pytest.raises(InputError, match="no MAT file of version 5"):
         matrices_of(b"MATLAB 7.3 MAT-file".ljust(128), 10**7)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.export.worlds.formulas import identifiers
-from pam_ocp.export.worlds.modelica import RESERVED
+from pam_ocp.export.worlds.modelica import RESERVED, identifiers
 
 MUSCLE = "DMSP-20-300"
 REST, PRE = 0.3, 0.1

@@ -28,7 +28,7 @@ from pam_ocp.plants.feeds import (
     valve_names,
 )
 from pam_ocp.plants.plant_file import plant_of
-from pam_ocp.plants.valve_catalogue import valve_entry
+from pam_ocp.plants.valves import valve_entry
 
 R, T0, RHO0, P0, G = 287.05, 293.15, 1.185, 101325.0, 1.4
 CV = R / (G - 1)

@@ -84,17 +84,12 @@ def _scalar(function: ca.Function, what: str, cse: bool) -> ca.Function:
     shapes = [function.size_in(i) for i in range(function.n_in())]
     shaped = [ca.reshape(s, *shape) for s, shape in zip(symbols, shapes, strict=True)]
     try:
-        results = (
-            function.call(shaped) if function.is_a("SXFunction") else _expanded(function, shaped)
-        )
+        scalar = function if function.is_a("SXFunction") else function.expand()
+        results = scalar.call(shaped)
     except RuntimeError as error:  # of CasADi
         raise _refusal(what, _reason(error)) from None
     dense = [ca.vec(ca.densify(r)) for r in results]
     return written_out(ca.Function(function.name(), symbols, ca.cse(dense) if cse else dense))
-
-
-def _expanded(function: ca.Function, arguments: Sequence[ca.SX]) -> list[ca.SX]:
-    return list(function.expand().call(list(arguments)))
 
 
 def _reason(error: RuntimeError) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.block import Block
 from ...core.errors import InputError, require_count, require_positive
+from ...core.lazy import library
 from ...core.stop import verb
 from ...numerics import rodas
 from ...numerics.elementwise import array_table
@@ -19,7 +20,7 @@ from ...plants.plant import Plant, require_plant
 from ..sampled import as_block
 from .instructions import Instructions
 from .registry import WORLDS
-from .signature import Signature, block_program, library, plant_programs, signature
+from .signature import Signature, block_program, plant_programs, signature
 
 __all__ = ["JaxBlock", "JaxPlant", "JaxStepper", "jax_plant", "to_jax"]
 

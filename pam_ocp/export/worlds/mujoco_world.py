@@ -20,6 +20,7 @@ import numpy as np
 
 from ...core.atomic import atomic_path
 from ...core.errors import InputError, UnknownNameError, kind_of, require_finite, require_positive
+from ...core.lazy import library
 from ...core.stop import verb
 from ...muscles.pneumatic_muscle import Muscle
 from ...numerics.buffered import Buffered
@@ -30,7 +31,6 @@ from ...plants.feeds import Feed
 from ...plants.limbs import Limb
 from ...plants.plant import Plant
 from .registry import ENDINGS, WORLDS
-from .signature import library
 
 __all__ = ["MujocoMuscle", "MujocoMuscles", "export_mjcf", "mujoco_limb", "to_mujoco"]
 

@@ -13,12 +13,13 @@ from ... import __version__
 from ...core.atomic import atomic_path
 from ...core.block import Block
 from ...core.errors import ExportError, InputError
+from ...core.lazy import library
 from ...core.stop import verb
 from ...plants.plant import Plant, require_plant
 from ..sampled import as_block
 from .instructions import Instructions, Table
 from .registry import ENDINGS, WORLDS
-from .signature import Signature, block_program, library, plant_programs, signature
+from .signature import Signature, block_program, plant_programs, signature
 
 __all__ = ["to_onnx"]
 

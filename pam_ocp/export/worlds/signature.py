@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError
-from ...core.lazy import library
 from ...core.variables import Variable
 from ...plants.plant import Plant
 from .instructions import Instructions, instructions
 
-__all__ = ["Signature", "block_program", "library", "plant_programs", "signature"]
+__all__ = ["Signature", "block_program", "plant_programs", "signature"]
 
 
 @dataclass(frozen=True)

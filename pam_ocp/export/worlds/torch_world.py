@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 from ...core.block import Block
 from ...core.errors import require_count, require_positive
+from ...core.lazy import library
 from ...core.stop import verb
 from ...numerics.elementwise import array_table
 from ...numerics.runge_kutta import rk4
@@ -14,7 +15,7 @@ from ...plants.plant import Plant, require_plant
 from ..sampled import as_block
 from .instructions import Instructions
 from .registry import WORLDS
-from .signature import Signature, block_program, library, plant_programs, signature
+from .signature import Signature, block_program, plant_programs, signature
 
 __all__ = ["to_torch"]
 

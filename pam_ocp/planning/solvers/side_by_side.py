@@ -31,7 +31,7 @@ from ...core.cases import Place, ending
 from ...core.errors import PlanError
 from ...core.executors import placed
 from ...core.stop import TimeIsUp, check
-from ...core.tasks import processors
+from ...core.workers import processors
 from ...numerics.blas import environment
 from ...numerics.solvers import nlpsol
 from ..stages import written
