@@ -133,18 +133,16 @@ def ticks(ax: Axes, sizes: list[int]) -> None:
 
 def table(result: dict[str, Any]) -> str:
     """What is wanted beside what was measured; of curves only the points that have a goal."""
-    from run import WANTED, reached
+    from run import WANTED, goal, reached
 
     lines: list[tuple[str, ...]] = []
     for name, figure in result["figures"].items():
         if "@" in name and name not in WANTED:
             continue
         low, high = min(figure["values"]), max(figure["values"])
-        said = reached(name, figure["median"])
-        goal = "" if said is None else "{} {:g}".format(*WANTED[name])
-        goal += "" if said is None or said else " (not reached)"
-        title = re.sub(r"@(\d+)$", r", \1", name)
-        lines.append((title, f"{figure['median']:.3g}", f"{low:.3g} .. {high:.3g}", goal))
+        missed = " (not reached)" if reached(name, figure["median"]) is False else ""
+        title, range_ = re.sub(r"@(\d+)$", r", \1", name), f"{low:.3g} .. {high:.3g}"
+        lines.append((title, f"{figure['median']:.3g}", range_, goal(name) + missed))
     lines += [(name, f"not measured: {why}", "", "") for name, why in result["missing"].items()]
     return harness.table(("figure", "median", "least .. most", "wanted"), lines)
 
