@@ -278,17 +278,6 @@ def row(j: int, rival: str, grey: np.ndarray, other: np.ndarray) -> str:
     )
 
 
-def yardstick(
-    given: Mapping[str, Any],
-    arm: Sequence[pam.Trajectory],
-    folds: int,
-    seed: int,
-    refit: bool = False,
-) -> Choice:
-    """The best of these, chosen as the grey boxes are."""
-    return choose(given, arm, folds=folds, seed=seed, rule="best", refit=refit, criteria=CRITERIA)
-
-
 CRITERIA = [f"{h:g} s" for h in HORIZONS]
 
 
@@ -320,7 +309,8 @@ def main(words: Sequence[str]) -> None:
     kinds = {"ARX": yardsticks, "GRU": networks} if given.gru else {"ARX": yardsticks}
     rivals: dict[int, dict[str, Choice]] = {j: {} for group in groups for j in group}
     for j, name in ((j, name) for j in rivals for name in kinds):
-        found = yardstick(kinds[name](j), arm, given.folds, seed, refit)
+        ways = {"folds": given.folds, "seed": seed, "refit": refit, "criteria": CRITERIA}
+        found = choose(kinds[name](j), arm, rule="best", **ways)  # as the grey boxes are
         rivals[j][name] = found
         print(
             f"joint {j}: {name} chosen in the folds: {', '.join(found.chosen)}\n{found}", flush=True

@@ -81,10 +81,9 @@ def truth(name: str, source: str, length: float, scale: float) -> tuple[Any, dic
     if (name, source) not in _TRUTHS:
         from pam_ocp.fitting.static.static import law_class
 
-        known = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.25}
         constants = law_class(name).fixed_coefficients()
         fixed = {
-            n: v * (scale if "ratio" not in n else 1) for n, v in known.items() if n in constants
+            n: v * (scale if "ratio" not in n else 1) for n, v in RIG.items() if n in constants
         }
         table = pam.read_table(source, rest_length=length)
         _TRUTHS[name, source] = pam.fit_force(table, name, fixed=fixed).law, fixed

@@ -39,28 +39,10 @@ def built(kind: str, folder: Path) -> Path:
     fmu = pam.export_fmu(plant, folder / "slide.fmu", fmi="2.0", platforms="native")
     with zipfile.ZipFile(fmu) as archive:
         archive.extractall(folder / "fmu")
-    target = folder / "step_cost"
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "ziglang",
-            "cc",
-            "-target",
-            native().target,
-            "-std=c11",
-            "-O2",
-            "-ffp-contract=off",
-            *defines,
-            "-I",
-            str(folder / "fmu" / "sources"),
-            str(PROGRAM),
-            "-o",
-            str(target),
-            "-lm",
-        ],
-        check=True,
-    )
+    target, sources = folder / "step_cost", folder / "fmu" / "sources"
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", native().target, "-std=c11", "-O2"]
+    command += ["-ffp-contract=off", *defines, "-I", str(sources), str(PROGRAM)]
+    subprocess.run([*command, "-o", str(target), "-lm"], check=True)
     return target
 
 

@@ -81,14 +81,43 @@ def timed(work: Callable[[], Any], repeats: int = 3) -> float:
     return repeated(work, repeats).processor
 
 
-def process_seconds(*command: str) -> float:
-    """Processor seconds of a Python process and its children; RuntimeError where it fails."""
-    before = spent()
-    here = Path(__file__).parent
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=here)
-    if done.returncode:
-        raise RuntimeError(done.stderr.strip()[-500:])
-    return spent() - before
+def process(*command: str) -> Took:
+    """A Python process with its children, and what it prints; RuntimeError where it fails."""
+
+    def run() -> str:
+        words = [sys.executable, *command]
+        done = subprocess.run(words, capture_output=True, text=True, cwd=Path(__file__).parent)
+        if done.returncode:
+            raise RuntimeError(done.stderr.strip()[-500:])
+        return done.stdout
+
+    return took(run)
+
+
+SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+"""In the environment of a process: one thread."""
+
+
+def printed(
+    command: Sequence[str], mark: str, limit: float, environment: dict[str, str]
+) -> dict[str, Any] | str:
+    """The JSON that a process prints behind ``mark``, or why it printed none within ``limit`` s."""
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=limit, env=environment
+        )
+    except subprocess.TimeoutExpired:
+        return f"no end in {limit:.0f} s"
+    line = next((li for li in done.stdout.splitlines() if li.startswith(f"{mark} ")), None)
+    if done.returncode or line is None:
+        return last_line(done.stderr or done.stdout or "it printed nothing")
+    found: dict[str, Any] = json.loads(line.removeprefix(mark))
+    return found
+
+
+def last_line(text: str) -> str:
+    """The last line that says something."""
+    return next((li.strip() for li in reversed(text.splitlines()) if li.strip()), "no message")
 
 
 def session_seconds(session: int) -> float:

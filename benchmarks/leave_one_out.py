@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -22,67 +23,25 @@ from scipy.stats import f as f_distribution
 import pam_ocp as pam
 
 MUSCLES = {
-    "DMSP-20-300": (
-        0.300,
-        {"rest_diameter": 0.020, "radius": 0.010, "max_contraction_ratio": 0.25},
-    ),
-    "DMSP-10-250": (
-        0.250,
-        {"rest_diameter": 0.010, "radius": 0.005, "max_contraction_ratio": 0.25},
-    ),
+    name: (length, {"rest_diameter": 2 * r, "radius": r, "max_contraction_ratio": 0.25})
+    for name, length, r in (("DMSP-20-300", 0.300, 0.010), ("DMSP-10-250", 0.250, 0.005))
 }
 SHIFTS = np.linspace(-0.015, 0.015, 61)
 Form = Callable[[np.ndarray, float], np.ndarray]
-"""(kappa, rate) -> columns (n, m)."""
+"""(kappa, rate) -> column (n)."""
 
 
-def _columns(*parts: Callable[[np.ndarray, float], np.ndarray]) -> Form:
-    return lambda k, q: np.stack([part(k, q) for part in parts], axis=1)
-
-
-def one(k: np.ndarray, q: float) -> np.ndarray:
-    return np.ones_like(k)
-
-
-def straight(k: np.ndarray, q: float) -> np.ndarray:
-    return k
-
-
-def square(k: np.ndarray, q: float) -> np.ndarray:
-    return k**2
-
-
-def braid(k: np.ndarray, q: float) -> np.ndarray:
-    """The part of the ideal braid that depends on contraction."""
-    return (1 - k) ** 2
-
-
-def decay(k: np.ndarray, q: float) -> np.ndarray:
-    return np.exp(-q * k)
-
-
-def hyperbola(k: np.ndarray, q: float) -> np.ndarray:
-    return 1 / (1 + q * k)
-
-
-def root(k: np.ndarray, q: float) -> np.ndarray:
-    return np.exp(-q * np.sqrt(np.maximum(k, 0)))
-
-
-GAINS = {
-    "1, k": _columns(one, straight),
-    "1, (1-k)2": _columns(one, braid),
-    "1, k, k2": _columns(one, straight, square),
-    "1, k, exp": _columns(one, straight, decay),
-    "1, (1-k)2, exp": _columns(one, braid, decay),
-    "1, k, 1/(1+qk)": _columns(one, straight, hyperbola),
+COLUMNS: dict[str, Form] = {
+    "1": lambda k, q: np.ones_like(k),
+    "k": lambda k, q: k,
+    "k2": lambda k, q: k**2,
+    "(1-k)2": lambda k, q: (1 - k) ** 2,  # of the ideal braid
+    "exp": lambda k, q: np.exp(-q * k),
+    "1/(1+qk)": lambda k, q: 1 / (1 + q * k),
+    "exp(-sqrt)": lambda k, q: np.exp(-q * np.sqrt(np.maximum(k, 0))),
 }
-OFFSETS = {
-    "1, exp": _columns(one, decay),
-    "1, k, exp": _columns(one, straight, decay),
-    "1, 1/(1+qk)": _columns(one, hyperbola),
-    "1, exp(-sqrt)": _columns(one, root),
-}
+GAINS = ("1, k", "1, (1-k)2", "1, k, k2", "1, k, exp", "1, (1-k)2, exp", "1, k, 1/(1+qk)")
+OFFSETS = ("1, exp", "1, k, exp", "1, 1/(1+qk)", "1, exp(-sqrt)")
 RATES = np.geomspace(3, 300, 60)
 
 
@@ -92,10 +51,11 @@ class Forms:
     def __init__(self, p: np.ndarray, kappa: np.ndarray, force: np.ndarray) -> None:
         self.p, self.kappa, self.force = p, kappa, force
 
-    def design(self, gain: Form, offset: Form, rate: float, kappa: np.ndarray) -> np.ndarray:
-        return np.hstack([self.p[:, None] * gain(kappa, rate), offset(kappa, rate)])
+    def design(self, gain: str, offset: str, rate: float, kappa: np.ndarray) -> np.ndarray:
+        columns = [self.p * COLUMNS[name](kappa, rate) for name in gain.split(", ")]
+        return np.column_stack([*columns, *(COLUMNS[n](kappa, rate) for n in offset.split(", "))])
 
-    def fit(self, gain: Form, offset: Form, used: np.ndarray, kappa: np.ndarray | None = None):
+    def fit(self, gain: str, offset: str, used: np.ndarray, kappa: np.ndarray | None = None):
         """Least squares, (sum, residuals of all cells, number of coefficients)."""
         kappa = self.kappa if kappa is None else kappa
         best = None
@@ -114,7 +74,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def left_out(forms: Forms, gain: Form, offset: Form, level: np.ndarray) -> list[float]:
+def left_out(forms: Forms, gain: str, offset: str, level: np.ndarray) -> list[float]:
     """RMSE [N] at each interior level, left out of its fit."""
     return [rms(forms.fit(gain, offset, level != i)[1][level == i]) for i in range(1, level.max())]
 
@@ -137,11 +97,10 @@ def lines(table: pam.fitting.ForceTable) -> None:
 def hindsight(forms: Forms, level: np.ndarray) -> None:
     """All pairs of forms, the best last-level-out first."""
     found = []
-    for g, gain in GAINS.items():
-        for h, offset in OFFSETS.items():
-            errors = left_out(forms, gain, offset, level)
-            total, _, k = forms.fit(gain, offset, np.ones(level.size, dtype=bool))
-            found.append((float(np.mean(errors)), errors, g, h, k, np.sqrt(total / level.size)))
+    for g, h in product(GAINS, OFFSETS):
+        errors = left_out(forms, g, h, level)
+        total, _, k = forms.fit(g, h, np.ones(level.size, dtype=bool))
+        found.append((float(np.mean(errors)), errors, g, h, k, np.sqrt(total / level.size)))
     found.sort(key=lambda row: row[0])
     print(f"{len(found)} forms, the best with hindsight:")
     for mean, errors, g, h, k, rmse in found[:4]:
@@ -151,7 +110,7 @@ def hindsight(forms: Forms, level: np.ndarray) -> None:
 
 def shifts(forms: Forms, level: np.ndarray, rest_length: float) -> None:
     """The length of one level as one more unknown: by how much, and how likely by chance."""
-    gain, offset = GAINS["1, (1-k)2"], OFFSETS["1, exp"]
+    gain, offset = "1, (1-k)2", "1, exp"
     every = np.ones(level.size, dtype=bool)
     plain, _, k = forms.fit(gain, offset, every)
     print(

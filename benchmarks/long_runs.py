@@ -31,6 +31,7 @@ import harness
 import numpy as np
 
 import pam_ocp as pam
+from pam_ocp.export.runner import Runner, UnpackedFmu
 
 STEP = 1e-3
 PERIOD = 500
@@ -83,45 +84,11 @@ def wanted(k: int) -> dict[str, float]:
     return {"x": 0.002 if k % PERIOD < PERIOD // 2 else -0.002, "muscle1.pressure": 2.5e5}
 
 
-class Unit:
-    """An FMU in co-simulation, loaded into this process."""
-
-    def __init__(self, path: Path, start: dict[str, float]) -> None:
-        from fmpy import extract, read_model_description
-        from fmpy.fmi2 import FMU2Slave
-
-        described = read_model_description(str(path))
-        self._where = {v.name: v.valueReference for v in described.modelVariables}
-        about = {"unzipDirectory": extract(str(path)), "guid": described.guid}
-        name = described.coSimulation.modelIdentifier
-        self._fmu = FMU2Slave(modelIdentifier=name, instanceName=path.stem, **about)
-        self._fmu.instantiate()
-        self._fmu.setupExperiment(startTime=0.0)
-        self.set(start)
-        self._fmu.enterInitializationMode()
-        self._fmu.exitInitializationMode()
-        self._folder = about["unzipDirectory"]
-
-    def set(self, values: dict[str, float]) -> None:
-        """Inputs or start values by name."""
-        self._fmu.setReal([self._where[n] for n in values], list(values.values()))
-
-    def get(self, names: list[str]) -> list[float]:
-        """Values by name."""
-        found: list[float] = self._fmu.getReal([self._where[n] for n in names])
-        return found
-
-    def step(self, time: float) -> None:
-        """From a time [s] on."""
-        self._fmu.doStep(currentCommunicationPoint=time, communicationStepSize=STEP)
-
-    def close(self) -> None:
-        """Free it, unload it, delete what was unpacked."""
-        import shutil
-
-        self._fmu.terminate()
-        self._fmu.freeInstance()  # which unloads the library, too
-        shutil.rmtree(self._folder)
+def unit(path: Path, start: dict[str, float]) -> Runner:
+    """An FMU in co-simulation, loaded into this process; unpacked beside its file."""
+    made = Runner(UnpackedFmu(path, path.with_suffix("")), "CoSimulation")
+    made.initialize(start, 0.0, None)
+    return made
 
 
 def settled(count: int, step: Callable[[int], float]) -> harness.Row:
@@ -145,21 +112,18 @@ def loop(count: int) -> harness.Row:
         for path, what in zip(paths, (pam.control.block(mpc), plant), strict=True):
             pam.export_fmu(what, path, platforms="native", fmi="2.0")
         begin = {n: rest[n] for n in states}
-        control = Unit(paths[0], begin)
-        slide = Unit(paths[1], {**begin, **{n: rest[n] for n in commands}})
+        given = {**begin, **{n: rest[n] for n in commands}}
+        with unit(paths[0], begin) as control, unit(paths[1], given) as slide:
 
-        def step(k: int) -> float:
-            seen = dict(zip(states, slide.get(states), strict=True))
-            control.set({**seen, **{f"wanted.{n}": v for n, v in wanted(k).items()}})
-            control.step(k * STEP)
-            slide.set(dict(zip(commands, control.get(commands), strict=True)))
-            slide.step(k * STEP)
-            return seen["x"]
+            def step(k: int) -> float:
+                seen = dict(zip(states, slide.get(states), strict=True))
+                control.set({**seen, **{f"wanted.{n}": v for n, v in wanted(k).items()}})
+                control.step(k * STEP, STEP)
+                slide.set(dict(zip(commands, control.get(commands), strict=True)))
+                slide.step(k * STEP, STEP)
+                return seen["x"]
 
-        row = settled(count, step)
-        control.close()
-        slide.close()
-    return row
+            return settled(count, step)
 
 
 def mpc(count: int) -> harness.Row:
@@ -199,10 +163,9 @@ def exports(count: int) -> harness.Row:
         path = Path(folder, "load.fmu")
         for k in range(count):
             pam.export_fmu(plant, path, platforms="native", fmi="2.0")
-            unit = Unit(path, {"muscle.command": 3e5})
-            unit.step(0.0)
-            found = [*found[:1], unit.get(["x"])[0]]
-            unit.close()
+            with unit(path, {"muscle.command": 3e5}) as load:
+                load.step(0.0, STEP)
+                found = [*found[:1], load.get(["x"])[0]]
             meter.note(k + 1)
     return meter.row(abs(found[-1] - found[0]), 0.0)
 

@@ -5,7 +5,6 @@ takes, what is lost where jobs are killed.
     python benchmarks/many.py large              100 000 simulations of a slide, 1000 plans
     python benchmarks/many.py memory [cases]     memory by the number of cases, into a folder
     python benchmarks/many.py keep [base]        numbers kept of 10 base cases, with Sobol indices
-    python benchmarks/many.py killed [base]      the same into a folder, killed and resumed twice
     python benchmarks/many.py scheduler [seed]   job arrays on a simulated scheduler
     python benchmarks/many.py array [jobs]       the shards of a study as processes, two at a time
 
@@ -26,8 +25,6 @@ import heapq
 import os
 import random
 import resource
-import signal
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -38,7 +35,7 @@ from typing import Any
 
 import harness
 import numpy as np
-from harness import spent, took
+from harness import took
 
 import pam_ocp as pam
 
@@ -128,43 +125,30 @@ def figures(quick: bool) -> dict[str, float]:
     return found
 
 
-# ---- memory, numbers, kills ----------------------------------------------------------------------
+# ---- memory and numbers ----------------------------------------------------------------------
 def peak(who: int = resource.RUSAGE_SELF) -> float:
     """Largest resident memory so far [MB], of this process or of ended children."""
     return resource.getrusage(who).ru_maxrss / 1024
 
 
-class Peaks:
-    """Progress that notes the largest memory at every tenth of the cases.
-
-    limit : cases after which the process kills itself.
-    """
-
-    def __init__(self, count: int, limit: float = np.inf) -> None:
-        self.count, self.limit, self.met = count, limit, dict[int, float]()
-
-    def __call__(self, done: int, _: int | None) -> None:
-        if done >= self.limit:
-            os.kill(os.getpid(), signal.SIGKILL)
-        if done * 10 // self.count > len(self.met):
-            self.met[done] = peak()
-
-    def __str__(self) -> str:
-        notes = ", ".join(f"{done}: {mb:.0f}" for done, mb in self.met.items())
-        worker = peak(resource.RUSAGE_CHILDREN)
-        return f"a worker {worker:.0f} MB; peak memory [MB] after so many cases:\n  {notes}"
-
-
 def memory(count: int) -> None:
     """The largest resident memory at every tenth of short cases, and a worker's."""
-    plant, note = pam.HangingLoad("DMSP-20-400N"), Peaks(count)
+    plant, met = pam.HangingLoad("DMSP-20-400N"), dict[int, float]()
     cases = ({"parameters": {"mass": 5.0 + 45.0 * i / count}} for i in range(count))
     short = {"inputs": {"muscle.command": 4e5}, "t": np.linspace(0.0, 0.02, 3), "rtol": 1e-4}
+
+    def note(done: int, _: int | None) -> None:
+        if done * 10 // count > len(met):
+            met[done] = peak()
+
     with tempfile.TemporaryDirectory() as folder:
         ways = {"executor": 2, "chunk": 500, "into": folder}
         run = took(lambda: pam.simulate_many(plant, cases, progress=note, **ways, **short))
         size = sum(p.stat().st_size for p in Path(folder).rglob("*.*")) / 1e6
-    print(f"{count} cases: {run.clock:.0f} s, {size:.0f} MB on disk, {note}")
+    print("peak memory [MB] after so many cases:")
+    print(", ".join(f"{done}: {mb:.0f}" for done, mb in met.items()))
+    worker = peak(resource.RUSAGE_CHILDREN)
+    print(f"{count} cases: {run.clock:.0f} s, {size:.0f} MB on disk, a worker {worker:.0f} MB")
 
 
 def eight(base: int) -> tuple[pam.Plant, pam.simulation.SobolCases, dict[str, Any]]:
@@ -198,52 +182,6 @@ def kept(base: int) -> dict[str, float]:
         found["kept, a case on disk [B]"] = size / count
         found["Sobol indices of one number [s]"] = indices.processor
     return found
-
-
-PARTS = 20
-"""Files of a run that is killed."""
-
-
-def broken(folder: str, base: int, limit: int) -> None:
-    """A run into a folder that kills itself once ``limit`` cases are done; what it took."""
-    plant, cases, common = eight(base)
-    note = Peaks(len(cases), limit)
-    ways = {"executor": 2, "into": folder, "chunk": len(cases) // PARTS, "progress": note}
-    run = took(lambda: pam.simulate_many(plant, cases, **ways, **common))
-    print(f"to the end: {run.processor:.1f} s of processor, {note}", flush=True)
-
-
-def killed(base: int) -> bool:
-    """A run killed at about a third and two thirds, and one in one go; whether bits are equal."""
-    count, chance = 10 * base, random.Random(int(time()))
-    print(f"{count} cases in {PARTS} files")
-
-    def run(folder: Path, limit: int) -> set[tuple[str, int]]:
-        command = [sys.executable, __file__, "broken", str(folder), str(base), str(limit)]
-        before = spent()
-        code = subprocess.run(command).returncode
-        assert code == (0 if limit > count else -signal.SIGKILL)
-        there = {(p.name, p.stat().st_ino) for p in folder.rglob("*.parquet")}
-        print(f"limit {limit}: {spent() - before:.1f} s with start, {len(there)} files there")
-        return there
-
-    with tempfile.TemporaryDirectory() as place:
-        twice, once = Path(place, "twice"), Path(place, "once")
-        limits = [int(count * (i + chance.random()) / 3) for i in (0.5, 1.5)]
-        left = [run(twice, limit) for limit in (*limits, count + 1)]
-        run(once, count + 1)
-        resumed = left[0] <= left[1] <= left[2] and left[0] != left[1]
-        first, second = (
-            {str(p.relative_to(f)): p.read_bytes() for p in f.rglob("*.parquet")}
-            for f in (twice, once)
-        )
-        same = first == second
-        read = pam.simulation.KeptNumbers.read(twice)
-        size = sum(map(len, first.values())) / 1e6
-        numbers = [eight(base)[1].indices(read[n]) for n in read.names]
-    print(f"files kept over kills: {resumed}; the same bits: {same}; {size:.1f} MB on disk")
-    print("\n".join(f"{n}:\n{s}" for n, s in zip(read.names, numbers, strict=True)))
-    return same and resumed
 
 
 # ---- job arrays ----------------------------------------------------------------------------------
@@ -332,18 +270,14 @@ WAYS: dict[str, tuple[Callable[[int], bool | None], int]] = {
     "large": (large, 0),
     "memory": (memory, 100_000),
     "keep": (lambda base: shown(kept(base)), 2048),
-    "killed": (killed, 16384),
     "scheduler": (scheduler, int(time())),
     "array": (array, 50),
 }
 """What is asked for: (function of a number, usual number)."""
 
 
-def main(what: str = "", number: str = "", *more: str) -> int:
+def main(what: str = "", number: str = "") -> int:
     print(f"load {os.getloadavg()[0]:.1f}", flush=True)
-    if what == "broken":
-        broken(number, *map(int, more))
-        return 0
     way, usually = WAYS[what]
     return int(way(int(number or usually)) is False)
 

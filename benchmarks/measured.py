@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -21,7 +20,7 @@ from statistics import median
 from time import thread_time
 from typing import Any
 
-from harness import process_seconds, repeated, timed, took
+from harness import process, repeated, timed, took
 from pam_2dir import BAR, COMMANDS, STOPS, WISHES, plant, slide
 
 HERE = Path(__file__).resolve().parent
@@ -44,7 +43,7 @@ PLANT = "import pam_ocp as pam; pam.HangingLoad('DMSP-20-400N')"
 def start(quick: bool) -> dict[str, float]:
     """Imports, the least of three each (the first reads from the disk); the tour, warm caches."""
     works = ("import casadi", "import pam_ocp", PLANT)
-    casadi, ours, plant = (min(process_seconds("-c", work) for _ in range(3)) for work in works)
+    casadi, ours, plant = (min(process("-c", w).processor for _ in range(3)) for w in works)
     found = {
         "import [s]": ours,
         "import beyond CasADi [s]": ours - casadi,
@@ -53,8 +52,8 @@ def start(quick: bool) -> dict[str, float]:
     if not quick:
         with tempfile.TemporaryDirectory() as folder:
             tour = ("-m", "pam_ocp", "tour", "--out", folder)
-            process_seconds(*tour)
-            found["tour, warm caches [s]"] = process_seconds(*tour)
+            process(*tour)
+            found["tour, warm caches [s]"] = process(*tour).processor
     return found
 
 
@@ -62,7 +61,7 @@ FIRST = """
 import sys
 from time import process_time
 begin = process_time()
-sys.path.insert(0, {here!r})
+sys.path.insert(0, ".")
 import pam_ocp as pam
 import pam_2dir
 plant = pam_2dir.plant({case!r})
@@ -79,20 +78,11 @@ def first_plan(quick: bool) -> dict[str, float]:
     """PAM-2DIR as a whole process, and the first plan after import, to plain CasADi."""
     found: dict[str, float] = {}
     for case in "ab":
-        plain_whole = process_seconds("plain.py", case)
-        plain = json.loads(
-            subprocess.run(
-                [sys.executable, "plain.py", case], capture_output=True, text=True, cwd=HERE
-            ).stdout
-        )
-        script = FIRST.format(here=str(HERE), case=case)
-        whole = process_seconds("-c", script)
-        said = subprocess.run(
-            [sys.executable, "-c", script], capture_output=True, text=True, check=True
-        ).stdout.split()
-        found[f"({case}) whole process / plain"] = whole / plain_whole
-        found[f"({case}) first plan / plain"] = float(said[0]) / plain["first"]
-        found[f"({case}) plain, whole [s]"] = plain_whole
+        plain, ours = process("plain.py", case), process("-c", FIRST.format(case=case))
+        first = float(ours.result.split()[0]) / json.loads(plain.result)["first"]
+        found[f"({case}) whole process / plain"] = ours.processor / plain.processor
+        found[f"({case}) first plan / plain"] = first
+        found[f"({case}) plain, whole [s]"] = plain.processor
     return found
 
 
@@ -311,8 +301,8 @@ def long_works(quick: bool) -> dict[str, float]:
         example = str(HERE.parent / "examples/robust_plan.py")
         site = ("-m", "sphinx", "-q", "-E", "-b", "html", str(HERE.parent / "docs"), folder)
         return {
-            "examples/robust_plan.py [s]": process_seconds(example),
-            "documentation, built [s]": process_seconds(*site),
+            "examples/robust_plan.py [s]": process(example).processor,
+            "documentation, built [s]": process(*site).processor,
         }
 
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
@@ -243,15 +244,8 @@ class Check:
             self.motion = self.run()
         except ArithmeticError as error:
             return [Finding("replay", str(error), np.inf)]
-        for part in (
-            self.replay,
-            self.times,
-            self.at_stops,
-            self.start,
-            self.limits,
-            self.closing,
-            self.costs,
-        ):
+        parts = (self.replay, self.times, self.at_stops, self.start, self.limits)
+        for part in (*parts, self.closing, self.costs):
             part()
         return sorted(self.findings, key=lambda finding: -finding.size)
 
@@ -378,12 +372,8 @@ class Check:
         x, u = self.motion.x[piece][:, [row]], self.motion.u[piece][:, [row]]
         for name, value in zip(names, self.along(names, x, u)[:, 0], strict=True):
             low, high = ends(values[name])
-            self.expect(
-                "stop",
-                f"{label}: {name} = {value:.6g}",
-                max(low - value, value - high),
-                TOLERANCE * self.nominal(name),
-            )
+            beyond, allowed = max(low - value, value - high), TOLERANCE * self.nominal(name)
+            self.expect("stop", f"{label}: {name} = {value:.6g}", beyond, allowed)
 
     def dwelt(
         self, stop: int, values: Mapping[str, Any], begin: float, end: float, within: float
@@ -503,15 +493,8 @@ class Check:
         starts += [draw.uniform(*spans) for _ in range(6)]
         best, chosen = np.inf, u
         for start in starts:
-            found = least_squares(
-                left,
-                np.clip(start, low, high),
-                bounds=(low, high),
-                xtol=1e-15,
-                ftol=1e-15,
-                gtol=1e-15,
-                max_nfev=200,
-            )
+            tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15, "max_nfev": 200}
+            found = least_squares(left, np.clip(start, low, high), bounds=(low, high), **tight)
             miss = float(np.abs(found.fun).max(initial=0.0))
             if miss < best:
                 best, chosen = miss, found.x * nominal
@@ -683,12 +666,10 @@ class Check:
             top = next((t for t in tops if t is not None), None)
             start = float(self.plant.variable(name).start)
             if top is None:
-                self.expect(
-                    "start", f"{name} = {value:.6g}, unfed", abs(value - start) / nominal, DRIFT
-                )
+                over, words = abs(value - start) / nominal, ", unfed"
             else:
-                over = (value - max(top, 0.0)) / nominal
-                self.expect("start", f"{name} = {value:.6g} above its source", over, DRIFT)
+                over, words = (value - max(top, 0.0)) / nominal, " above its source"
+            self.expect("start", f"{name} = {value:.6g}{words}", over, DRIFT)
 
     # ---- limits --------------------------------------------------------------------------------
     def limits(self) -> None:
@@ -818,23 +799,12 @@ class Check:
         c, nominal = self.answer.coefficients, self.model.scales[1]
         lengths = np.diff(self.answer.breaks)
         if c.shape[1] > 1 and np.any(c[:, 1:]):
-            samples = [
-                np.trapezoid(
-                    sum(
-                        (
-                            j * s[:, None] ** (j - 1) * c[k, j] / nominal
-                            for j in range(1, c.shape[1])
-                        ),
-                        np.zeros((len(s), 1)),
-                    )
-                    .__pow__(2)
-                    .sum(axis=1),
-                    s,
-                )
-                for k, h in enumerate(lengths)
-                for s in [np.linspace(0, h, 65)]
-            ]
-            return [float(sum(samples))]
+            total = 0.0
+            for k, h in enumerate(lengths):
+                s = np.linspace(0, h, 65)
+                rates = polynomial.polyval(s, polynomial.polyder(c[k] / nominal))
+                total += float(np.trapezoid(np.sum(rates**2, axis=0), s))
+            return [total]
         found = []
         for merged in (False, True):
             values, spans = [c[0, 0]], [lengths[0]]

@@ -17,39 +17,43 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 HERE = Path(__file__).resolve().parent
 DOCS = HERE.parent / "docs"
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
-CURVES = {
-    "intervals": ("plan", "intervals", ("plan [s]", "plan, plain CasADi [s]")),
-    "iterations": ("iterations of IPOPT", "intervals", ("iterations", "iterations, plain CasADi")),
+CURVES: dict[str, tuple[str, str, dict[str, str]]] = {
+    "intervals": (
+        "plan",
+        "intervals",
+        {"plan [s]": "pam_ocp", "plan, plain CasADi [s]": "plain CasADi"},
+    ),
+    "iterations": (
+        "iterations of IPOPT",
+        "intervals",
+        {"iterations": "pam_ocp", "iterations, plain CasADi": "plain CasADi"},
+    ),
     "horizon": (
         "Mpc, a step, converged",
         "horizon",
-        ("Mpc, converged [ms]", "Mpc compiled, converged [ms]"),
+        {"Mpc, converged [ms]": "interpreted", "Mpc compiled, converged [ms]": "compiled"},
     ),
-    "cells": ("fit", "cells", ("fit_force with intervals [s]", "SciPy LM [s]")),
-    "states": ("simulation", "states", ("simulate [s]", "simulate, compiled [s]")),
-    "plans": ("plan, masses in a row", "states", ("plan, masses in a row [s]",)),
+    "cells": (
+        "fit",
+        "cells",
+        {"fit_force with intervals [s]": "fit_force", "SciPy LM [s]": "SciPy LM"},
+    ),
+    "states": (
+        "simulation",
+        "states",
+        {"simulate [s]": "interpreted", "simulate, compiled [s]": "compiled"},
+    ),
+    "plans": ("plan, masses in a row", "states", {"plan, masses in a row [s]": "plan"}),
     "cases": (
         "simulate_many",
         "cases",
-        ("simulate_many, a case [ms]", "simulate_many, two processes, a case, wall [ms]"),
+        {
+            "simulate_many, a case [ms]": "a case, processor",
+            "simulate_many, two processes, a case, wall [ms]": "a case, wall",
+        },
     ),
 }
-"""Name of a plot: title, what grows, curves (figures NAME@SIZE)."""
-LABELS = {
-    "plan [s]": "pam_ocp",
-    "plan, plain CasADi [s]": "plain CasADi",
-    "iterations": "pam_ocp",
-    "iterations, plain CasADi": "plain CasADi",
-    "Mpc, converged [ms]": "interpreted",
-    "Mpc compiled, converged [ms]": "compiled",
-    "fit_force with intervals [s]": "fit_force",
-    "simulate [s]": "interpreted",
-    "simulate, compiled [s]": "compiled",
-    "plan, masses in a row [s]": "plan",
-    "simulate_many, a case [ms]": "a case, processor",
-    "simulate_many, two processes, a case, wall [ms]": "a case, wall",
-}
-"""What a curve is called in its plot, where not by the beginning of its name."""
+"""Name of a plot: title, what grows, curves (figures NAME@SIZE) and what they are called in it."""
 COLUMNS = 3
 LIGHT = {"ink": "#222222", "grid": "#dddddd", "first": "#0072b2", "second": "#d55e00"}
 DARK = {"ink": "#d0d0d0", "grid": "#444444", "first": "#56b4e9", "second": "#e69f00"}
@@ -73,13 +77,13 @@ def exponent(sizes: list[int], values: list[float]) -> float | None:
     return float(np.polyfit(*np.log(np.array(kept, float)).T, 1)[0])
 
 
-def shown(figures: dict[str, Any]) -> dict[str, tuple[str, str, tuple[str, ...]]]:
+def shown(figures: dict[str, Any]) -> dict[str, tuple[str, str, dict[str, str]]]:
     """The plots that have a curve of two sizes or more."""
-    return {
-        key: (title, over, tuple(n for n in names if len(curve(figures, n)[0]) > 1))
-        for key, (title, over, names) in CURVES.items()
-        if any(len(curve(figures, n)[0]) > 1 for n in names)
-    }
+    found = {}
+    for key, (title, over, names) in CURVES.items():
+        if drawn := {n: label for n, label in names.items() if len(curve(figures, n)[0]) > 1}:
+            found[key] = title, over, drawn
+    return found
 
 
 def plot(figures: dict[str, Any], look: dict[str, str]) -> Figure:
@@ -92,22 +96,22 @@ def plot(figures: dict[str, Any], look: dict[str, str]) -> Figure:
     for ax in axes[len(plots) :]:
         ax.set_visible(False)
     for ax, (title, over, names) in zip(axes, plots.values(), strict=False):
-        for name, colour, mark in zip(names, ("first", "second"), "os", strict=False):
+        each = zip(names.items(), ("first", "second"), "os", strict=False)
+        for (name, label), colour, mark in each:
             sizes, values = curve(figures, name)
             power = exponent(sizes, values)
-            label = LABELS.get(name, name.partition(" [")[0])
             label += "" if power is None else f", $n^{{{power:.2f}}}$"
             ax.loglog(sizes, values, color=look[colour], marker=mark, markersize=4, label=label)
-        decorate(ax, title, over, names, look)
+        decorate(ax, title, over, next(iter(names)), look)
         sizes = sorted({size for name in names for size in curve(figures, name)[0]})
         ticks(ax, sizes)
     return picture
 
 
-def decorate(ax: Axes, title: str, over: str, names: tuple[str, ...], look: dict[str, str]) -> None:
+def decorate(ax: Axes, title: str, over: str, first: str, look: dict[str, str]) -> None:
     """Titles, a legend and the colours of the page."""
     ax.patch.set_alpha(0)
-    unit = re.findall(r"\[(.+?)\]", names[0])
+    unit = re.findall(r"\[(.+?)\]", first)
     ax.set_title(title, color=look["ink"], fontsize=10)
     ax.set_xlabel(over, color=look["ink"])
     ax.set_ylabel(unit[0] if unit else "iterations", color=look["ink"])
@@ -133,18 +137,16 @@ def ticks(ax: Axes, sizes: list[int]) -> None:
 
 def table(result: dict[str, Any]) -> str:
     """What is wanted beside what was measured; of curves only the points that have a goal."""
-    from run import WANTED, reached
+    from run import WANTED, goal, reached
 
     lines: list[tuple[str, ...]] = []
     for name, figure in result["figures"].items():
         if "@" in name and name not in WANTED:
             continue
         low, high = min(figure["values"]), max(figure["values"])
-        said = reached(name, figure["median"])
-        goal = "" if said is None else "{} {:g}".format(*WANTED[name])
-        goal += "" if said is None or said else " (not reached)"
-        title = re.sub(r"@(\d+)$", r", \1", name)
-        lines.append((title, f"{figure['median']:.3g}", f"{low:.3g} .. {high:.3g}", goal))
+        missed = " (not reached)" if reached(name, figure["median"]) is False else ""
+        title, range_ = re.sub(r"@(\d+)$", r", \1", name), f"{low:.3g} .. {high:.3g}"
+        lines.append((title, f"{figure['median']:.3g}", range_, goal(name) + missed))
     lines += [(name, f"not measured: {why}", "", "") for name, why in result["missing"].items()]
     return harness.table(("figure", "median", "least .. most", "wanted"), lines)
 

@@ -194,19 +194,32 @@ def built(name: str) -> tuple[pam.Plant, list[str]]:
     if name in PAIRS:
         make, free = PAIRS[name]
         return make(), list(free)
+    plant, free = load(name)[0], parts(name)[-1]
+    return plant, list(free)
+
+
+def parts(name: str) -> tuple[pam.Muscle, Any, Any, tuple[str, ...]]:
+    """Muscle, feed and loss of a hanging load with the component, and what a fit frees."""
     if name == "sensor":
-        plant = pam.HangingLoad(MUSCLE, 10.0, damping=60.0, feed=Regulator(0.03))
-        plant.add_sensor("x", SENSOR)
-        return plant, ["x.filter", "x.gain"]
+        return PLAIN, Regulator(0.03), None, ("x.filter", "x.gain")
     if name in FEEDS:
         feed, free = FEEDS[name]
-        return pam.HangingLoad(MUSCLE, 10.0, damping=100.0, feed=feed), list(free)
+        return PLAIN, feed, None, free
     if name in BODIES:
         muscle, free = BODIES[name]
-        return pam.HangingLoad(muscle, 10.0, damping=100.0, feed=SpoolValve()), list(free)
+        return muscle, SpoolValve(), None, free
     loss, free = LOSSES[name]
-    plant = pam.HangingLoad(MUSCLE, 10.0, damping=60.0, feed=Regulator(0.03), losses=loss)
-    return plant, [f"muscle.{n}" for n in free]
+    return PLAIN, Regulator(0.03), loss, tuple(f"muscle.{n}" for n in free)
+
+
+def load(name: str, change: Callable[[Any], Any] = lambda feed: feed) -> tuple[pam.Plant, Any]:
+    """The hanging load with the component, and its feed, which may be another one's change."""
+    muscle, feed, loss, _ = parts(name)
+    feed, damping = change(feed), 100.0 if name in (*FEEDS, *BODIES) else 60.0
+    plant = pam.HangingLoad(muscle, 10.0, damping=damping, feed=feed, losses=loss or ())
+    if name == "sensor":
+        plant.add_sensor("x", SENSOR)
+    return plant, feed
 
 
 def balance(name: str, draw: np.random.Generator, motions: int = 200) -> str:
@@ -228,18 +241,8 @@ def accounted(name: str) -> books.Books:
     if name in PAIRS:
         plant = built(name)[0]
         return books.Books(plant, books.of_a_pair(plant))
-    if name == "sensor":
-        plant = built(name)[0]
-        return books.Books(plant, books.ledgers(plant, PLAIN, Regulator(0.03), None))
-    muscle = BODIES[name][0] if name in BODIES else PLAIN
-    if name in BODIES:
-        feed, loss, plant = SpoolValve(), None, built(name)[0]
-    elif name in FEEDS:
-        feed, loss = books.with_heat(FEEDS[name][0]), None
-        plant = pam.HangingLoad(muscle, 10.0, damping=100.0, feed=feed)
-    else:
-        loss, feed = LOSSES[name][0], Regulator(0.03)
-        plant = pam.HangingLoad(muscle, 10.0, damping=60.0, feed=feed, losses=loss)
+    muscle, _, loss, _ = parts(name)
+    plant, feed = load(name, books.with_heat)
     return books.Books(plant, books.ledgers(plant, muscle, feed, loss))
 
 

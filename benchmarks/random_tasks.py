@@ -200,9 +200,8 @@ def valve(rng: Draw, muscle: pam.Muscle, top: float) -> tuple[Any, str]:
             if second
             else pam.feeds.FirstOrderSpool(rng.uniform(3e-3, 2e-2), hysteresis=play)
         )
-        words.append(
-            f"spool of {'second' if second else 'first'} order" + " with play" * bool(play)
-        )
+        order = "second" if second else "first"
+        words.append(f"spool of {order} order" + " with play" * bool(play))
     if kind == "servo":
         lag = rng.uniform(2e-3, 2e-2) if chance(rng, 0.5) else 0.0
         gain = rng.uniform(0.5e-5, 4e-5)
@@ -283,17 +282,9 @@ def one_loss(rng: Draw, kind: str, top: float, size: float) -> tuple[Any, float]
 
 
 LOSSES = (
-    "Coulomb",
-    "Bouc-Wen",
-    "Maxwell-slip",
-    "Prandtl-Ishlinskii",
-    "creep",
-    "creep under load",
-    "preconditioning",
-    "strands",
-    "directional damping",
-    "force-velocity",
-)
+    "Coulomb", "Bouc-Wen", "Maxwell-slip", "Prandtl-Ishlinskii", "creep", "creep under load",
+    "preconditioning", "strands", "directional damping", "force-velocity",
+)  # fmt: skip
 
 
 def losses(rng: Draw, top: float, size: float) -> tuple[tuple[Any, ...], float, str]:
@@ -320,10 +311,8 @@ class Loads:
 
 def loads(rng: Draw, force: float, reach: float) -> Loads:
     """For forces of a size [N or N m] along a position of a size [m or rad]."""
-    kind = chosen(
-        rng,
-        {"": 5, "spring": 1, "damper": 1, "friction": 1, "inertia": 1, "external": 1, "wall": 1},
-    )
+    kinds = ("spring", "damper", "friction", "inertia", "external", "wall")
+    kind = chosen(rng, {"": 5, **dict.fromkeys(kinds, 1)})
     stiffness, value = force / reach * rng.uniform(0.02, 0.15), force * rng.uniform(-0.1, 0.1)
     dry, place = force * rng.uniform(0.005, 0.03), reach * rng.uniform(0.3, 0.9)
     hard = force / reach * rng.uniform(0.2, 2.0)
@@ -390,10 +379,8 @@ def single(rng: Draw) -> Made:
         stiffness, preload = size / length * rng.uniform(0.5, 3), size * rng.uniform(0.03, 0.2)
         mass *= 0.3
         plant = pam.SpringOverMuscle(muscle, mass, stiffness, preload, **common)
-        load = Loads(
-            load.made, lambda s, n=load.need: n(s) + preload + stiffness * s, load.dry, load.words
-        )
-        weight = 0.0
+        need = lambda s, n=load.need: n(s) + preload + stiffness * s  # noqa: E731
+        load, weight = Loads(load.made, need, load.dry, load.words), 0.0
     elif kind == "tendon":
         tendon = size / length * rng.uniform(20, 200)
         stretch = weight / tendon
@@ -401,14 +388,9 @@ def single(rng: Draw) -> Made:
         positions = tuple(plant.load_positions)
     else:
         feed_words = "position feedback"
-        plant = pam.RegulatedLoad(
-            muscle,
-            mass,
-            gain=top / length * rng.uniform(0.3, 2),
-            lag=rng.uniform(0.05, 0.15),
-            max_pressure=top,
-            losses=lossy,
-        )
+        gain, lag = top / length * rng.uniform(0.3, 2), rng.uniform(0.05, 0.15)
+        given = {"gain": gain, "lag": lag, "max_pressure": top, "losses": lossy}
+        plant = pam.RegulatedLoad(muscle, mass, **given)
     puller = Puller(muscle, top, lost + load.dry)
     grid = np.linspace(0.0, 0.95 * muscle.contraction_range[1] * length, 60)
     good = [puller.can((s + stretch) / length, weight + load.need(s)) for s in grid]
@@ -463,17 +445,9 @@ def pair(rng: Draw) -> Made:
         link = (link[0] / GRAVITY / 0.2, link[1])
         load = loads(rng, size * arm, k0 * min(lengths) / arm)
         inertia = size * arm * rng.uniform(3e-4, 5e-3)
-        plant = pam.AntagonisticJoint(
-            one,
-            inertia,
-            arm,
-            pre_contraction=k0,
-            moment_arm2=arm * ratio,
-            link_mass=link[0],
-            link_length=link[1],
-            loads=load.made,
-            **common,
-        )
+        common |= {"pre_contraction": k0, "moment_arm2": arm * ratio, "loads": load.made}
+        common |= {"link_mass": link[0], "link_length": link[1]}
+        plant = pam.AntagonisticJoint(one, inertia, arm, **common)
         words = f"{inertia:.2g} kg m2 joint"
     else:
         load, mass = loads(rng, size, k0 * min(lengths)), size * rng.uniform(5e-4, 1e-2)
@@ -511,15 +485,8 @@ def pendulum(rng: Draw) -> Made:
     fed, feed_words = feed(rng, muscle, top)
     lossy, lost, loss_words = losses(rng, top, size)
     k0 = 0.02
-    part = plant.add_muscle(
-        "muscle",
-        muscle,
-        shortening=radius * theta,
-        rate=radius * omega,
-        pre_contraction=k0,
-        feed=fed,
-        losses=lossy,
-    )
+    moves = {"shortening": radius * theta, "rate": radius * omega, "pre_contraction": k0}
+    part = plant.add_muscle("muscle", muscle, **moves, feed=fed, losses=lossy)
     torque = radius * part.force - mass * GRAVITY * length * ca.sin(theta)
     torque -= 0.05 * mass * length * omega
     plant.der(theta, omega)
@@ -582,6 +549,10 @@ def arm(rng: Draw) -> Made:
 
 
 # ---- plants that are no muscles ------------------------------------------------------------------
+Own = tuple[str, tuple[str, ...], float]
+"""Its position, all positions at rest with it, and how far it can go."""
+
+
 def own(rng: Draw) -> Made:
     """Plants that a user might write: other coordinates, one-sided actuators, chains."""
     kind = chosen(rng, dict.fromkeys(OWN, 1))
@@ -594,14 +565,14 @@ def _pushed(plant: pam.Plant, most: float = 1.0) -> ca.SX:
     return plant.input("u", min=-most, max=most)
 
 
-def _gear(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _gear(plant: pam.Plant, rng: Draw) -> Own:
     x, v, ratio = plant.state("x"), plant.state("v"), rng.uniform(0.2, 5.0)
     plant.der(x, v * ratio)
     plant.der(v, _pushed(plant))
     return "x", ("x",), rng.uniform(0.5, 3)
 
 
-def _momentum(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _momentum(plant: pam.Plant, rng: Draw) -> Own:
     x, q = plant.state("x", unit="m"), plant.state("momentum", unit="kg.m/s")
     mass, drag = rng.uniform(0.5, 5.0), rng.uniform(0, 0.3)
     plant.der(x, q / mass)
@@ -609,14 +580,14 @@ def _momentum(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]
     return "x", ("x",), rng.uniform(0.5, 2)
 
 
-def _rapidity(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _rapidity(plant: pam.Plant, rng: Draw) -> Own:
     x, w = plant.state("x"), plant.state("w")
     plant.der(x, ca.sinh(w))
     plant.der(w, _pushed(plant) / ca.cosh(w))
     return "x", ("x",), rng.uniform(0.5, 3)
 
 
-def _swing(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _swing(plant: pam.Plant, rng: Draw) -> Own:
     length, mass = rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.0)
     inertia, weight = mass * length**2, mass * GRAVITY * length
     theta = plant.state("theta", unit="rad")
@@ -627,7 +598,7 @@ def _swing(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
     return "theta", ("theta",), rng.uniform(0.5, 3.0)
 
 
-def _jerk(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _jerk(plant: pam.Plant, rng: Draw) -> Own:
     x, v, a = (plant.state(n) for n in ("x", "v", "a"))
     plant.der(x, v)
     plant.der(v, a)
@@ -635,7 +606,7 @@ def _jerk(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
     return "x", ("x",), rng.uniform(0.5, 2)
 
 
-def _rotated(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _rotated(plant: pam.Plant, rng: Draw) -> Own:
     """A double integrator in sum and difference of position and velocity."""
     a, b, u = plant.state("a"), plant.state("b"), _pushed(plant)
     v = (a - b) / 2
@@ -645,7 +616,7 @@ def _rotated(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
     return "x", ("x",), rng.uniform(0.5, 2)
 
 
-def _chain(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _chain(plant: pam.Plant, rng: Draw) -> Own:
     """Masses in a row on springs, pushed at the first."""
     n, k, u = int(rng.integers(2, 5)), rng.uniform(50, 300), _pushed(plant, 5.0)
     x = [plant.state(f"x{i}", nominal=0.1) for i in range(n)]
@@ -660,7 +631,7 @@ def _chain(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
     return f"x{n - 1}", tuple(f"x{i}" for i in range(n)), rng.uniform(0.15, 0.5)
 
 
-def _one_sided(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+def _one_sided(plant: pam.Plant, rng: Draw) -> Own:
     """Two actuators that only pull, each behind a lag and a dead band."""
     x, v = plant.state("x", unit="m", nominal=0.1), plant.state("v", unit="m/s")
     lag, band, most = rng.uniform(0.03, 0.2), rng.uniform(0.05, 0.3), rng.uniform(5.0, 30.0)
@@ -677,16 +648,9 @@ def _one_sided(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float
     return "x", ("x",), rng.uniform(0.1, 0.4)
 
 
-OWN: dict[str, Callable[[pam.Plant, Draw], tuple[str, tuple[str, ...], float]]] = {
-    "gear": _gear,
-    "momentum": _momentum,
-    "rapidity": _rapidity,
-    "swing": _swing,
-    "jerk": _jerk,
-    "rotated": _rotated,
-    "chain": _chain,
-    "one-sided pair": _one_sided,
-}
+OWN: dict[str, Callable[[pam.Plant, Draw], Own]] = {
+    f.__name__.strip("_"): f for f in (_gear, _momentum, _rapidity, _swing, _jerk, _rotated, _chain)
+} | {"one-sided pair": _one_sided}
 
 
 # ---- what is asked -------------------------------------------------------------------------------
@@ -767,17 +731,9 @@ def itinerary(rng: Draw, made: Made) -> tuple[list[Any], dict[str, Any], str]:
         memory = {"memory": str(rng.choice(["above", "below"]))}
     middle = a + (b - a) * rng.uniform(0.3, 0.7)
     closes = "tank" not in made.words  # what is taken from one does not come back
-    kind = chosen(
-        rng,
-        {
-            "there": 6,
-            "cycle": 3 if closes else 0,
-            "mirrored": 2 if closes and made.symmetric and made.plant.mirror_map else 0,
-            "via": 1,
-            "dwell": 1.5,
-            "three": 1,
-        },
-    )
+    cycle, both = 3 if closes else 0, closes and made.symmetric and made.plant.mirror_map
+    ways = {"there": 6, "cycle": cycle, "mirrored": 2 if both else 0}
+    kind = chosen(rng, {**ways, "via": 1, "dwell": 1.5, "three": 1})
     one, other = {name: a}, {name: b}
     if kind == "cycle":
         return [one, other], {"cyclic": True}, kind

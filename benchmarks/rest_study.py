@@ -75,43 +75,26 @@ class Case:
     def pair(self) -> bool:
         return len(self.muscles) == 2
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("muscle1", "muscle2") if self.pair else ("muscle",)
+
     def plant(self, losses: tuple[Any, ...]) -> pam.Plant:
         first, last, more = self.muscles[0], self.muscles[-1], self.extra
         common = {"feed": FEEDS[self.feed], "losses": losses}
         if self.kind == "hanging":
             return pam.HangingLoad(first, self.mass, **common)
         if self.kind == "spring":
-            return pam.SpringOverMuscle(
-                first,
-                self.mass,
-                more["spring"],
-                more["preload"],
-                inclination=more["inclination"],
-                **common,
-            )
+            spring, slope = (more["spring"], more["preload"]), more["inclination"]
+            return pam.SpringOverMuscle(first, self.mass, *spring, inclination=slope, **common)
         if self.kind == "series":
             return pam.SeriesLoad(first, self.mass, more["tendon"], **common)
+        damping = pam.losses.ConstantDamping(60.0 if self.kind == "slide" else 1.0)
+        common |= {"muscle2": last, "damping": damping}
         if self.kind == "slide":
-            return pam.AntagonisticSlide(
-                first,
-                self.mass,
-                more["before"],
-                muscle2=last,
-                damping=pam.losses.ConstantDamping(60.0),
-                **common,
-            )
-        return pam.AntagonisticJoint(
-            first,
-            0.05,
-            more["arm1"],
-            more["before"],
-            muscle2=last,
-            moment_arm2=more["arm2"],
-            link_mass=self.mass,
-            link_length=0.2,
-            damping=pam.losses.ConstantDamping(1.0),
-            **common,
-        )
+            return pam.AntagonisticSlide(first, self.mass, more["before"], **common)
+        common |= {"moment_arm2": more["arm2"], "link_mass": self.mass, "link_length": 0.2}
+        return pam.AntagonisticJoint(first, 0.05, more["arm1"], more["before"], **common)
 
     # ---- by hand ----------------------------------------------------------------------------
     @property
@@ -124,15 +107,11 @@ class Case:
         if not self.pair:
             low = max(low, 0.0)
             return float((low + self.position * (high - low)) * self.muscles[0].rest_length)
-        return self.position * min(
-            min(
-                self.extra["before"] - m.contraction_range[0],
-                m.contraction_range[1] - self.extra["before"],
-            )
-            * float(m.rest_length)
-            / arm
-            for m, arm in zip(self.muscles, self.arms, strict=True)
-        )
+        before, ways = self.extra["before"], []
+        for m, arm in zip(self.muscles, self.arms, strict=True):
+            low, high = m.contraction_range
+            ways.append(min(before - low, high - before) * float(m.rest_length) / arm)
+        return self.position * min(ways)
 
     @property
     def arms(self) -> tuple[float, ...]:
@@ -178,12 +157,8 @@ class Case:
         else:
             second = self.extra["pull"]
             first = (self.load(s) + self.arms[1] * second) / self.arms[0]
-            found = [
-                _balancing(m, kappa, pull + f) if pull > TAUT else None
-                for m, kappa, pull, f in zip(
-                    self.muscles, k, (first, second), friction, strict=True
-                )
-            ]
+            each = zip(self.muscles, k, (first, second), friction, strict=True)
+            found = [_balancing(m, at, p + f) if p > TAUT else None for m, at, p, f in each]
         return None if None in found else found  # type: ignore[return-value]
 
     def friction(
@@ -191,8 +166,7 @@ class Case:
     ) -> list[float]:
         """Of each muscle [N], by the sign in which its contraction changed last."""
         found = []
-        for i, sign in enumerate((1, -1)[: len(self.muscles)], start=1):
-            name = f"muscle{i}" if self.pair else "muscle"
+        for name, sign in zip(self.names, (1, -1), strict=False):
             total = 0.0
             for loss in losses:
                 if isinstance(loss, pam.losses.BoucWen):
@@ -258,12 +232,9 @@ def random_case(rng: np.random.Generator, kind: str, feed: str) -> Case:
 
 def conditions(case: Case, pressures: list[float]) -> dict[str, float]:
     """As many as inputs, by the case's way of asking."""
-    names = [f"muscle{i + 1}" if case.pair else "muscle" for i in range(len(case.muscles))]
-    given: dict[str, float] = {}
-    if case.feed == "on-off":
-        given.update({f"{n}.fill": 0.0 for n in names})
+    given = {f"{n}.fill": 0.0 for n in case.names if case.feed == "on-off"}
     if case.way == "pressure":
-        return given | {f"{n}.pressure": p for n, p in zip(names, pressures, strict=True)}
+        return given | {f"{n}.pressure": p for n, p in zip(case.names, pressures, strict=True)}
     s = case.reached()
     given[case.named] = s - (case.load(s) / case.extra["tendon"] if case.kind == "series" else 0.0)
     if case.pair and case.way == "position":
@@ -274,58 +245,53 @@ def conditions(case: Case, pressures: list[float]) -> dict[str, float]:
     return given
 
 
-@dataclass
-class Answer:
-    """What came of a case with one loss and one memory."""
-
-    found: bool = False
-    missed: float = np.nan
-    """Force out of balance, over the friction and load."""
-    moved: float = np.nan
-    """Largest way in 1 s [m, rad] beyond what giving up the last 2 % of friction explains."""
-    words: str = ""
+def resting(case: Case, losses: tuple[Any, ...], memory: str, values: Any = None) -> Any:
+    """The plant, the friction of its muscles, and the point of rest that the case asks for."""
+    plant, friction = case.plant(losses), case.friction(memory, losses, values or {})
+    given = conditions(case, case.pressures(friction) or [])
+    return plant, friction, plant.equilibrium(given, memory=values if memory == "given" else memory)
 
 
-def asked(case: Case, losses: tuple[Any, ...], memory: str, values: dict[str, float]) -> Answer:
-    """The point of rest, its balance by hand, and how far it moves in 1 s."""
-    plant = case.plant(losses)
-    friction = case.friction(memory, losses, values)
-    pressures = case.pressures(friction)
-    assert pressures is not None
-    given = conditions(case, pressures)
-    choice = values if memory == "given" else memory
+def found(case: Case, name: str, memory: str, values: dict[str, float]) -> harness.Row:
+    """The row of a case with one of the losses: the force out of balance at its point of rest, over
+    the load, and how far it moves in 1 s beyond what giving up the last 2 % of friction explains.
+    """
+    losses, missed, moved, why = LOSSES[name], np.nan, np.nan, []
     try:
-        point = plant.equilibrium(given, memory=choice)
+        plant, friction, point = resting(case, losses, memory, values)
     except pam.PamError as error:
-        return Answer(words=str(error))
-    names = [f"muscle{i + 1}" if case.pair else "muscle" for i in range(len(case.muscles))]
-    s = point["muscle.shortening" if case.kind == "series" else case.named]
-    at = [point[f"{n}.pressure"] for n in names]
-    missed = case.pull(s, at, friction) - case.load(s)
-    size = max(abs(case.load(s)), 50.0 * max(case.arms))
-    answer = Answer(True, abs(missed) / size)
-    if point.stability == "unstable":
-        return answer
-    run = pam.simulate(
-        plant,
-        {v.name: float(u) for v, u in zip(plant.inputs, point.u, strict=True)},
-        duration=1.0,
-        start={v.name: float(x) for v, x in zip(plant.states, point.x, strict=True)},
-    )
-    way = float(np.abs(run[case.named] - point[case.named]).max())
-    lost = (
-        0.02
-        * sum(
-            arm * np.sum(loss.friction)
-            for arm in case.arms
-            for loss in losses
-            if isinstance(loss, (pam.losses.BoucWen, pam.losses.MaxwellSlip))
-        )
-        if any(abs(z) > 0.98 for z in point.memory.values())
-        else 0.0
-    )
-    answer.moved = max(way - 2.0 * lost / stiffness(case, s, at, friction), 0.0)
-    return answer
+        why = [str(error)]
+    else:
+        s = point["muscle.shortening" if case.kind == "series" else case.named]
+        at = [point[f"{n}.pressure"] for n in case.names]
+        size = max(abs(case.load(s)), 50.0 * max(case.arms))
+        missed = abs(case.pull(s, at, friction) - case.load(s)) / size
+        if point.stability != "unstable":
+            edges = any(abs(z) > 0.98 for z in point.memory.values())
+            held = sum(np.sum(getattr(loss, "friction", 0.0)) for loss in losses) if edges else 0.0
+            lost = 0.02 * sum(case.arms) * held / stiffness(case, s, at, friction)
+            moved = max(way_in_a_second(plant, point, case.named) - 2.0 * lost, 0.0)
+    return {
+        "verdict": "at rest" if missed <= 1e-6 and not moved > 1e-5 else "NOT AT REST",
+        "losses": name,
+        "found": not why,
+        "missed": missed,
+        "moved": moved,
+        "text": f"{case.kind}, {case.feed}, {memory}, by {case.way}: missed {missed:.1e}, "
+        f"moved {moved:.1e}",
+        "why": why,
+    }
+
+
+def start_of(plant: pam.Plant, point: Any) -> dict[str, float]:
+    return {v.name: float(x) for v, x in zip(plant.states, point.x, strict=True)}
+
+
+def way_in_a_second(plant: pam.Plant, point: Any, position: str) -> float:
+    """The largest way [m, rad] from a point of rest."""
+    inputs = {v.name: float(u) for v, u in zip(plant.inputs, point.u, strict=True)}
+    run = pam.simulate(plant, inputs, duration=1.0, start=start_of(plant, point))
+    return float(np.abs(run[position] - point[position]).max())
 
 
 def stiffness(case: Case, s: float, pressures: list[float], friction: list[float]) -> float:
@@ -342,50 +308,31 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     """Distance from the set point behind 3 s, as a part of the stroke: of lqr with integral action
     and a Kalman filter started 2 % of the stroke away, of an Mpc; and how often the Mpc failed.
     """
-    plant = case.plant(losses)
-    friction = case.friction(memory, losses, {})
-    point = plant.equilibrium(conditions(case, case.pressures(friction) or []), memory=memory)
+    plant, _, point = resting(case, losses, memory)
     x = plant.variable(case.named)
     stroke = x.max - x.min
     feedback = pam.lqr(plant, point, integral={case.named: 30.0})
     pam.control.kalman(plant, point, measured={case.named: 1e-5})
     goal = point[case.named]
     away = float(np.clip(goal + 0.02 * stroke, x.min, x.max))
-    start = {v.name: float(value) for v, value in zip(plant.states, point.x, strict=True)}
-    start[case.named] = away
+    start = start_of(plant, point) | {case.named: away}
     if case.kind == "series":
         start["muscle.shortening"] += away - goal
     run = pam.closed_loop(feedback, plant, duration=3.0, sample_time=2e-3, start=start)
     left = abs(run[case.named][-1] - goal) / stroke
-    mpc = pam.Mpc(
-        plant,
-        horizon=25,
-        sample_time=0.02,
-        track={case.named: 10.0},
-        rate={v.name: 0.02 for v in plant.inputs},
-        method="rosenbrock",
-    )
-    loop = mpc.closed_loop(
-        plant,
-        {case.named: away},
-        2.0,
-        start={
-            n: float(np.clip(v, plant.variable(n).min, plant.variable(n).max))
-            for n, v in point.values.items()
-            if plant.variable(n).causality != "output"
-        },
-    )
+    rate, track = {v.name: 0.02 for v in plant.inputs}, {case.named: 10.0}
+    ask = {"horizon": 25, "sample_time": 0.02, "method": "rosenbrock"}
+    mpc = pam.Mpc(plant, track=track, rate=rate, **ask)
+    known = [v for v in map(plant.variable, point.values) if v.causality != "output"]
+    within = {v.name: float(np.clip(point[v.name], v.min, v.max)) for v in known}
+    loop = mpc.closed_loop(plant, {case.named: away}, 2.0, start=within)
     last = abs(loop.trajectory[case.named][-1] - away) / stroke
-    failed = mpc.statistics.failures
-    return left, last, failed
+    return left, last, mpc.statistics.failures
 
 
 def planned(case: Case, losses: tuple[Any, ...], memory: str) -> str:
     """The quickest motion from the case's place 3 % of the stroke away, begun with that memory."""
-    plant = case.plant(losses)
-    point = plant.equilibrium(
-        conditions(case, case.pressures(case.friction(memory, losses, {})) or []), memory=memory
-    )
+    plant, _, point = resting(case, losses, memory)
     x = plant.variable(case.named)
     goal, stroke = point[case.named], x.max - x.min
     away = goal + 0.03 * stroke if goal + 0.03 * stroke < x.max else goal - 0.03 * stroke
@@ -394,22 +341,6 @@ def planned(case: Case, losses: tuple[Any, ...], memory: str) -> str:
     same = all(abs(value - point.memory[n]) < 1e-6 for n, value in began.items())
     words = "verified" if plan.verified else f"NOT VERIFIED {plan.verdict}"
     return f"{words} {plan.duration:.3f} s, memory {'as asked' if same else 'OTHER'}"
-
-
-def found(case: Case, name: str, memory: str, values: dict[str, float]) -> harness.Row:
-    """The row of a case with one of the losses."""
-    answer = asked(case, LOSSES[name], memory, values)
-    good = answer.found and answer.missed <= 1e-6 and not answer.moved > 1e-5
-    return {
-        "verdict": "at rest" if good else "NOT AT REST",
-        "losses": name,
-        "found": answer.found,
-        "missed": answer.missed,
-        "moved": answer.moved,
-        "text": f"{case.kind}, {case.feed}, {memory}, by {case.way}: missed {answer.missed:.1e}, "
-        f"moved {answer.moved:.1e}",
-        "why": [answer.words] if answer.words else [],
-    }
 
 
 def closed(case: Case, name: str, memory: str) -> harness.Row:

@@ -29,6 +29,13 @@ import numpy as np
 
 import pam_ocp as pam
 
+NOISE = {"x": 1e-5, "muscle.pressure": 200.0}
+"""Standard deviations of what is measured."""
+
+
+def instruments() -> dict[str, pam.simulation.Instrument]:
+    return {n: pam.simulation.Instrument(noise=v) for n, v in NOISE.items()}
+
 
 def kinds_of_faults() -> dict[str, pam.rig.Fault | str]:
     """Twenty: of sensors, of the transport, of the supply, and of the controller itself."""
@@ -86,11 +93,12 @@ def one_fault(plant, kind, at: float, folder: Path, seed: int) -> tuple[float, b
         pam.rig.Reading(pressure, low="-0.3 bar", high="5.5 bar", frozen="30 ms"),
         pam.rig.Reading("supply", "Pa", low="3 bar"),
     ]
-    noise = {n: pam.simulation.Instrument(noise=v) for n, v in (("x", 1e-5), (pressure, 200.0))}
     own = isinstance(kind, str)
     short = not own and kind.kind == "cable"
     wrong = [] if own else [replace(kind, at=at, until=at + 0.04 if short else math.inf)]
-    twin = pam.rig.Twin(plant, readings, clock=clock, sensors=noise, faults=wrong, seed=seed)
+    twin = pam.rig.Twin(
+        plant, readings, clock=clock, sensors=instruments(), faults=wrong, seed=seed
+    )
     driver = pam.rig.driver("twin", twin=twin)
     rig = pam.Rig(driver, readings, plant=plant, clock=clock, record=folder)
     rig.arm()
@@ -191,9 +199,8 @@ LIMITS = [
 def _law() -> tuple[pam.Plant, pam.control.Block]:
     """A regulator behind an estimator, every millisecond."""
     plant = pam.HangingLoad("DMSP-20-300")
-    measured = {"x": 1e-5, "muscle.pressure": 200.0}
     goal = plant.equilibrium(x=0.04)
-    first = pam.control.kalman(plant, goal, measured=measured, sample_time=1e-3)
+    first = pam.control.kalman(plant, goal, measured=NOISE, sample_time=1e-3)
     law = pam.lqr(plant, goal, integral={"x": 100.0}, sample_time=1e-3)
     return plant, pam.control.block(pam.control.chain([first, law], name="lqg"), plant=plant)
 
@@ -222,11 +229,7 @@ def _in_c(seconds: float) -> Any:
 def _reaction(fault: pam.rig.Fault) -> float:
     """From a fault to the vented twin [s]."""
     plant, law = _law()
-    noise = {
-        "x": pam.simulation.Instrument(noise=1e-5),
-        "muscle.pressure": pam.simulation.Instrument(noise=200.0),
-    }
-    twin = pam.rig.Twin(plant, LIMITS, sensors=noise, faults=[fault])
+    twin = pam.rig.Twin(plant, LIMITS, sensors=instruments(), faults=[fault])
     began = twin._began  # times of faults count from there
     with pam.rig.serve(twin, "udp") as served:
         driver = pam.rig.driver(**{**served.address, "timeout": 0.2})

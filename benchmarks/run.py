@@ -36,7 +36,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from harness import write
+from harness import SINGLE, printed, write
 from measured import GROUPS, HERE
 
 LIMIT = {True: 120.0, False: 900.0}
@@ -119,24 +119,13 @@ KNOWN = f"of {', '.join(GROUPS)}"
 def environment(tree: Path = TREE) -> dict[str, str]:
     """One thread each, and a tree's package: this one's, where no other is named."""
     paths = [str(tree), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    return {**os.environ, **single, "PYTHONPATH": os.pathsep.join(p for p in paths if p)}
+    return {**os.environ, **SINGLE, "PYTHONPATH": os.pathsep.join(p for p in paths if p)}
 
 
 def once(name: str, quick: bool, tree: Path = TREE) -> dict[str, float] | str:
     """The figures of a group with a tree's package, or why there are none."""
     command = [sys.executable, str(HERE / "measured.py"), name, *(["--quick"] if quick else [])]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=LIMIT[quick], env=environment(tree)
-        )
-    except subprocess.TimeoutExpired:
-        return f"no end in {LIMIT[quick]:.0f} s"
-    line = next((li for li in done.stdout.splitlines() if li.startswith("FIGURES ")), None)
-    if done.returncode or line is None:
-        return (done.stderr.strip().splitlines() or ["it printed nothing"])[-1]
-    found: dict[str, float] = json.loads(line[len("FIGURES ") :])
-    return found
+    return printed(command, "FIGURES", LIMIT[quick], environment(tree))
 
 
 def about(commit: str = "") -> dict[str, Any]:
@@ -231,14 +220,18 @@ def reached(name: str, value: float) -> bool | None:
     return value <= wanted if sign == "<=" else value >= wanted
 
 
+def goal(name: str) -> str:
+    """What is wanted of a figure, in words."""
+    return "{} {:g}".format(*WANTED[name]) if name in WANTED else ""
+
+
 def show(result: dict[str, Any]) -> None:
     """The figures as a table."""
     for name, figure in result["figures"].items():
         said = reached(name, figure["median"])
-        goal = "" if said is None else "{} {:g}".format(*WANTED[name])
         mark = "" if said is None else "reached" if said else "MISSED"
-        low, high = min(figure["values"]), max(figure["values"])
-        print(f"{name:<54}{figure['median']:>10.4g}  {low:.3g} .. {high:.3g}  {goal:>9} {mark}")
+        span = f"{min(figure['values']):.3g} .. {max(figure['values']):.3g}"
+        print(f"{name:<54}{figure['median']:>10.4g}  {span}  {goal(name):>9} {mark}")
     for name, why in result["missing"].items():
         print(f"{name}: not measured: {why}")
     for task, tools in result.get("peers", {}).items():

@@ -81,23 +81,11 @@ def broken(site: Path) -> list[str]:
 def browse(chromium: str, page: Path, *arguments: str) -> list[str]:
     """What the console says when a page is opened."""
     with tempfile.TemporaryDirectory() as profile:
+        options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"]
+        options += ["--disable-background-networking", "--virtual-time-budget=3000"]
+        options += [f"--user-data-dir={profile}", *arguments, page.resolve().as_uri()]
         done = subprocess.run(
-            [
-                chromium,
-                "--headless=new",
-                "--no-sandbox",
-                "--disable-gpu",
-                "--disable-background-networking",
-                "--enable-logging=stderr",
-                "--virtual-time-budget=3000",
-                f"--user-data-dir={profile}",
-                *arguments,
-                page.resolve().as_uri(),
-            ],
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
+            [chromium, *options], capture_output=True, text=True, timeout=300, check=False
         )
     said = CONSOLE.findall(done.stderr)
     if done.returncode or ("--dump-dom" in arguments and "</html>" not in done.stdout):

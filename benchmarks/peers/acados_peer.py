@@ -95,7 +95,7 @@ def set_guess(solver):
 
 
 def main():
-    begin, folder, seconds = e.clock(), tempfile.mkdtemp(), []
+    begin, folder = e.clock(), tempfile.mkdtemp()
     try:
         os.chdir(folder)
         solver = AcadosOcpSolver(state_problem(folder), json_file="ocp.json", verbose=False)
@@ -103,32 +103,21 @@ def main():
         solver.constraints_set(0, "uh", np.array([FREE, FREE, 1.0, 1.0, 0.0]))
         solver.constraints_set(0, "lg", np.zeros(2))
         solver.constraints_set(0, "ug", np.zeros(2))
-        for again in range(3):
-            set_guess(solver)
-            ready = e.clock()
-            status = solver.solve()
-            done = e.clock()
-            seconds.append(done - ready)
-            if not again:
-                first = done, done - begin
-            if status:
+
+        def solved():
+            if status := solver.solve():
                 solver.print_statistics()
                 raise SystemExit(f"the solver ended with status {status}")
+
+        first, best, _ = e.repeated(solved, begin, prepare=lambda: set_guess(solver))
         states = np.array([solver.get(k, "x") * SIZE for k in range(N + 1)])
         inputs = np.array([solver.get(k, "u") for k in range(N)])
         iterations = int(np.ravel(solver.get_stats("sqp_iter"))[0])
     finally:
         os.chdir("/")
         shutil.rmtree(folder, ignore_errors=True)
-    e.report(
-        "acados: shooting, RK4 x 4, SQP, compiled",
-        first,
-        min(seconds),
-        iterations,
-        states[0, 4],
-        states[:, :4].T,
-        inputs[:, :, None],
-    )
+    name, motion = "acados: shooting, RK4 x 4, SQP, compiled", states[:, :4].T
+    e.report(name, first, best, iterations, states[0, 4], motion, inputs[:, :, None])
 
 
 main()

@@ -8,11 +8,14 @@ PAM-2DIR, its commands given at 101 instants and joined by lines, at a tolerance
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import equations as e
 import numpy as np
+from numpy.polynomial import polynomial
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.stats import t as student
@@ -27,23 +30,35 @@ TAUT = 50.0
 TIGHT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-11}
 
 
-def plan_error(found: dict[str, Any]) -> float:
-    """Largest deviation of a tight integration of the inputs from the motion found."""
-    states = np.array(found["states"]) / SCALE[:, None]
-    points, z, worst = np.array(found["points"]), states[:, 0], 0.0
-    for k, values in enumerate(np.array(found["inputs"])):
-        begin, end = (found["duration"] * b for b in found["breaks"][k : k + 2])
-        line = np.polynomial.polynomial.polyfit(points, values.T, len(points) - 1)
+Command = Callable[[float], Any]
+"""Commanded pressures [bar] over time."""
 
-        def slope(
-            t: float, y: Any, begin: float = begin, end: float = end, line: Any = line
-        ) -> Any:
-            u = np.polynomial.polynomial.polyval((t - begin) / (end - begin), line)
-            return np.array(e.slopes(*(y * SCALE), *u)) / SCALE
+
+def deviation(states: Any, start: Any, pieces: Iterable[tuple[float, float, Command]]) -> float:
+    """Largest deviation of states from a tight integration, which begins anew at each piece of the
+    commands: (begin, end, commands of time).
+    """
+    states, z, worst = np.array(states) / SCALE[:, None], np.array(start) / SCALE, 0.0
+    for k, (begin, end, command) in enumerate(pieces, 1):
+
+        def slope(t: float, y: Any, command: Command = command) -> Any:
+            return np.array(e.slopes(*(y * SCALE), *command(t))) / SCALE
 
         z = solve_ivp(slope, (begin, end), z, **TIGHT).y[:, -1]
-        worst = max(worst, float(np.max(np.abs(z - states[:, k + 1]))))
+        worst = max(worst, float(np.max(np.abs(z - states[:, k]))))
     return worst
+
+
+def plan_error(found: dict[str, Any]) -> float:
+    """Largest deviation of a tight integration of the inputs from the motion found."""
+    points, ends = np.array(found["points"]), found["duration"] * np.array(found["breaks"])
+
+    def along(begin: float, end: float, values: Any) -> tuple[float, float, Command]:
+        line = polynomial.polyfit(points, values.T, len(points) - 1)
+        return begin, end, lambda t: polynomial.polyval((t - begin) / (end - begin), line)
+
+    pieces = map(along, ends[:-1], ends[1:], np.array(found["inputs"]))
+    return deviation(found["states"], np.array(found["states"])[:, 0], pieces)
 
 
 def plan_miss(found: dict[str, Any]) -> float:
@@ -129,14 +144,5 @@ def simulated_inputs() -> tuple[np.ndarray, np.ndarray]:
 def simulation_error(found: dict[str, Any]) -> float:
     """Largest deviation from SciPy's DOP853 at 1e-11, which begins anew at each kink."""
     t, u = simulated_inputs()
-    z, worst = np.array(e.REST) / SCALE, 0.0
-    states = np.array(found["states"]) / SCALE[:, None]
-    for k in range(len(t) - 1):
-        rise = (u[:, k + 1] - u[:, k]) / (t[k + 1] - t[k])
-
-        def slope(s: float, y: Any, k: int = k, rise: Any = rise) -> Any:
-            return np.array(e.slopes(*(y * SCALE), *(u[:, k] + rise * (s - t[k])))) / SCALE
-
-        z = solve_ivp(slope, (t[k], t[k + 1]), z, **TIGHT).y[:, -1]
-        worst = max(worst, float(np.max(np.abs(z - states[:, k + 1]))))
-    return worst
+    pieces = ((a, b, lambda s: [np.interp(s, t, row) for row in u]) for a, b in pairwise(t))
+    return deviation(found["states"], e.REST, pieces)

@@ -59,16 +59,8 @@ def main():
     first, best, found = e.repeated(lambda: solver(x0=guess, lbg=low, ubg=high), begin)
     w = found["x"]
     x, u, duration = (np.asarray(v) for v in ca.Function("v", [opti.x], list(unknowns))(w))
-    iterations = solver.stats()["iter_count"]
-    e.report(
-        "plain CasADi: Opti, Radau 3, expanded",
-        first,
-        best,
-        iterations,
-        duration.item(),
-        x,
-        u.T[:, :, None],
-    )
+    name, iterations = "plain CasADi: Opti, Radau 3, expanded", solver.stats()["iter_count"]
+    e.report(name, first, best, iterations, duration.item(), x, u.T[:, :, None])
 
 
 main()

@@ -6,7 +6,6 @@ install or to run, is told with its message.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -15,6 +14,9 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parent))
+import harness  # noqa: E402
+
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pam_ocp" / "peers"
 TOOLS: dict[str, tuple[list[str], ...]] = {
     "rockit": (["rockit-meco"],),
@@ -57,7 +59,8 @@ def install(tools: list[str]) -> dict[str, str]:
                 command = [str(interpreter(tool)), "-m", "pip", "install", "-q", *step]
                 subprocess.run(command, capture_output=True, text=True, check=True)
         except (OSError, subprocess.CalledProcessError) as error:
-            failed[tool] = f"not installed: {_last(getattr(error, 'stderr', None) or str(error))}"
+            said = getattr(error, "stderr", None) or str(error)
+            failed[tool] = f"not installed: {harness.last_line(said)}"
             print(f"{tool}: {failed[tool]}", flush=True)
         else:
             ready.touch()
@@ -69,26 +72,12 @@ def call(tool: str, *arguments: str) -> dict[str, Any] | str:
     if tool not in OWN and not (CACHE / tool / "ready").is_file():
         return "not installed (--install)"
     command = [str(interpreter(tool)), str(HERE / f"{tool}_peer.py"), *arguments]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=LIMIT, env=_environment(tool)
-        )
-    except subprocess.TimeoutExpired:
-        return f"failed: no result in {LIMIT:.0f} s"
-    line = next((li for li in done.stdout.splitlines() if li.startswith("RESULT ")), None)
-    if done.returncode or line is None:
-        return f"failed: {_last(done.stderr or done.stdout or 'it printed nothing')}"
-    found: dict[str, Any] = json.loads(line[len("RESULT ") :])
-    return found
-
-
-def _last(text: str) -> str:
-    """The last line that says something."""
-    return next((li.strip() for li in reversed(text.splitlines()) if li.strip()), "no message")
+    found = harness.printed(command, "RESULT", LIMIT, _environment(tool))
+    return f"failed: {found}" if isinstance(found, str) else found
 
 
 def _environment(tool: str) -> dict[str, str]:
     """One thread each; byte code kept for all, as for tools that an installer has compiled."""
     left_out = {"PYTHONDONTWRITEBYTECODE"} | (set() if tool in OWN else {"PYTHONPATH"})
     kept = {k: v for k, v in os.environ.items() if k not in left_out}
-    return {**kept, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return {**kept, **harness.SINGLE}

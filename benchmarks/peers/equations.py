@@ -58,14 +58,16 @@ def slopes(x, v, p1, p2, u1, u2, exp=math.exp):
     return v, (f1 - f2 - DAMPING * v) / MASS, (u1 - p1) / LAG, (u2 - p2) / LAG
 
 
-def repeated(work, begin, times=3):
+def repeated(work, begin, times=3, prepare=lambda: None):
     """(first, best, result) of some calls.
 
     first : processor seconds to the first result, since the process began and since ``begin``, the
-    clock after the imports. best : the least seconds of a call. result : that of the last.
+    clock after the imports. best : the least seconds of a call, without what prepares it. result :
+    that of the last.
     """
     seconds, first = [], None
     for _ in range(times):
+        prepare()
         ready = clock()
         result = work()
         done = clock()

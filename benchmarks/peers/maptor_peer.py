@@ -50,29 +50,20 @@ def main():
     first = e.clock(), e.clock() - begin
     if not found.status["success"]:
         raise SystemExit(found.status["message"])
-    opti, seconds = found.opti, []
+    opti = found.opti
     start = opti.debug.value(opti.x, opti.initial())
-    for _ in range(3):
-        opti.set_initial(opti.x, start)
-        ready = e.clock()
-        again = opti.solve_limited()
-        seconds.append(e.clock() - ready)
+    guess = lambda: opti.set_initial(opti.x, start)  # noqa: E731
+    _, best, again = e.repeated(opti.solve_limited, begin, prepare=guess)
     duration = found.phases[1]["times"]["duration"]
     breaks = np.linspace(0, duration, intervals + 1)
     index = [int(np.argmin(np.abs(found["time_states"] - b))) for b in breaks]
     states = np.array([found[n][index] for n in ("x", "v", "p1", "p2")])
     points = found["time_controls"][:degree] / breaks[1]
     inputs = np.array([found[n][: intervals * degree] for n in ("u1", "u2")])
-    e.report(
-        f"maptor: LGR {intervals} x {degree}, input at the points",
-        first,
-        min(seconds),
-        again.stats()["iter_count"],
-        duration,
-        states,
-        inputs.reshape(2, intervals, degree).transpose(1, 0, 2),
-        points=points,
-    )
+    inputs = inputs.reshape(2, intervals, degree).transpose(1, 0, 2)
+    name, count = f"maptor: LGR {intervals} x {degree}", again.stats()["iter_count"]
+    name += ", input at the points"
+    e.report(name, first, best, count, duration, states, inputs, points=points)
 
 
 main()

@@ -51,28 +51,19 @@ def main():
         problem = state_problem()
         problem.solve()
     first = e.clock(), e.clock() - begin
-    back, found, seconds = problem._backend, problem.solution, []
+    back, found = problem._backend, problem.solution
     stats = back.nlp_solver.stats()
     if not stats["success"]:
         raise SystemExit(stats["return_status"])
     with contextlib.redirect_stdout(io.StringIO()):
-        for _ in range(3):
-            ready = e.clock()
-            back.solve_nlp()
-            seconds.append(e.clock() - ready)
+        _, best, _ = e.repeated(back.solve_nlp, begin)
     share, nodes = (np.asarray(found.tau[0]) + 1) / 2, POINTS - 1
     state, control = np.asarray(found.state[0]), np.asarray(found.control[0])
     pieces = [control[:, nodes * k : nodes * k + POINTS] for k in range(N)]
-    e.report(
-        f"pycollo: LGL {N} x {POINTS}, input at the points",
-        first,
-        min(seconds),
-        stats["iter_count"],
-        found.final_time[0],
-        state[:, ::nodes],
-        np.array(pieces),
-        points=share[:POINTS] * N,
-    )
+    name, iterations = f"pycollo: LGL {N} x {POINTS}, input at the points", stats["iter_count"]
+    duration, points = found.final_time[0], share[:POINTS] * N
+    pieces = np.array(pieces)
+    e.report(name, first, best, iterations, duration, state[:, ::nodes], pieces, points=points)
 
 
 main()

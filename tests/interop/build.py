@@ -37,6 +37,13 @@ def commands(t: Any) -> dict[str, Any]:
     return {"muscle1.command": first * BAR, "muscle2.command": second * BAR}
 
 
+def write_table(path: Path, names: list[str], columns: Any) -> None:
+    """Time, and columns at each step."""
+    table = np.column_stack([np.arange(STEPS + 1) * STEP, columns])
+    header = ",".join(["time", *names])
+    np.savetxt(path, table, fmt="%.17g", delimiter=",", header=header, comments="")
+
+
 def write_motion(
     path: Path, model: pam.Plant, inputs: dict[str, Any], given: dict[str, float]
 ) -> None:
@@ -51,9 +58,7 @@ def write_motion(
         parameters={n: v for n, v in given.items() if n not in states},
     )
     names = [v.name for v in (*model.inputs, *model.states, *model.outputs)]
-    table = np.column_stack([t, motion.array(names)])
-    header = ",".join(["time", *names])
-    np.savetxt(path, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    write_table(path, names, motion.array(names))
 
 
 COMMANDS = tuple(CONSTANT)
@@ -113,13 +118,17 @@ def feedback_law(model: pam.Plant) -> Any:
     return pam.lqr(model, point, integral={"x": 100.0}, sample_time=STEP)
 
 
+def enabled(place: Variable, t: Any, values: Any) -> pam.Trajectory:
+    """A goal, and the word that the controller acts."""
+    on = Variable("on", "output", description="the controller acts")
+    return pam.Trajectory(t, {place.name: values, "on": np.ones(len(t))}, [place, on])
+
+
 def sampled_parts(model: pam.Plant) -> dict[str, Any]:
     parts = feedback_parts(model)
     goal = parts["goal"]
-    on = Variable("on", "output", description="the controller acts")
-    columns = {"x": goal["x"], "on": np.ones(len(goal))}
     return {
-        "goal": pam.Trajectory(goal.t, columns, [model.variable("x"), on]),
+        "goal": enabled(model.variable("x"), goal.t, goal["x"]),
         "state_feedback": block(feedback_law(model), plant=model),
         "plant": parts["plant"],
     }
@@ -148,11 +157,8 @@ def predictive_parts(model: pam.Plant) -> dict[str, Any]:
     )
     estimator = pam.control.KalmanFilter(model, sample_time=STEP, measured=measured)
     law = pam.control.chain([estimator, pam.control.mpc_block(mpc)])
-    on = Variable("on", "output", description="the controller acts")
-    t = np.array([0.0, STEPS * STEP])
-    columns = {place.name: np.full(2, GOALS[place.name]), "on": np.ones(2)}
     return {
-        "goal": pam.Trajectory(t, columns, [place, on]),
+        "goal": enabled(place, np.array([0.0, STEPS * STEP]), np.full(2, GOALS[place.name])),
         "predictive": block(law, plant=model),
         "plant": model,
     }
@@ -191,13 +197,9 @@ def write_system(
         parts, wires, target.with_suffix(".ssp"), stop_time=STEPS * STEP, platforms="native"
     )
     names = [v.name for v in (*model.states, *model.outputs)]
-    t = np.arange(STEPS + 1) * STEP
     stepped, handed = _coupled(path, wires, list(parts), names)
-    header = ",".join(["time", *names])
-    for rows, ending in ((stepped, ".csv"), (handed, "_handed.csv")):
-        file = target.with_name(target.name + ending)
-        table = np.column_stack([t, rows])
-        np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    write_table(target.with_name(f"{target.name}.csv"), names, stepped)
+    write_table(target.with_name(f"{target.name}_handed.csv"), names, handed)
 
 
 def _coupled(
@@ -267,11 +269,8 @@ def write_controller(path: Path, controller: Block) -> dict[str, Any]:
     for row in inputs[:-1]:
         memory, outputs = controller.step(memory, row, parameters)
         rows.append(np.asarray(outputs).ravel())
-    table = np.column_stack([np.arange(STEPS + 1) * STEP, inputs, [rows[0], *rows]])
     names = [v.name for v in (*controller.inputs, *controller.outputs)]
-    np.savetxt(
-        path, table, fmt="%.17g", delimiter=",", header=",".join(["time", *names]), comments=""
-    )
+    write_table(path, names, np.column_stack([inputs, [rows[0], *rows]]))
     return {
         "start": {PARAMETER: 0.02},
         "inputs": [v.name for v in controller.inputs],

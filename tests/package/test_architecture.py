@@ -213,7 +213,9 @@ def test_an_import_loads_names_only_when_they_are_used(name):
 
 
 def test_a_first_plan_loads_nothing_that_it_does_not_use():
-    """Files, other laws, re-solves and NumPy's random numbers are for others."""
+    """Files, other laws, re-solves and NumPy's random numbers are for others; SciPy alone takes as
+    long as a plan; plotting, tables and python-control have no part.
+    """
     code = (
         "import sys, pam_ocp as pam; muscle = pam.muscle('DMSP-20-200N'); "
         "slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.1); "
@@ -225,6 +227,7 @@ def test_a_first_plan_loads_nothing_that_it_does_not_use():
     unused = ("planning.problem.problem_file", "planning.solvers.newton", "plants.plant_file")
     loaded = set(done.stdout.split())
     assert "pam_ocp.planning.planner" in loaded
+    assert not loaded & {"matplotlib", "pandas", "control", "scipy", "fmpy"}
     assert not loaded & {"numpy.random", "secrets", *(f"pam_ocp.{name}" for name in unused)}
 
 

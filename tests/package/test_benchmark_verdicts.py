@@ -72,6 +72,18 @@ def answered(study):
 
 
 @pytest.fixture
+def held(study):
+    """The answer of one second with the same inputs."""
+
+    def answer(t, states, inputs, objective=1.0):
+        column = np.array([[np.atleast_1d(inputs)]], float)
+        times, breaks = np.asarray(t, float), np.array([0.0, 1.0])
+        return study.motion_check.Answer(times, states, breaks, column, (1.0,), objective)
+
+    return answer
+
+
+@pytest.fixture
 def kinds(study, cart):
     """(answer, arguments of the task) -> the kinds of what is wrong."""
 
@@ -100,7 +112,7 @@ def test_an_acceleration_at_a_stop_is_seen(answered, kinds):
     }
 
 
-def test_an_acceleration_that_an_input_sets_at_once_needs_an_input_that_holds(study, kinds):
+def test_an_acceleration_that_an_input_sets_at_once_needs_an_input_that_holds(held, kinds):
     """x'' = u + 3: within |u| <= 1 nothing holds it, within |u| <= 5 u = -3 does."""
     for most, wrong in ((1.0, {"acceleration", "start"}), (5.0, set())):
         plant = pam.Plant("pushed")
@@ -109,11 +121,8 @@ def test_an_acceleration_that_an_input_sets_at_once_needs_an_input_that_holds(st
         plant.der(v, plant.input("u", min=-most, max=most) + 3.0)
         t = np.linspace(0, 1, 11)
         states = np.column_stack([t**2, 2 * t])  # u = -1
-        answer = study.motion_check.Answer(
-            t, states, np.array([0.0, 1.0]), np.full((1, 1, 1), -1.0), (1.0,), 1.0
-        )
         stops = ({"x": 0.0}, pam.Stop({"x": 1.0}, rest=False))
-        assert kinds(answer, stops, plant=plant) == wrong
+        assert kinds(held(t, states, -1.0), stops, plant=plant) == wrong
 
 
 def test_a_value_that_a_stop_asks_for_and_a_limit_between_the_points_are_seen(answered, kinds):
@@ -182,23 +191,21 @@ def warm(decay):
     ],
 )
 def test_a_start_that_does_not_last_or_is_no_rest_of_its_surroundings_is_seen(
-    study, kinds, hold, kelvin, decay, wrong
+    held, kinds, hold, kelvin, decay, wrong
 ):
     plant, t = warm(decay), np.linspace(0.0, 1.0, 21)
     sent = min(hold, 0.5)
     pull = sent + (hold - sent) * np.exp(-t)
     air = 293.0 + (kelvin - 293.0) * np.exp(-decay * t)
     states = np.column_stack([0 * t, 0 * t, pull, pull, air])
-    answer = study.motion_check.Answer(
-        t, states, np.array([0.0, 1.0]), np.full((1, 1, 2), sent), (1.0,), 1.0
-    )
+    answer = held(t, states, [sent, sent])
     stops = ({"x": 0.0}, pam.Stop({"x": 0.0}))
     assert kinds(answer, stops, plant=plant, duration=1.0) == wrong
     named = replace(answer, verdict="verified; at the start air, s1, s2 are not at rest")
     assert kinds(named, stops, plant=plant, duration=1.0) == set()
 
 
-def test_a_receiver_above_what_its_compressor_brings_about_is_seen(study, kinds):
+def test_a_receiver_above_what_its_compressor_brings_about_is_seen(held, kinds):
     """Closed valves, a hanging load at rest: all stands, but 7 bar come from nowhere."""
     tank = pam.feeds.Receiver(1e-3, 6e5, pam.feeds.Compressor(1e-3, 6e5))
     plant = pam.HangingLoad("DMSP-20-200N", 10.0, feed=pam.feeds.SpoolValve(supply=tank))
@@ -206,23 +213,14 @@ def test_a_receiver_above_what_its_compressor_brings_about_is_seen(study, kinds)
     for pressure, wrong in ((6e5, set()), (7e5, {"start"})):
         state = np.array([rest[v.name] for v in plant.states])
         state[[v.name for v in plant.states].index("receiver.air_pressure")] = pressure
-        answer = study.motion_check.Answer(
-            np.array([0.0, 1.0]),
-            np.array([state, state]),
-            np.array([0.0, 1.0]),
-            np.zeros((1, 1, 1)),
-            (1.0,),
-            1.0,
-        )
+        answer = held([0.0, 1.0], np.array([state, state]), 0.0)
         assert kinds(answer, ({"x": 0.02}, {"x": 0.02}), plant=plant, duration=1.0) == wrong
 
 
-def still(study, plant, rest):
+def still(held, plant, rest):
     """The answer of a plant that stays where it rests for a second."""
     state = np.array([[rest[v.name] for v in plant.states]], float)
-    inputs = np.array([[[rest[v.name] for v in plant.inputs]]], float)
-    begin = np.array([0.0])
-    return study.motion_check.Answer(begin, state, np.array([0.0, 1.0]), inputs, (1.0,), 1.0)
+    return held([0.0], state, [rest[v.name] for v in plant.inputs])
 
 
 @pytest.mark.parametrize(
@@ -239,28 +237,28 @@ def still(study, plant, rest):
         ),
     ],
 )
-def test_memories_begin_where_the_task_says(study, kinds, parts, memory, others):
+def test_memories_begin_where_the_task_says(held, kinds, parts, memory, others):
     plant = pam.HangingLoad("DMSP-20-400N", 10.0, **parts)
-    answer = still(study, plant, plant.equilibrium(x=0.02, memory=memory))
+    answer = still(held, plant, plant.equilibrium(x=0.02, memory=memory))
     stops, words = ({"x": 0.02}, {"x": 0.02}), {"plant": plant, "duration": 1.0}
     assert kinds(answer, stops, memory=memory, **words) == set()
     for other in others:
         assert kinds(answer, stops, memory=other, **words) == {"start"}
 
 
-def test_a_muscle_has_reached_at_least_where_it_stands(study, kinds):
+def test_a_muscle_has_reached_at_least_where_it_stands(held, kinds):
     plant = pam.HangingLoad("DMSP-20-400N", 10.0, losses=pam.losses.Preconditioning())
     stops, words = ({"x": 0.02}, {"x": 0.02}), {"plant": plant, "duration": 1.0}
     here = plant.equilibrium(x=0.02)["muscle.contraction"]
     hard = plant.with_values({"muscle.softening_part": 0.0}).equilibrium(x=0.02)
     x = np.where([v.name == "muscle.reached" for v in plant.states], 0.0, hard.x)
-    assert kinds(still(study, plant, replace(hard, x=x)), stops, **words) == {"start"}
+    assert kinds(still(held, plant, replace(hard, x=x)), stops, **words) == {"start"}
     for memory, wrong in (("virgin", set()), ({"muscle.reached": here + 0.05}, {"start"})):
         rest = plant.equilibrium({"x": 0.02}, memory=memory)
-        assert kinds(still(study, plant, rest), stops, **words) == wrong
+        assert kinds(still(held, plant, rest), stops, **words) == wrong
 
 
-def test_differences_are_derivatives_beside_a_stiff_part_too(study, kinds):
+def test_differences_are_derivatives_beside_a_stiff_part_too(held, kinds):
     """x'' = f, f' = (1 - f)/s with s = 10 us: at the start f is 0, 20 us later 0.86."""
     plant, s, t = pam.Plant("stiff"), 1e-5, np.linspace(0.0, 1.0, 11)
     x, v, f = plant.state("x", unit="m"), plant.state("v", unit="m/s"), plant.state("f")
@@ -269,9 +267,7 @@ def test_differences_are_derivatives_beside_a_stiff_part_too(study, kinds):
     plant.der(f, (plant.input("u", min=0.0, max=1.0) - f) / s)
     grown = 1 - np.exp(-t / s)
     states = np.column_stack([t**2 / 2 - s * t + s**2 * grown, t - s * grown, grown])
-    answer = study.motion_check.Answer(
-        t, states, np.array([0.0, 1.0]), np.ones((1, 1, 1)), (1.0,), 1.0
-    )
+    answer = held(t, states, 1.0)
     stops = ({"x": 0.0}, pam.Stop({}, rest=False))
     assert kinds(answer, stops, plant=plant, duration=1.0) == set()
     states[:, 2] = 1.0  # f = 1 from the start: an acceleration
@@ -279,16 +275,16 @@ def test_differences_are_derivatives_beside_a_stiff_part_too(study, kinds):
     assert "acceleration" in kinds(answer, stops, plant=plant, duration=1.0)
 
 
-def test_a_peak_between_samples_counts(study, kinds):
+def test_a_peak_between_samples_counts(held, kinds):
     """Two lags of 2 ms in a row, the first at 1: the second has 1/e at most."""
     plant, s, t = pam.Plant("lags"), 2e-3, np.array([0.0, 1.0])
     a, b = plant.state("a"), plant.state("b")
     plant.der(a, (plant.input("u") - a) / s)
     plant.der(b, (a - b) / s)
-    states, breaks = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([0.0, 1.0])
+    states = np.array([[1.0, 0.0], [0.0, 0.0]])
     stops = (pam.Stop({}, rest=False),) * 2
     for said, wrong in ((np.exp(-1), set()), (0.36, {"objective"})):
-        answer = study.motion_check.Answer(t, states, breaks, np.zeros((1, 1, 1)), (1.0,), said)
+        answer = held(t, states, 0.0, said)
         words = {"plant": plant, "minimise": "peak(b)", "duration": 1.0, "positions": ()}
         assert kinds(answer, stops, **words) == wrong
 

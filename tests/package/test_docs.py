@@ -1,4 +1,6 @@
-"""What the pages of docs/ show runs as it stands there, block after block."""
+"""What the pages of docs/ and the README show runs as it stands there, block after block; names and
+files that they speak of are there.
+"""
 
 import json
 import logging
@@ -8,7 +10,11 @@ from pathlib import Path
 
 import pytest
 
-DOCS = Path(__file__).parents[2] / "docs"
+import pam_ocp as pam
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+README = (ROOT / "README.md").read_text("utf-8")
 FRAGMENT = "<!-- a fragment -->\n"
 BLOCK = re.compile(rf"({FRAGMENT})?^```python\n(.*?)^```", re.S | re.M)
 
@@ -75,6 +81,90 @@ def test_every_command_line_is_run_for_the_site_or_is_a_fragment(gallery):
         assert page.stem in gallery.PAGES or "sh" not in kinds, page.name
 
 
+@pytest.mark.slow
+def test_the_blocks_on_campaigns_and_holds_run_one_after_another(tmp_path, monkeypatch, capsys):
+    section = sections((DOCS / "fitting.md").read_text("utf-8"), "##")["Static campaigns and holds"]
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for _, block in BLOCK.findall(section):
+        exec(compile(block, "docs/fitting.md", "exec"), names)
+    shown = capsys.readouterr().out
+    for part in ("[[Diameter 20 mm]]", "hysteresis", "[[Holds]]", "left out"):
+        assert part in shown
+    assert (tmp_path / "campaign" / "table.csv").exists()
+
+
+def sections(text, mark):
+    """{heading: what stands below it} of the headings that begin with the mark."""
+    parts = re.split(rf"(?m)^{mark} (.*)$", text)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+# ---- the README ----------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_the_ten_lines_of_python_run(tmp_path, monkeypatch, capsys):
+    ((_, code),) = BLOCK.findall(README)
+    assert len(code.strip().splitlines()) <= 12
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    shown = capsys.readouterr().out
+    assert "RMSE 6.196 N" in shown
+    assert "all well" in shown
+
+
+def test_the_readme_is_short_and_cites_this_version():
+    assert len(README.split()) <= 500
+    assert f"version = {{{pam.__version__}}}" in README
+
+
+# ---- the tutorial --------------------------------------------------------------------------------
+def test_the_tutorial_has_commands_files_and_python():
+    text = (DOCS / "tutorial.md").read_text("utf-8")
+    assert set(re.findall(r"(?m)^```(\w+)$", text)) >= {"sh", "toml", "python"}
+
+
+def test_the_workbook_is_the_one_that_its_script_makes(tmp_path, monkeypatch):
+    from openpyxl import load_workbook
+
+    monkeypatch.syspath_prepend(str(DOCS))
+    import rig
+
+    rig.main(tmp_path / "rig.xlsx")
+    made, kept = (
+        [list(row) for row in load_workbook(path)["Readings"].values]
+        for path in (tmp_path / "rig.xlsx", DOCS / "rig.xlsx")
+    )
+    assert made == kept
+
+
+# ---- the newcomer's walks ------------------------------------------------------------------------
+HOUSE = (DOCS / "architecture.md").read_text("utf-8")
+FILE = re.compile(r"`((?:[A-Za-z0-9_]+/)*[A-Za-z0-9_]+\.(?:py|toml|c|h|md))`")
+WALKS = sections(sections(HOUSE, "##")["Five walks through the code"], "###")
+
+
+def gone(names):
+    """Files that do not exist."""
+    return {n for n in names if not any((b / n).is_file() for b in (ROOT, ROOT / "pam_ocp"))}
+
+
+def test_there_are_the_five_walks():
+    names = [name.split(",")[0] for name in WALKS]
+    assert names == ["Pressure", "A plan", "A new loss", "A fit", "A bug report"]
+
+
+@pytest.mark.parametrize("walk", WALKS)
+def test_the_files_of_a_walk_exist(walk):
+    named = FILE.findall(WALKS[walk])
+    assert len(set(named)) >= 8
+    assert gone(named) == set()
+
+
+def test_files_that_the_rest_of_the_page_names_exist():
+    assert gone(FILE.findall(HOUSE)) <= set().union(*(map(FILE.findall, WALKS.values())))
+
+
+# ---- what the site is made of --------------------------------------------------------------------
 PAGE = """# A page
 
 ```python
@@ -130,9 +220,8 @@ def test_the_5_minute_path_is_short(gallery):
 
 
 def test_names_that_pages_speak_of_exist():
-    import pam_ocp as pam
-
-    for page in set(DOCS.glob("*.md")) - {DOCS / "migration.md"}:  # of former names
+    pages = {ROOT / "README.md", *DOCS.glob("*.md")} - {DOCS / "migration.md"}  # of former names
+    for page in pages:
         for name in re.findall(r"`pam\.([a-z_A-Z.]*[a-zA-Z])", page.read_text("utf-8")):
             place = pam
             for part in name.split("."):

@@ -77,6 +77,7 @@ def examples(thing: Callable[..., Any]) -> list[doctest.Example]:
 @pytest.mark.parametrize("room", ROOMS)
 def test_every_public_callable_shows_an_example(room):
     assert [name for name, thing in ROOMS[room].items() if not examples(thing)] == []
+    assert (_rooms()[room].__doc__ or "").strip()
 
 
 LONG = {"pam", *(f"pam.{n}" for n in ("control", "export", "fitting", "planning", "studies"))}

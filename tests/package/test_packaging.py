@@ -42,7 +42,9 @@ def test_pythons_that_are_named_begin_with_the_oldest_that_is_tested(monkeypatch
     assert minors == list(range(minors[0], minors[-1] + 1))
 
 
-def test_the_citation_agrees_with_the_project():
+def test_citation_and_changelog_agree_with_the_project():
+    changes = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    assert re.findall(r"(?m)^## \[(\d.*?)\]", changes)[0] == pam_ocp.__version__
     assert CITATION["version"] == pam_ocp.__version__
     assert CITATION["license"] == PROJECT["license"]
     assert [a["name"] for a in CITATION["authors"]] == [a["name"] for a in PROJECT["authors"]]
