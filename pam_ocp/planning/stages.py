@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Sized
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..core.stop import TimeIsUp
 
 if TYPE_CHECKING:
     from .solvers.ipopt_options import Start
-    from .solvers.solver import Outcome
     from .transcription.transcription import Program
 
 __all__ = [
@@ -61,6 +60,21 @@ class Stage:
     objective: float
     work: float = 0.0
     """Iterations times the cost of one."""
+
+
+class _Outcome(Protocol):
+    """What a solver made of a program."""
+
+    @property
+    def w(self) -> Sized: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def success(self) -> bool: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def objective(self) -> float: ...
 
 
 @dataclass
@@ -125,7 +139,7 @@ def require_work(more: float) -> None:
         raise WorkIsSpent
 
 
-def written(program: Program, start: Start, outcome: Outcome, seconds: float, cost: float) -> None:
+def written(program: Program, start: Start, outcome: _Outcome, seconds: float, cost: float) -> None:
     """Enter a solve; cost : of an iteration."""
     record = RECORD.get() or _Record([])
     entry = Stage(
