@@ -157,7 +157,7 @@ class Previews(tuple[Preview, ...]):
         return "\n\n".join(map(str, self))
 
 
-def _rows(columns: tuple[ColumnView, ...]) -> list[tuple[str, ...]]:
+def _rows(columns: tuple[ColumnView, ...]) -> Sequence[Sequence[str]]:
     rows = [("column", "is", "unit", "from", "to", "empty")]
     for c in columns:
         low, high = ("" if v is None else f"{v:.5g}" for v in (c.low, c.high))
