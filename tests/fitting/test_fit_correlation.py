@@ -8,17 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import t as student
+from static_tables import TRUTH, joined
 
 from pam_ocp.core.errors import InputError, PamError
 from pam_ocp.fitting import ForceTable, fit_force
 from pam_ocp.fitting.static.campaign import fit_forces
 from pam_ocp.fitting.static.correlation import Order, neighbours, sequences, serial_errors, widening
-from pam_ocp.muscles.law import SixParameterLaw
 from pam_ocp.muscles.laws.user_defined import polynomial_law
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.56665, -8.7013, 267.672, -309.603))
 LINE = polynomial_law(1, 1)(g0=2e-3, g1=-6e-3, h0=-50.0, h1=-800.0)
 
 
@@ -126,16 +125,7 @@ def test_a_joint_fit_widens_as_each_table_does_and_its_muscles_agree() -> None:
 def test_a_joint_fit_takes_every_kind_of_law(law: str) -> None:
     tables = [ramps(0.0, i, levels=6, law=TRUTH) for i in (1, 2)]
     joint = fit_forces(tables, law)
-    alone = fit_force(
-        ForceTable(
-            *(
-                np.concatenate([getattr(t, n) for t in tables])
-                for n in ("pressure", "contraction", "force")
-            ),
-            0.3,
-        ),
-        law,
-    )
+    alone = fit_force(joined(*tables), law)
     assert joint.cost == pytest.approx(alone.cost, rel=1e-7)
 
 

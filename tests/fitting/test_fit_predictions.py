@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from static_tables import fit_20, measured
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
@@ -14,7 +15,7 @@ from pam_ocp.core.errors import InputError
 
 @pytest.fixture(scope="module")
 def fit() -> Any:
-    return pam.fit_force(pam.read_table("DMSP-20-300_static.csv", rest_length=0.300))
+    return fit_20()
 
 
 @pytest.mark.parametrize(
@@ -73,7 +74,7 @@ def test_places_without_data_are_marked_and_said(fit: Any) -> None:
 
 
 def test_a_corner_that_was_not_measured_is_outside_of_a_triangle_of_cells() -> None:
-    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
+    table = measured()
     kept = table.subset(table.contraction < 0.28 - 0.26 * table.pressure / 6.75e5)
     part = pam.fit_force(kept, "polynomial-1-2")
     with pytest.warns(pam.muscles.ValidityWarning):
@@ -84,8 +85,7 @@ def test_a_corner_that_was_not_measured_is_outside_of_a_triangle_of_cells() -> N
 
 
 def test_muscles_of_a_joint_fit_predict_likewise() -> None:
-    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
-    member = pam.fit_forces({"a": table, "b": table})["a"]
+    member = pam.fit_forces({"a": measured(), "b": measured()})["a"]
     assert member.predict("1 bar", "20 %").force == 0
     with pytest.raises(InputError, match="10 %"):
         member.predict("3 bar", 10)

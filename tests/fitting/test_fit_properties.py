@@ -7,19 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import f as fisher
+from static_tables import PUBLISHED, TRUTH, fit_20, grid, measured
 
-from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
+from pam_ocp.fitting import ForceFit, ForceTable, fit_force
 from pam_ocp.muscles.law import SixParameterLaw
 
 DATA_SETS = 500
 SOME = 100
 """Of them, where each is looked at one by one."""
 NOISE = 5.0
-TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.56665, -8.7013, 267.672, -309.603))
 # |kappa| levels and pressures of the DMSP-20-300's table, where the noise turns no cell slack
-KAPPA, P = (
-    a.ravel() for a in np.meshgrid([0.0133, 0.06, 0.11, 0.1667, 0.21], np.linspace(1e5, 6.75e5, 12))
-)
+P, KAPPA = grid(np.array([0.0133, 0.06, 0.11, 0.1667, 0.21]), np.linspace(1e5, 6.75e5, 12))
 TENSION = TRUTH.tension(P, KAPPA)
 TAUT = TENSION > 6 * NOISE
 
@@ -34,9 +32,9 @@ def values(fit: ForceFit) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "length"), [("DMSP-20-300", 0.300), ("DMSP-10-250", 0.250)])
-def test_1000_random_starts_of_each_muscle_end_at_one_optimum(name: str, length: float) -> None:
-    table = read_table(f"{name}_static.csv", rest_length=length)
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_1000_random_starts_of_each_muscle_end_at_one_optimum(name: str) -> None:
+    table = measured(name)
     reference = values(fit_force(table))
     random = np.random.default_rng(1000)
     for _ in range(1000):
@@ -62,7 +60,7 @@ def test_exact_data_give_the_coefficients_back(
     published: tuple[float, ...], exponent: float
 ) -> None:
     truth = SixParameterLaw.from_published(published)
-    kappa, p = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.2, 6), np.linspace(2e5, 8e5, 6)))
+    p, kappa = grid(np.linspace(0, 0.2, 6), np.linspace(2e5, 8e5, 6))
     force = truth.tension(p, kappa)
     table = ForceTable(p, kappa, force)
     if np.sum(~table.slack) < 24 or len(np.unique(kappa[~table.slack])) < 5:
@@ -74,9 +72,8 @@ def test_exact_data_give_the_coefficients_back(
 @settings(max_examples=20, deadline=None)
 @given(st.floats(0.1, 10))
 def test_a_stronger_muscle_scales_its_force_coefficients_alone(factor: float) -> None:
-    table = read_table("DMSP-20-300_static.csv", rest_length=0.300)
-    stronger = ForceTable(table.pressure, table.contraction, factor * table.force)
-    one, other = fit_force(table), fit_force(stronger)
+    one, table = fit_20(), measured()
+    other = fit_force(ForceTable(table.pressure, table.contraction, factor * table.force))
     scale = np.array([factor, factor, 1, factor, factor, factor])
     np.testing.assert_allclose(values(other), scale * values(one), rtol=1e-7)
     assert other.rmse == pytest.approx(factor * one.rmse)
@@ -111,15 +108,6 @@ def test_95_percent_intervals_cover_the_truth_in_93_to_97_percent(
             for fit in replicas[:SOME]
         ]
         assert sum(a != b for a, b in zip(within, inside, strict=False)) <= 1
-
-
-@pytest.mark.slow
-def test_profile_intervals_end_where_the_cost_says(replicas: list[ForceFit]) -> None:
-    fit = replicas[0]
-    limit = fisher.ppf(0.95, 1, fit.dof) * fit.squares / fit.dof
-    for name in ("a2", "a3"):
-        for end in fit.profile_interval(name):
-            assert profile_squares(fit, name, end) - fit.squares == pytest.approx(limit, rel=1e-3)
 
 
 @pytest.mark.slow

@@ -8,19 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, least_squares, linprog, minimize
+from static_tables import TRUTH, measured
 
 from pam_ocp.core.errors import InputError, UnknownNameError
-from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
+from pam_ocp.fitting import ForceFit, ForceTable, fit_force
 from pam_ocp.fitting.static.least_squares import LeastSquares
 from pam_ocp.fitting.static.search import _Trim
 from pam_ocp.muscles.law import SixParameterLaw
 
-TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.56665, -8.7013, 267.672, -309.603))
 HOLD = {"a3": -40.0}  # the six-parameter law is linear in the other five
-
-
-def table_20() -> ForceTable:
-    return read_table("DMSP-20-300_static.csv", rest_length=0.300)
 
 
 def columns(table: ForceTable) -> np.ndarray:
@@ -51,16 +47,23 @@ def moved(one: ForceFit, other: ForceFit) -> float:
     return float(np.max(np.abs(one.law.tension(p, kappa) - other.law.tension(p, kappa))))
 
 
+def limit(found: ForceFit, name: str) -> float:
+    """Squares at an end of a profile interval, which serially correlated errors widen."""
+    plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
+    reach = found.linearisation.reach(0.95) * found.coefficients[name].stderr / plain[name]
+    return float(found.squares * (1 + reach**2 / found.dof))
+
+
 # ---- robust losses -------------------------------------------------------------------------------
 @pytest.mark.parametrize("loss", ["huber", "l1"])
 @pytest.mark.slow
 def test_cells_off_by_100_n_move_a_robust_fit_by_less_than_2_n(loss: Any) -> None:
-    measured = read_table("DMSP-10-250_static.csv", rest_length=0.250)
-    taut = table_20().taut
+    ten = measured("DMSP-10-250")
+    taut = measured().taut
     for seed in range(5):
         noise = np.random.default_rng(100 + seed).standard_normal(len(taut))
         force = np.maximum(TRUTH.tension(taut.pressure, taut.contraction) + noise, 0.1)
-        for table in (measured, ForceTable(taut.pressure, taut.contraction, force, 0.300)):
+        for table in (ten, ForceTable(taut.pressure, taut.contraction, force, 0.300)):
             wrong = with_outliers(table, seed)
             assert moved(fit_force(table, loss=loss), fit_force(wrong, loss=loss)) < 2.0
             assert moved(fit_force(table), fit_force(wrong)) > 5.0  # plain squares do not stand it
@@ -69,11 +72,11 @@ def test_cells_off_by_100_n_move_a_robust_fit_by_less_than_2_n(loss: Any) -> Non
 @pytest.mark.slow
 def test_a_bisquare_is_moved_no_more_than_by_losing_the_wrong_cells() -> None:
     """Isolated errors of 100 N count no more at all, also at the edge of the table."""
-    taut = table_20().taut
+    taut = measured().taut
     noise = 5 * np.random.default_rng(77).standard_normal(len(taut))
     force = np.maximum(TRUTH.tension(taut.pressure, taut.contraction) + noise, 0.1)
     tables = (
-        read_table("DMSP-10-250_static.csv", rest_length=0.250).taut,
+        measured("DMSP-10-250").taut,
         ForceTable(taut.pressure, taut.contraction, force, 0.300),
         taut,  # the law misses this one by up to 18 N: what is wrong is told less sharply
     )
@@ -91,7 +94,7 @@ def test_a_bisquare_is_moved_no_more_than_by_losing_the_wrong_cells() -> None:
 
 def test_one_level_off_does_not_count_as_wrong_cells() -> None:
     """At 21 % the law is off by 12 N in four cells of four: they stay in the fit."""
-    taut = table_20().taut
+    taut = measured().taut
     found = fit_force(taut, loss="bisquare")
     level = taut.levels()
     for i in range(level.max() + 1):
@@ -104,7 +107,7 @@ def test_bisquare_solves_its_estimating_equations() -> None:
     """sum psi(r/s) J = 0, psi = r (1 - (r/c)^2)^2 (Maronna, Martin, Yohai, Robust Statistics,
     5.4).
     """
-    table = with_outliers(table_20().taut, 3)
+    table = with_outliers(measured().taut, 3)
     found = fit_force(table, fixed=HOLD, loss="bisquare")
     edge = found.terms.threshold
     assert found.sigma == pytest.approx(edge / 4.685)
@@ -119,7 +122,7 @@ def test_bisquare_solves_its_estimating_equations() -> None:
 
 def test_a_bisquare_stands_wrong_cells_that_agree_with_each_other() -> None:
     """One cell in eight off by +150 N, all of them at high pressure."""
-    taut = table_20().taut
+    taut = measured().taut
     truth = TRUTH.tension(taut.pressure, taut.contraction)
     force = truth + np.random.default_rng(1).standard_normal(len(taut))
     bad = np.argsort(-taut.pressure, kind="stable")[: len(taut) // 8]
@@ -132,7 +135,7 @@ def test_a_bisquare_stands_wrong_cells_that_agree_with_each_other() -> None:
 
 
 def test_absolute_values_agree_with_a_linear_programme() -> None:
-    found = fit_force(table_20(), fixed=HOLD, loss="l1")
+    found = fit_force(measured(), fixed=HOLD, loss="l1")
     a, y = columns(found.cells), found.cells.force
     n, k = a.shape
     # min sum(u + v), a c + u - v = y
@@ -146,7 +149,7 @@ def test_absolute_values_agree_with_a_linear_programme() -> None:
 
 
 def test_huber_agrees_with_scipy() -> None:
-    found = fit_force(table_20(), fixed=HOLD, loss="huber")
+    found = fit_force(measured(), fixed=HOLD, loss="huber")
     a, y = columns(found.cells), found.cells.force
     size = np.linalg.norm(a, axis=0)
     answer = least_squares(
@@ -164,7 +167,7 @@ def test_huber_agrees_with_scipy() -> None:
 
 def test_robust_standard_errors_of_normal_noise_are_those_of_their_efficiency() -> None:
     """Huber at 1.345 is 95 %, absolute values 2/pi efficient (Huber 1981, 4.1 and 4.4)."""
-    taut = table_20().taut
+    taut = measured().taut
     kappa, p = np.tile(taut.contraction, 15), np.tile(taut.pressure, 15)
     force = TRUTH.tension(p, kappa) + 1.0 * np.random.default_rng(7).standard_normal(p.size)
     table = ForceTable(p, kappa, np.maximum(force, 0.01), 0.300)
@@ -182,7 +185,7 @@ def test_robust_standard_errors_of_normal_noise_are_those_of_their_efficiency() 
 
 # ---- censored cells ------------------------------------------------------------------------------
 def test_censored_cells_keep_the_law_slack_there() -> None:
-    table = table_20()
+    table = measured()
     plain, censored = fit_force(table), fit_force(table, censored=True)
     slack = table.subset(table.slack)
 
@@ -195,7 +198,7 @@ def test_censored_cells_keep_the_law_slack_there() -> None:
 
 
 def test_a_censored_fit_agrees_with_scipy() -> None:
-    table = table_20()
+    table = measured()
     found = fit_force(table, fixed=HOLD, censored=True)
     a, y, limp = columns(found.cells), found.cells.force, columns(table.subset(table.slack))
     size = np.linalg.norm(a, axis=0)
@@ -212,7 +215,7 @@ def test_a_censored_fit_agrees_with_scipy() -> None:
 
 
 def test_an_inequality_that_holds_with_equality_takes_one_direction_out_of_the_covariance() -> None:
-    found = fit_force(table_20(), fixed=HOLD, censored=True)
+    found = fit_force(measured(), fixed=HOLD, censored=True)
     slack = found.table.subset(found.table.slack)
     edge = found.law.tension(slack.pressure, slack.contraction) > 0.999
     assert edge.any()
@@ -222,14 +225,11 @@ def test_an_inequality_that_holds_with_equality_takes_one_direction_out_of_the_c
 
 def test_a_profile_of_a_censored_fit_ends_where_a_slack_law_costs_the_limit() -> None:
     """Held at an end, fitted by SciPy under the same inequalities; a3 is held: all is convex."""
-    found = fit_force(table_20(), fixed=HOLD, censored=True)
+    found = fit_force(measured(), fixed=HOLD, censored=True)
     a, y = columns(found.cells), found.cells.force
     limp = columns(found.table.subset(found.table.slack))
-    plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
     for i in (1, 4):
         name = found.free[i]
-        reach = found.linearisation.reach(0.95) * found.coefficients[name].stderr / plain[name]
-        limit = found.squares * (1 + reach**2 / found.dof)
         for end in found.profile_interval(name):
             keep = [j for j in range(5) if j != i]
             size = np.linalg.norm(a[:, keep], axis=0)
@@ -246,49 +246,45 @@ def test_a_profile_of_a_censored_fit_ends_where_a_slack_law_costs_the_limit() ->
                 method="SLSQP",
                 options={"ftol": 1e-12, "maxiter": 500},
             )
-            assert 1e4 * best.fun == pytest.approx(limit, rel=1e-4)
+            assert 1e4 * best.fun == pytest.approx(limit(found, name), rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["a2", "a6"])
 def test_ends_of_a_censored_profile_are_those_of_whole_fits(name: str) -> None:
-    found = fit_force(table_20(), censored=True)
-    plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
-    reach = found.linearisation.reach(0.95) * found.coefficients[name].stderr / plain[name]
+    found = fit_force(measured(), censored=True)
     for end in found.profile_interval(name):
-        held = fit_force(table_20(), fixed={name: end}, censored=True)
-        assert held.squares == pytest.approx(found.squares * (1 + reach**2 / found.dof), rel=1e-3)
+        held = fit_force(measured(), fixed={name: end}, censored=True)
+        assert held.squares == pytest.approx(limit(found, name), rel=1e-3)
     # steps, for which a3 has no end, still fit well enough
     assert found.profile_interval("a3")[0] == -np.inf
 
 
 def test_finite_ends_cost_the_limit_where_other_coefficients_have_none() -> None:
-    """Swept over a3, whose range is open below; serially correlated errors widen the limit."""
-    found = fit_force(table_20())
-    plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
+    """Swept over a3, whose range is open below."""
+    found = fit_force(measured())
     ends = found.intervals()
     assert ends["a3"][0] == -np.inf
     finite = [(n, end) for n, pair in ends.items() for end in pair if np.isfinite(end)]
     assert {n for n, end in finite if end == ends[n][1]} >= {"a3", "a4", "a5", "a6"}
     for name, end in finite:
-        reach = found.linearisation.reach(0.95) * found.coefficients[name].stderr / plain[name]
-        held = fit_force(table_20(), fixed={name: end})
-        assert held.squares == pytest.approx(found.squares * (1 + reach**2 / found.dof), rel=1e-3)
+        held = fit_force(measured(), fixed={name: end})
+        assert held.squares == pytest.approx(limit(found, name), rel=1e-3)
 
 
 # ---- bounds and priors ---------------------------------------------------------------------------
 def test_bounds_are_kept_and_said() -> None:
-    found = fit_force(table_20(), bounds={"a3": (-30.0, -5.0)})
-    held = fit_force(table_20(), fixed={"a3": -30.0})
+    found = fit_force(measured(), bounds={"a3": (-30.0, -5.0)})
+    held = fit_force(measured(), fixed={"a3": -30.0})
     assert found.law.values["a3"] == pytest.approx(-30.0, rel=1e-6)
     assert found.squares == pytest.approx(held.squares, rel=1e-5)
     assert any("a3" in text and "edge of its range" in text for text in found.warnings)
-    free = fit_force(table_20(), bounds={"a3": (-100.0, -5.0)})
-    assert free.law.values == pytest.approx(fit_force(table_20()).law.values, rel=1e-6)
+    free = fit_force(measured(), bounds={"a3": (-100.0, -5.0)})
+    assert free.law.values == pytest.approx(fit_force(measured()).law.values, rel=1e-6)
 
 
 def test_a_prior_is_one_more_measurement() -> None:
     """Linear case: (A'A/s^2 + P^-1) c = A'y/s^2 + P^-1 mean (Gauss-Markov)."""
-    found = fit_force(table_20(), fixed=HOLD, priors={"a6": (-250.0, 2.0)}, noise=6.0)
+    found = fit_force(measured(), fixed=HOLD, priors={"a6": (-250.0, 2.0)}, noise=6.0)
     a, y = columns(found.cells) / 6.0, found.cells.force / 6.0
     precision, target = a.T @ a, a.T @ y
     precision[4, 4] += 1 / 2.0**2
@@ -305,7 +301,7 @@ def test_a_prior_is_one_more_measurement() -> None:
 
 
 def test_a_prior_decides_what_the_data_do_not_see() -> None:
-    taut = table_20().taut
+    taut = measured().taut
     one = taut.subset(taut.levels() < 2)  # two levels: four numbers for six coefficients
     blind = fit_force(one, priors={"a3": (-56.0, 1.0)})
     known = fit_force(one, priors={"a3": (-56.0, 1.0), "a4": (-8.7e-3, 1e-4)})
@@ -316,7 +312,7 @@ def test_a_prior_decides_what_the_data_do_not_see() -> None:
 # ---- bootstrap -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", ["residuals", "cases"])
 def test_bootstrap_of_normal_errors_gives_the_linearised_ones(method: Any) -> None:
-    taut = table_20().taut
+    taut = measured().taut
     kappa, p = np.tile(taut.contraction, 2), np.tile(taut.pressure, 2)
     force = TRUTH.tension(p, kappa) + 0.5 * np.random.default_rng(1).standard_normal(p.size)
     fit = fit_force(ForceTable(p, kappa, force, 0.300), fixed={"a3": -56.665})
@@ -331,15 +327,15 @@ def test_bootstrap_of_normal_errors_gives_the_linearised_ones(method: Any) -> No
 
 # ---- in and out ----------------------------------------------------------------------------------
 def test_bounds_may_be_texts_with_units() -> None:
-    said = fit_force(table_20(), bounds={"a4": ("-5 N/kPa", "3 N/kPa")})
+    said = fit_force(measured(), bounds={"a4": ("-5 N/kPa", "3 N/kPa")})
     assert said.terms.bounds == (("a4", pytest.approx(-5e-3), pytest.approx(3e-3)),)
     with pytest.raises(InputError, match=r"bounds\['a4'\] = '5 N': this measures something else"):
-        fit_force(table_20(), bounds={"a4": ("5 N", "6 N")})
+        fit_force(measured(), bounds={"a4": ("5 N", "6 N")})
 
 
 def test_a_saved_fit_keeps_its_terms(tmp_path: Path) -> None:
     one = fit_force(
-        table_20(),
+        measured(),
         loss="huber",
         censored=True,
         bounds={"a1": (-np.inf, 1e-3)},
@@ -363,15 +359,15 @@ def test_a_saved_fit_keeps_its_terms(tmp_path: Path) -> None:
 )
 def test_terms_that_cannot_be_are_refused_in_words(arguments: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        fit_force(table_20(), **arguments)
+        fit_force(measured(), **arguments)
 
 
 def test_what_robust_fits_and_bootstraps_cannot_answer_is_refused() -> None:
-    robust = fit_force(table_20(), loss="l1")
+    robust = fit_force(measured(), loss="l1")
     with pytest.raises(InputError, match="after a robust fit use bootstrap"):
         robust.profile_interval("a3")
     with pytest.raises(UnknownNameError, match="in priors 'a9'"):
-        fit_force(table_20(), priors={"a9": (0.0, 1.0)})
+        fit_force(measured(), priors={"a9": (0.0, 1.0)})
     with pytest.raises(InputError, match="choose 'residuals' or 'cases'"):
         robust.bootstrap(5, method="jackknife")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="n = 1: give a whole number >= 2"):
@@ -380,7 +376,7 @@ def test_what_robust_fits_and_bootstraps_cannot_answer_is_refused() -> None:
 
 def test_no_cell_is_left_out_where_all_are_needed() -> None:
     """Seven cells for six coefficients and a scale: a robust start trims nothing; of ten, some."""
-    taut = table_20().taut
+    taut = measured().taut
     for count, some in ((7, False), (10, True)):
         few = taut.subset(np.linspace(0, len(taut) - 1, 2 * count).astype(int)[:count])
         problem = LeastSquares.of(SixParameterLaw, few, {}, np.ones(count))

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from static_tables import grid, joined, measured, six
 
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
-from pam_ocp.fitting import ForceTable, fit_force, read_table
+from pam_ocp.fitting import ForceTable, fit_force
 from pam_ocp.fitting.static.campaign import fit_forces
 from pam_ocp.fitting.static.search import minimise
 from pam_ocp.fitting.static.shared import JointForceFit, JointProblem
@@ -18,9 +19,7 @@ from pam_ocp.muscles.laws.empirical import LengthScaledLaw
 
 TWENTY = SixParameterLaw.from_published((12.789, 419.48, -0.42, -8.7013, 267.672, -309.603))
 TEN = SixParameterLaw.from_published((-3.0515, 168.235, -0.42, -2.90206, 91.4042, -201.027))
-KAPPA, P = (
-    a.ravel() for a in np.meshgrid([0.0, 0.03, 0.06, 0.1, 0.14, 0.18], np.linspace(1e5, 6e5, 8))
-)
+P, KAPPA = grid(np.array([0.0, 0.03, 0.06, 0.1, 0.14, 0.18]), np.linspace(1e5, 6e5, 8))
 
 
 def cells(law: Any, noise: float = 0.0, seed: int = 0, length: float | None = None) -> ForceTable:
@@ -33,7 +32,7 @@ def cells(law: Any, noise: float = 0.0, seed: int = 0, length: float | None = No
 
 def scaled(length: float, ratio: float, noise: float = 0.0, seed: int = 0) -> ForceTable:
     law = LengthScaledLaw.from_published("20", length, ratio)
-    p, r = (a.ravel() for a in np.meshgrid(np.linspace(2e5, 6e5, 5), np.linspace(0.02, 0.9, 6)))
+    p, r = grid(np.linspace(0.02, 0.9, 6), np.linspace(2e5, 6e5, 5))
     force = law.tension(p, r * ratio)
     taut = force > 20
     error = noise * np.random.default_rng(seed).standard_normal(int(taut.sum()))
@@ -85,13 +84,7 @@ def test_nothing_shared_is_each_muscle_alone() -> None:
 
 def test_everything_shared_is_one_big_table() -> None:
     one, two = cells(TWENTY, 5.0, 1), cells(TWENTY, 5.0, 2)
-    both = ForceTable(
-        *(
-            np.concatenate([getattr(t, n) for t in (one, two)])
-            for n in ("pressure", "contraction", "force")
-        )
-    )
-    whole = fit_force(both, errors="independent")
+    whole = fit_force(joined(one, two), errors="independent")
     found = fit_forces([one, two], errors="independent")
     for n, c in whole.coefficients.items():
         assert found.coefficients[n].value == pytest.approx(c.value, rel=1e-6)
@@ -106,10 +99,9 @@ def stacked(tables: list[ForceTable]) -> tuple[Any, Any]:
 
     def residuals(z: np.ndarray) -> np.ndarray:
         rest = []
-        for table, (a1, a2, a4, a5, a6) in zip(tables, (z[1:6], z[6:11]), strict=True):
-            p, kappa = table.pressure / 1e5, 100 * table.contraction
-            model = (a1 * p + a2) * np.exp(z[0] * kappa) + a4 * kappa * p + a5 * p + a6
-            rest.append(model - table.force)
+        for table, own in zip(tables, (z[1:6], z[6:11]), strict=True):
+            c = np.insert(own, 2, z[0])
+            rest.append(six(c, table.pressure / 1e5, 100 * table.contraction) - table.force)
         return np.concatenate(rest)
 
     start = np.array([-0.4, 12, 400, -8, 260, -300, -3, 170, -3, 90, -200.0])
@@ -208,10 +200,7 @@ def test_tables_of_their_own_noise_are_weighed_by_it() -> None:
 
 
 def test_measured_muscles_share_an_exponent() -> None:
-    tables = {
-        "20": read_table("DMSP-20-300_static.csv", rest_length=0.300),
-        "10": read_table("DMSP-10-250_static.csv", rest_length=0.250),
-    }
+    tables = {"20": measured(), "10": measured("DMSP-10-250")}
     fit = fit_forces(tables, shared=["a3"], noise="each")
     assert fit["20"].rmse == pytest.approx(6.67, abs=0.05)
     assert fit["10"].rmse == pytest.approx(1.18, abs=0.02)

@@ -35,13 +35,16 @@ def positions(force, lowest=-0.05):
     )
 
 
+SPRUNG = positions(lambda x, _: 120.0 + 6000.0 * x)
+
+
 @pytest.fixture(scope="module")
 def spring():
     return pam.SpringOverMuscle("DMSP-20-300", mass=2.0)
 
 
 def test_a_spring_a_band_and_the_zero_of_the_sensor_are_found_exactly_without_noise(spring):
-    x = positions(lambda x, _: 120.0 + 6000.0 * x) - 2e-4 * SIDE
+    x = SPRUNG - 2e-4 * SIDE
     fit = fit_holds(
         spring,
         {"muscle_pressure [bar]": (PRESSURE + 7e3) / 1e5, "x [mm]": 1e3 * x, "side": SIDE},
@@ -120,7 +123,7 @@ def test_bounds_and_noise_that_cannot_be_are_named(arguments, words):
 
 
 def test_bounds_and_noise_may_be_texts(spring):
-    x = positions(lambda x, _: 120.0 + 6000.0 * x) + 1e-4 * np.sin(np.arange(49))
+    x = SPRUNG + 1e-4 * np.sin(np.arange(49))
     holds = {"muscle_pressure": PRESSURE, "x": x}
     one, other = (
         fit_holds(spring, holds, "preload", bounds={"preload": b}, noise={"x": n})
@@ -131,7 +134,7 @@ def test_bounds_and_noise_may_be_texts(spring):
 
 
 def test_what_holds_cannot_tell_is_refused_by_name(spring):
-    x = positions(lambda x, _: 120.0 + 6000.0 * x)
+    x = SPRUNG
     with pytest.raises(pam.FitError, match=r"spring_stiffness by .* and preload by"):
         fit_holds(
             spring,
@@ -148,7 +151,7 @@ def test_what_holds_cannot_tell_is_refused_by_name(spring):
 
 def test_wrong_holds_do_not_move_a_robust_fit(spring):
     random = np.random.default_rng(5)
-    x = positions(lambda x, _: 120.0 + 6000.0 * x) + random.normal(0, 5e-5, 49)
+    x = SPRUNG + random.normal(0, 5e-5, 49)
     x[[3, 17, 30]] += [4e-3, -6e-3, 5e-3]
     holds = {"muscle_pressure": PRESSURE, "x": x}
     plain = fit_holds(spring, holds, ["spring_stiffness", "preload"])
@@ -180,7 +183,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(spring):
 
 
 def test_a_fit_of_holds_is_told_and_saved(spring, tmp_path):
-    x = positions(lambda x, _: 120.0 + 6000.0 * x) - 2e-4 * SIDE
+    x = SPRUNG - 2e-4 * SIDE
     fit = fit_holds(
         spring, {"muscle_pressure": PRESSURE, "x": x, "side": SIDE}, ["preload", "band.x"]
     )

@@ -410,7 +410,7 @@ _UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A table and whose it is. rest_length, diameter : [m], None where nothing says it."""
+    """A table and whose it is. diameter : [m], None where nothing says it."""
 
     muscle: str
     table: ForceTable

@@ -199,11 +199,7 @@ def _muscle_lines(study: MuscleStudy) -> list[str]:
         f"{_size(study.rest_length)}",
         f"    all: {fit.n} taut cells of {len(fit.table)}, RMSE {fit.rmse:.4g} N",
     ]
-    intervals = fit.intervals()
-    for c in fit.coefficients.values():
-        low, high = intervals.get(c.name, (c.value, c.value))
-        unit = "" if c.unit == "1" else f" {c.unit}"
-        lines.append(f"      {c.name} = {c.value:.5g}{unit}, {low:.4g} .. {high:.4g}")
+    lines += [f"  {line}" for line in fit._coefficient_lines("", 0.95)[1:]]
     lines += [
         f"    {branch}: {one.n} taut cells, RMSE {one.rmse:.4g} N"
         for branch, one in study.branches.items()

@@ -42,7 +42,7 @@ from .search import NEAR, minimise
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Bootstrap", "ForceFit", "Resampling", "bootstrap"]
+__all__ = ["Bootstrap", "ForceFit", "Resampling"]
 
 STRAIGHT = 0.2
 """By this part of its half width the profile interval of a coefficient may differ from value ± t
@@ -217,6 +217,7 @@ class ForceFit(Optimum):
         serial = self.linearisation.serial
         return self.sigma * (1.0 if serial is None else serial.spread)
 
+    @verb
     def bootstrap(
         self,
         n: int = 500,
@@ -235,7 +236,34 @@ class ForceFit(Optimum):
         executor : where, as for :func:`pam_ocp.each`; the samples are the same everywhere.
         time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.
         """
-        return bootstrap(self, n, seed, method, executor=executor, time_limit=time_limit)
+        require_count("n", n, 2)
+        if method not in ("residuals", "cases"):
+            raise InputError(f"method = {method!r}: choose 'residuals' or 'cases'")
+        if method == "residuals" and self.dof < 1:
+            raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
+        random = np.random.default_rng(require_count("seed", seed, 0))
+        problem, failed, ended = self.problem, 0, ""
+        start = self.vector[None, list(problem.nonlinear)] if problem.nonlinear else None
+        found: dict[int, Array] = {}
+        tables = (_resampled(self, problem, random, method) for _ in range(n))
+        try:
+            for i, result in ending(
+                partial(_refitted, start), tables, executor=executor, what="bootstrap", count=n
+            ):
+                if isinstance(result, FitError):
+                    failed += 1
+                elif isinstance(result, Exception):
+                    raise result
+                else:
+                    found[i] = result
+        except TimeIsUp:
+            if len(found) < 2:
+                raise
+            ended = f"{deadline()} was over behind {len(found)} of {n} tables"
+        samples = [found[i] for i in sorted(found)]
+        if len(samples) < 2:
+            raise FitError(f"{failed} of {n} resampled tables gave no fit; the data are too few")
+        return Bootstrap(self.free, np.array(samples), failed, ended)
 
     def lack_of_fit(self) -> LackOfFit:
         """F-test of the law against the scatter of repeats; see :func:`branches.lack_of_fit`."""
@@ -515,47 +543,6 @@ class Bootstrap:
     def covariance(self) -> Array:
         """Covariance over the samples (k, k)."""
         return np.atleast_2d(np.cov(self.samples.T))
-
-
-@verb
-def bootstrap(
-    fit: Optimum,
-    n: int,
-    seed: int,
-    method: Resampling,
-    *,
-    executor: Place = None,
-    time_limit: float | None = None,
-) -> Bootstrap:
-    """See :meth:`ForceFit.bootstrap`."""
-    require_count("n", n, 2)
-    if method not in ("residuals", "cases"):
-        raise InputError(f"method = {method!r}: choose 'residuals' or 'cases'")
-    if method == "residuals" and fit.dof < 1:
-        raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
-    random = np.random.default_rng(require_count("seed", seed, 0))
-    problem, failed, ended = fit.problem, 0, ""
-    start = fit.vector[None, list(problem.nonlinear)] if problem.nonlinear else None
-    found: dict[int, Array] = {}
-    tables = (_resampled(fit, problem, random, method) for _ in range(n))
-    try:
-        for i, result in ending(
-            partial(_refitted, start), tables, executor=executor, what="bootstrap", count=n
-        ):
-            if isinstance(result, FitError):
-                failed += 1
-            elif isinstance(result, Exception):
-                raise result
-            else:
-                found[i] = result
-    except TimeIsUp:
-        if len(found) < 2:
-            raise
-        ended = f"{deadline()} was over behind {len(found)} of {n} tables"
-    samples = [found[i] for i in sorted(found)]
-    if len(samples) < 2:
-        raise FitError(f"{failed} of {n} resampled tables gave no fit; the data are too few")
-    return Bootstrap(fit.free, np.array(samples), failed, ended)
 
 
 def _refitted(start: Array | None, problem: LeastSquares) -> Array:

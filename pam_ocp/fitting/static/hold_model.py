@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -137,16 +138,26 @@ class HoldModel:
             found.append(block if len(size) == 1 else block.reshape(n, *size[::-1]).swapaxes(1, 2))
         return found
 
-    def solved(self, estimates: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Where the plant rests (n, sought), and which of the holds were found."""
-        z, part = start.copy(), np.ones(len(start))
-        residual, slopes, *_ = self.at(z, estimates)
-        step, size = _newton(residual, slopes, self.nominal)
+    def solved(
+        self, estimates: Array, start: Array, moved: Sequence[int] | None = None
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Where the plant rests (n, sought), and which of the holds were found.
+
+        moved : numbers of the states that are sought, by default all; the others stay.
+        """
+        places = list(range(len(self.sought)) if moved is None else moved)
+        z, part, nominal = start.copy(), np.ones(len(start)), self.nominal[places]
+
+        def newton(z: Array) -> tuple[Array, Array]:
+            residual, slopes, *_ = self.at(z, estimates)
+            return _newton(residual[:, places], slopes[:, places][:, :, places], nominal)
+
+        step, size = newton(z)
         done = np.zeros(len(z), dtype=bool)
         for _ in range(STEPS):
-            trial = z + part[:, None] * np.where(done[:, None], 0.0, step)
-            residual, slopes, *_ = self.at(trial, estimates)
-            new, length = _newton(residual, slopes, self.nominal)
+            trial = z.copy()
+            trial[:, places] += part[:, None] * np.where(done[:, None], 0.0, step)
+            new, length = newton(trial)
             # a shorter step that the next one does not undo (natural monotonicity, P. Deuflhard)
             better = (length <= (1 - part / 4) * size) | (length < SETTLED) | (part < 0.5**HALVINGS)
             better &= np.isfinite(length) & ~done
@@ -159,17 +170,8 @@ class HoldModel:
 
     def anchored(self, estimates: Array) -> Array:
         """The start (n, sought), with what was not measured at rest at the measured positions."""
-        z: Array = self.start.copy()
         other = [i for i, n in enumerate(self.sought) if n not in self.measured]
-        for _ in range(STEPS if other else 0):
-            residual, slopes, *_ = self.at(z, estimates)
-            step, size = _newton(
-                residual[:, other], slopes[:, other][:, :, other], self.nominal[other]
-            )
-            z[:, other] += np.where(np.isfinite(step), step, 0.0)
-            if np.nanmax(size) < SETTLED:
-                break
-        return z
+        return self.solved(estimates, self.start, other)[0] if other else self.start.copy()
 
     def predicted(self, estimates: Array, start: Array | None) -> tuple[Array, Array, Array]:
         """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z.
@@ -360,54 +362,44 @@ class _End(NamedTuple):
     z: Array | None
 
 
-class _Nested:
-    """Optima of a fit and of the poorer ones, which hold some estimates at the plant's values.
+def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
+    """The best optimum that is found; the problem rests there.
 
-    A muscle that goes slack on the way makes several optima. Each fit is begun at the plant's
-    values, over the linear model at the measured positions, which needs no rest to be found, and
-    at the optima with one estimate fewer, which count themselves: a richer fit is never worse.
+    A muscle that goes slack on the way makes several optima. A fit is begun at the plant's values,
+    over the linear model at the measured positions, which needs no rest to be found, and at the
+    optima of the poorer fits, which hold one estimate more at the plant's values. These count
+    themselves: a richer fit is never worse.
     """
+    model, first = problem.model, problem.start
+    wrong: list[FitError] = []
 
-    def __init__(self, problem: Holds, limits: tuple[Array, Array], factors: Array) -> None:
-        self.problem, self.limits, self.factors = problem, limits, factors
-        self.known: dict[tuple[bool, ...], list[_End]] = {}
-        self.wrong = FitError("the plant finds no rest at these pressures")
-
-    def best(self, moved: tuple[bool, ...]) -> list[_End]:
-        """The optimum of the ``moved`` estimates; nothing where there is none."""
-        if moved not in self.known:
-            count, poorer = sum(moved), []
-            if count > 1 and (count <= MOST_NESTED or all(moved)):
-                for i in (i for i, free in enumerate(moved) if free):
-                    poorer += self.best((*moved[:i], False, *moved[i + 1 :]))
-            ends = [*poorer, *self._ends(np.array(moved), poorer)]
-            self.known[moved] = sorted(ends, key=lambda end: end.cost)[:1]
-        return self.known[moved]
-
-    def _ends(self, free: NDArray[np.bool_], poorer: list[_End]) -> Iterator[_End]:
-        problem, first = self.problem, self.problem.start
+    def followed(free: NDArray[np.bool_], poorer: list[_End]) -> Iterator[_End]:
         problem.z = None
-        linear = _minimised(problem, first, self.limits, self.factors, free)
-        starts = [_End(0.0, first, None), _End(0.0, linear, None), *poorer]
-        for start in starts:
+        linear = _minimised(problem, first, limits, factors, free)
+        for start in [_End(0.0, first, None), _End(0.0, linear, None), *poorer]:
             at = start.estimates
-            problem.z = problem.model.anchored(at[: problem.inner]) if start.z is None else start.z
+            problem.z = model.anchored(at[: problem.inner]) if start.z is None else start.z
             try:
-                found = _minimised(problem, at, self.limits, self.factors, free)
+                found = _minimised(problem, at, limits, factors, free)
             except FitError as error:
-                self.wrong = error
+                wrong.append(error)
                 continue
-            cost = float(np.sum((problem(found)[0] * self.factors) ** 2))
+            cost = float(np.sum((problem(found)[0] * factors) ** 2))
             if np.isfinite(cost):
                 yield _End(cost, found, problem.z)
 
+    @cache
+    def best(moved: tuple[bool, ...]) -> list[_End]:
+        """The optimum of the ``moved`` estimates; nothing where there is none."""
+        count, poorer = sum(moved), []
+        if count > 1 and (count <= MOST_NESTED or all(moved)):
+            for i in (i for i, free in enumerate(moved) if free):
+                poorer += best((*moved[:i], False, *moved[i + 1 :]))
+        return sorted([*poorer, *followed(np.array(moved), poorer)], key=lambda end: end.cost)[:1]
 
-def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
-    """The best optimum that is found; the problem rests there."""
-    nested = _Nested(problem, limits, factors)
-    ends = nested.best((True,) * len(problem.names))
+    ends = best((True,) * len(problem.names))
     if not ends:
-        raise nested.wrong
+        raise wrong[-1] if wrong else FitError("the plant finds no rest at these pressures")
     problem.z = ends[0].z
     return ends[0].estimates
 

@@ -24,7 +24,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, require_plant
 from ...plants.plant_data import carried
 from ..estimates import Estimates, at_edge, correlation_lines
-from ..statistics import Array, Coefficient, Linearisation, even, spanned
+from ..statistics import Array, Coefficient, Linearisation, spanned
 from ..tables.cells import named_branch
 from ..tables.records import read_record
 from ..tables.sources import load
@@ -39,8 +39,6 @@ DECIDING = 0.45
 """Leverage from which a hold nearly decides alone; half of it where there are two alike."""
 HANGING = 2.0
 """A standard error that grows by more than this without such holds hangs on them."""
-LOST = 1e-8
-"""Singular values below this part of the largest count as zero (columns of unit length)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +109,12 @@ class HoldsFit(Estimates):
         """
         if not self._alone.size:
             return {}
-        linear = self.linearisation
+        linear = replace(self.linearisation, serial=None, scale=1.0)
         kept = np.ones(self.n, dtype=bool)
         kept[self._alone] = False
-        columns, _ = even(linear.jacobian)
-        rows = columns.reshape(self.n, -1, len(linear.names))
-        wide, usual = _variances(rows[kept].reshape(-1, len(linear.names))), _variances(columns)
-        factor = np.sqrt(wide / usual)
+        rows = linear.jacobian.reshape(self.n, -1, len(linear.names))[kept]
+        others = replace(linear, jacobian=rows.reshape(-1, len(linear.names)))
+        factor = others.stderr() / linear.stderr()
         return {n: float(f) for n, f in zip(linear.names, factor, strict=True) if not f <= HANGING}
 
     def _half(self, c: Coefficient, level: float) -> float:
@@ -203,15 +200,6 @@ class HoldsFit(Estimates):
             "warnings": list(self.warnings),
         }
         return write_json(path, content | carried(self.plant))
-
-
-def _variances(jacobian: Array) -> Array:
-    """Diagonal of (J^T J)^-1; infinite where a direction has no information."""
-    _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
-    lost = s <= LOST * s[0]
-    parts = (vt.T / np.where(lost, 1.0, s)) ** 2
-    found = parts[:, ~lost].sum(axis=1)
-    return np.asarray(np.where((parts[:, lost] > LOST).any(axis=1), np.inf, found))
 
 
 SIDES = {
@@ -499,9 +487,8 @@ def _result(
 
 def _require_seen(linear: Linearisation, nominal: Array) -> None:
     """FitError where the holds leave a combination open."""
-    plain = replace(linear, serial=None)
     sizes = np.maximum(np.abs(linear.values), nominal)
-    for lost, move, words in plain.hardly_seen():
+    for lost, move, words in linear.independent.hardly_seen():
         if lost or np.max(np.abs(move) / sizes) > UNSEEN:
             raise FitError(
                 f"the holds do not tell all of {', '.join(linear.names)}: changing {words} "

@@ -33,6 +33,7 @@ __all__ = [
     "Terms",
     "least_squares",
     "nonlinear_coefficients",
+    "projected",
     "robust_scale",
     "sizes",
     "spread",
@@ -273,6 +274,11 @@ class LeastSquares:
         weights = weights[chosen] * np.sqrt(n / enough)
         return replace(self, cells=cells.subset(chosen), weights=weights)
 
+    def bounds(self) -> tuple[Array, Array]:
+        """Of the free coefficients: the law's own, narrowed by the user's."""
+        variables = [self.variables[i] for i in self.free]
+        return np.array([v.min for v in variables]), np.array([v.max for v in variables])
+
     def near(self, start: Array) -> tuple[Array, Array]:
         """Bounds of the free coefficients next to ``start`` (all): the law's own; what the scan
         left at its edge is held there.
@@ -280,8 +286,7 @@ class LeastSquares:
         At an edge the law degenerates (exp(a3 kappa) becomes a straight line, or a step), the
         linear coefficients grow without end, and no optimum is reached by going on.
         """
-        lower = np.array([self.variables[i].min for i in self.free])
-        upper = np.array([self.variables[i].max for i in self.free])
+        lower, upper = self.bounds()
         for place, i in enumerate(self.free):
             if i in self.nonlinear and not np.isfinite(upper[place] - lower[place]):
                 reach = np.abs(sizes(self.variables[i]))
@@ -348,17 +353,6 @@ class LeastSquares:
             return Sums(
                 cost + np.sum(rest**2, axis=1), right + rest @ rows, normal + rows.T @ rows, whole
             )
-
-    def squares(self, coefficients: Array) -> Array:
-        """Sums of squares (m,) at coefficients (m, all), priors included."""
-        rows, targets = self.priors
-        cost = np.sum((targets - coefficients @ rows.T) ** 2, axis=1)
-        cells = (self.cells.pressure, self.cells.contraction)
-        with np.errstate(all="ignore"):
-            for part, block in in_blocks(self.law, 0, *cells, coefficients):
-                rest = self.weights[part] * (self.cells.force[part] - block[:, 0])
-                cost += np.einsum("mn,mn->m", rest, rest)
-        return np.asarray(cost)
 
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]:
         """As :meth:`evaluate`, with one more row for each prior."""
@@ -437,10 +431,8 @@ class LeastSquares:
         """
         if self.terms.loss == "squares":
             c, whole, good = self.triangles(values)
-            columns, target = whole[:, :, :-1], whole[:, :, -1]
-            c[:, self.linear] = parts = least_squares(columns, target)[0]
-            rest = target - np.einsum("mnk,mk->mn", columns, parts)
-            return np.where(good, np.sum(rest**2, axis=1), np.inf), c
+            cost, c[:, self.linear], _ = projected(whole, good)
+            return cost, c
         few = max(1, AT_ONCE // max(len(self.cells), 1))
         pairs = [self._reweighted(values[i : i + few]) for i in range(0, len(values), few)]
         return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
@@ -474,6 +466,16 @@ def least_squares(columns: Array, target: Array) -> tuple[Array, Array]:
     parts = np.einsum("mnk,mn->mk", u, target) * inverse
     root = vt.transpose(0, 2, 1) * inverse[:, None, :] / norms[:, :, None]
     return np.asarray(np.einsum("mkl,mk->ml", vt, parts) / norms), np.asarray(root)
+
+
+def projected(triangles: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Costs (m,), best linear coefficients (m, k) and roots of their covariances (m, k, k), of what
+    :meth:`LeastSquares.triangles` gives; costs are infinite where it is not ``good``.
+    """
+    columns, target = triangles[:, :, :-1], triangles[:, :, -1]
+    best, root = least_squares(columns, target)
+    rest = target - np.einsum("mnk,mk->mn", columns, best)
+    return np.where(good, np.sum(rest**2, axis=1), np.inf), best, root
 
 
 def sizes(variable: Variable) -> Array:

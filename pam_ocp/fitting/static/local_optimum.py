@@ -29,6 +29,7 @@ from .least_squares import LeastSquares, Loss, Sums, Terms
 
 __all__ = [
     "STATIONARY",
+    "Bounded",
     "Descended",
     "Minimum",
     "Problem",
@@ -71,7 +72,13 @@ class Squares(Protocol):
     def sums(self, coefficients: Array, second: bool = False) -> Sums: ...
 
 
-class Problem(Squares, Protocol):
+class Bounded(Squares, Protocol):
+    """One whose free unknowns have bounds."""
+
+    def bounds(self) -> tuple[Array, Array]: ...
+
+
+class Problem(Bounded, Protocol):
     """One of force laws, whose ``nonlinear`` unknowns are scanned."""
 
     @property
@@ -324,14 +331,10 @@ def local_optima(problem: Problem, starts: Array, scanned: int) -> list[Minimum]
     return by_newton(problem, starts, scanned)
 
 
-def by_newton(
-    problem: Problem, starts: Array, scanned: int, held: Sequence[int] = ()
-) -> list[Minimum]:
-    """The least squares next to each of ``starts``; ``held`` unknowns stay where they are."""
+def by_newton(problem: Problem, starts: Array, scanned: int) -> list[Minimum]:
+    """The least squares next to each of ``starts``."""
     limits = [problem.near(start) for start in starts]
     low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
-    kept = [place for place, i in enumerate(problem.free) if i in held]
-    low[:, kept] = high[:, kept] = starts[:, list(held)]
     ended = descend(problem, starts, low, high)
     residuals, jacobians = problem.with_priors(ended.coefficients)
     found = []
@@ -344,7 +347,7 @@ def by_newton(
             int(ended.steps[row]),
             gradient,
             scanned,
-            tuple(problem.names[i] for i, rests in free if rests and i not in held),
+            tuple(problem.names[i] for i, rests in free if rests),
         )
         found.append(Minimum(ended.coefficients[row], float(ended.cost[row]), statistics))
     return found

@@ -229,18 +229,16 @@ def _compared(
     ]
     if missing:
         return ComparedLaw(kind.name, None, {}, f"needs fixed={{{missing[0]!r}: ...}}")
+    fit: ForceFit | None = None
+    where = ""
     try:
         fit = fit_force(table, kind, fixed=own, errors=errors)
-    except TimeIsUp:
-        return ComparedLaw(kind.name, None, {}, f"{deadline()} was over")
-    except (FitError, InputError) as error:
-        return ComparedLaw(kind.name, None, {}, str(error))
-    try:
+        where = "with a level left out"
         return ComparedLaw(kind.name, fit, _left_out(fit))
     except TimeIsUp:
-        return ComparedLaw(kind.name, fit, {}, f"{deadline()} was over with a level left out")
+        return ComparedLaw(kind.name, fit, {}, f"{deadline()} was over {where}".rstrip())
     except (FitError, InputError) as error:
-        return ComparedLaw(kind.name, fit, {}, f"with a level left out: {error}")
+        return ComparedLaw(kind.name, fit, {}, f"{where}: {error}" if where else str(error))
 
 
 def _left_out(fit: ForceFit) -> dict[float, float]:

@@ -163,10 +163,7 @@ def _nonlinear_values(problem: LeastSquares, random: np.random.Generator) -> Arr
 
 def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, float]:
     """The least squares of the cells kept, and which are kept, in turns, as long as they fall."""
-    low, high = (
-        np.array([[getattr(problem.variables[i], end) for i in problem.free]])
-        for end in ("min", "max")
-    )
+    low, high = (end[None] for end in problem.bounds())
     c, cost = start, np.inf
     for _ in range(STEPS):
         kept = trim.kept(problem.residuals(c[None]))[0]

@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,8 +27,8 @@ from ..statistics import Array, Linearisation, SerialErrors, SolverStatistics, e
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
 from .force_fit import ForceFit
-from .least_squares import ENOUGH, PLAIN, LeastSquares, Sums, Terms, least_squares, sizes
-from .likelihood_profile import FARTHEST, walked
+from .least_squares import ENOUGH, PLAIN, LeastSquares, Sums, Terms, projected, sizes
+from .likelihood_profile import FARTHEST, refitted, walked
 from .local_optimum import STATIONARY, Minimum, by_newton
 from .report import floor_doubts, unseen
 from .search import Effort, minimise
@@ -166,17 +166,10 @@ class JointForceFit(Estimates):
         return low, high
 
     def _end(self, end: tuple[int, float, float]) -> float:
-        """Where the profiled squares reach ``limit`` on the side of ``step``,
-        each from the last.
-        """
+        """Where the profiled squares reach ``limit`` on the side of ``step``."""
         i, step, limit = end
-
-        def others(trial: Array) -> tuple[Array, float]:
-            found = by_newton(self.problem, trial[None], 0, (i,))[0]
-            return found.coefficients, found.cost
-
         low, high = (float(b[i]) for b in self.problem.bounds())
-        z = np.array(self.linearisation.values)
+        others, z = partial(refitted, self.problem, held=(i,)), np.array(self.linearisation.values)
         return walked(others, z, i, step, limit, (low, high), FARTHEST * abs(step))[0]
 
     @property
@@ -574,11 +567,8 @@ class JointProblem:
             wide[:, :, [*(linear.index(at[i]) for i in part.linear), -1]] = whole
             rows.append(wide)
             good &= finite
-        stacked = np.concatenate(rows, axis=1)
-        columns, target = stacked[:, :, :-1], stacked[:, :, -1]
-        z[:, linear] = parts = least_squares(columns, target)[0]
-        cost = np.sum((target - np.einsum("mnk,mk->mn", columns, parts)) ** 2, axis=1)
-        return np.where(good, cost, np.inf), z
+        cost, z[:, linear], _ = projected(np.concatenate(rows, axis=1), good)
+        return cost, z
 
     def bounds(self) -> tuple[Array, Array]:
         """Of z: the narrowest of all tables that share an unknown."""

@@ -19,7 +19,7 @@ from ...muscles.laws.user_defined import law_named
 from ..statistics import Array
 from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
-from .least_squares import HUBER, LeastSquares, Loss, Terms, nonlinear_coefficients, sizes, spread
+from .least_squares import HUBER, LeastSquares, Loss, Terms, sizes, spread
 from .search import minimise, robust_start
 
 __all__ = [
@@ -30,7 +30,6 @@ __all__ = [
     "held_coefficients",
     "independent",
     "law_class",
-    "nonlinear_coefficients",
 ]
 
 LOG = logging.getLogger(__name__)
