@@ -24,7 +24,7 @@ from .dynamic.runs import FreeRun as FreeRun
 from .dynamic.structures import ArxStructure as ArxStructure
 from .dynamic.structures import FreeRunStructure as FreeRunStructure
 from .dynamic.structures import PlantStructure as PlantStructure
-from .dynamic.subspace import SubspaceStructure as SubspaceStructure
+from .dynamic.structures import SubspaceStructure as SubspaceStructure
 from .fleet import FleetFit as FleetFit
 from .fleet import FleetMuscle as FleetMuscle
 from .fleet import Population as Population
@@ -33,11 +33,11 @@ from .learned.learning import Band as Band
 from .learned.learning import LearnedFit as LearnedFit
 from .learned.learning import LearnedStructure as LearnedStructure
 from .learned.learning import fit_residual as fit_residual
+from .learned.residual import GaussianProcess as GaussianProcess
+from .learned.residual import Network as Network
 from .learned.residual import Residual as Residual
-from .learned.shapes import GaussianProcess as GaussianProcess
-from .learned.shapes import Network as Network
-from .learned.shapes import Shape as Shape
-from .learned.shapes import Splines as Splines
+from .learned.residual import Shape as Shape
+from .learned.residual import Splines as Splines
 from .static.branches import Hysteresis as Hysteresis
 from .static.branches import LackOfFit as LackOfFit
 from .static.branches import hysteresis as hysteresis

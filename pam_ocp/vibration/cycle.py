@@ -20,8 +20,8 @@ from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import evaluated, simulate
+from .free import smooth
 from .hopf_bifurcation import HopfPoint
-from .passages import smooth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

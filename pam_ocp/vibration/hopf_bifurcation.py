@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -28,7 +28,7 @@ from ..plants.plant import Plant, Values
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["HopfBorder", "HopfPoint", "hopf", "hopf_border"]
+__all__ = ["BorderWalk", "HopfBorder", "HopfPoint", "hopf", "hopf_border"]
 
 
 WIDE = 30.0
@@ -374,59 +374,61 @@ def hopf_border(
     numbers = np.atleast_1d(np.asarray(values, dtype=float))
     for value in numbers:
         second.check(value)
-    points_found: list[HopfPoint | None] = []
-    reasons: dict[float, str] = {}
-    last: HopfPoint | None = None
-    for value in map(float, numbers):
-        try:
-            last = near_hopf(
-                plant, parameter, {**given, second.name: value}, bracket, last, points, memory
-            )
-            points_found.append(last)
-        except PamError as error:
-            reasons[value] = str(error)
-            points_found.append(None)
-        except TimeIsUp:
-            if last is None:
-                raise
-            reasons[value] = f"{deadline()} was over"
-            points_found.append(None)
-    if last is None:
-        raise InputError(
-            f"no border for any value of {second.name}: {next(iter(reasons.values()))}"
-        )
-    return HopfBorder(
-        plant.variable(parameter).name, second.name, numbers, tuple(points_found), reasons
-    )
+    walk = BorderWalk(plant, parameter, bracket, points, memory)
+    found = [walk({**given, second.name: value}, value) for value in numbers.tolist()]
+    if walk.last is None:
+        reason = next(iter(walk.reasons.values()))
+        raise InputError(f"no border for any value of {second.name}: {reason}")
+    name = plant.variable(parameter).name
+    return HopfBorder(name, second.name, numbers, tuple(found), walk.reasons)
 
 
-def near_hopf(
-    plant: Plant,
-    parameter: str,
-    given: Values,
-    bracket: tuple[float, float],
-    last: HopfPoint | None,
-    points: int,
-    memory: Memory,
-) -> HopfPoint:
-    """The Hopf point next to the last one if it lies in the bracket,
-    else a search of the bracket.
+@dataclass
+class BorderWalk:
+    """Hopf points one beside the other, each sought from the last that was found, and why there is
+    none at some places.
     """
-    if last is not None:
-        rest = VariedRest(plant, parameter, given, memory)
-        q = last.mode / rest.nominal[: rest.nx]
-        start = np.concatenate(
-            [
-                np.concatenate([last.point.x, last.point.u]) / rest.nominal,
-                [last.value / rest.variable.nominal, 2 * np.pi * last.frequency],
-                q.real,
-                q.imag,
-            ]
-        )
+
+    plant: Plant
+    parameter: str
+    bracket: tuple[float, float]
+    points: int
+    memory: Memory
+    last: HopfPoint | None = None
+    reasons: dict[Any, str] = field(default_factory=dict)
+
+    def __call__(self, given: Values, place: Any) -> HopfPoint | None:
+        """The point under these conditions; None where there is none, or no time left."""
         try:
-            found = _solved(rest, _augmented(rest), start)
-            if bracket[0] <= found.value <= bracket[1]:
-                return found
-        except PamError:
-            pass  # too far from the last one: look for it in the bracket
-    return hopf(plant, parameter, bracket, given, points=points, memory=memory)
+            self.last = self._near(given)
+            return self.last
+        except PamError as error:
+            self.reasons[place] = str(error)
+        except TimeIsUp:
+            if self.last is None:
+                raise
+            self.reasons[place] = f"{deadline()} was over"
+        return None
+
+    def _near(self, given: Values) -> HopfPoint:
+        """Next to the last one if it lies in the bracket, else by a search of the bracket."""
+        if self.last is not None:
+            last, rest = self.last, VariedRest(self.plant, self.parameter, given, self.memory)
+            q = last.mode / rest.nominal[: rest.nx]
+            scaled = np.concatenate([last.point.x, last.point.u]) / rest.nominal
+            here = [last.value / rest.variable.nominal, 2 * np.pi * last.frequency]
+            start = np.concatenate([scaled, here, q.real, q.imag])
+            try:
+                found = _solved(rest, _augmented(rest), start)
+                if self.bracket[0] <= found.value <= self.bracket[1]:
+                    return found
+            except PamError:
+                pass  # too far from the last one: look for it in the bracket
+        return hopf(
+            self.plant,
+            self.parameter,
+            self.bracket,
+            given,
+            points=self.points,
+            memory=self.memory,
+        )

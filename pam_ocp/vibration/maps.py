@@ -21,7 +21,7 @@ from ..operating.resting_point import OperatingPoint, equilibrium
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import simulate
 from .cycle import limit_cycle
-from .hopf_bifurcation import HopfPoint, near_hopf
+from .hopf_bifurcation import BorderWalk, HopfPoint
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -188,29 +188,14 @@ def hopf_map(
     (one, first), (two, second) = grid.items()
     if plant.variable(parameter).name in grid:
         raise InputError(f"axes: {parameter} is the parameter that is looked for; name another")
+    walk = BorderWalk(plant, parameter, bracket, points, memory)
     rows: list[tuple[HopfPoint | None, ...]] = []
-    reasons: dict[tuple[float, float], str] = {}
-    last: HopfPoint | None = None
-    for a in map(float, first):
-        row: list[HopfPoint | None] = []
-        begin = rows[-1][0] if rows else None
-        last = begin if begin is not None else last
-        for b in map(float, second):
-            values, found = {**given, one: a, two: b}, None
-            try:
-                found = near_hopf(plant, parameter, values, bracket, last, points, memory)
-            except PamError as error:
-                reasons[a, b] = str(error)
-            except TimeIsUp:
-                if last is None:
-                    raise
-                reasons[a, b] = f"{deadline()} was over"
-            last = found or last
-            row.append(found)
-        rows.append(tuple(row))
-    if last is None:
-        raise InputError(f"no border anywhere: {next(iter(reasons.values()))}")
-    return HopfMap(plant.variable(parameter).name, grid, tuple(rows), reasons)
+    for a in first.tolist():
+        walk.last = (rows[-1][0] if rows else None) or walk.last
+        rows.append(tuple(walk({**given, one: a, two: b}, (a, b)) for b in second.tolist()))
+    if walk.last is None:
+        raise InputError(f"no border anywhere: {next(iter(walk.reasons.values()))}")
+    return HopfMap(plant.variable(parameter).name, grid, tuple(rows), walk.reasons)
 
 
 @verb

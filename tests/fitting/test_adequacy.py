@@ -15,8 +15,13 @@ import scipy.optimize
 
 import pam_ocp as pam
 from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
+from pam_ocp.fitting.dynamic import gauss_newton
 from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise, residual_adequacy
-from pam_ocp.fitting.dynamic.evidence import solved
+from pam_ocp.fitting.dynamic.evidence import Motion, _bounded, solved
+from pam_ocp.fitting.dynamic.experiment import groups
+from pam_ocp.fitting.dynamic.rig import unknowns_of
+from pam_ocp.fitting.dynamic.rollout import Rollout
+from pam_ocp.fitting.dynamic.runs import hidden_states, runs_of, settled_starts
 
 TRUE = {"damping": 80.0, "muscle.lag": 0.08}
 PATTERN = {"damping": 80.0, "muscle*.lag": 0.08}
@@ -50,6 +55,18 @@ def record(fault: str = "", seed: int = 0, samples: int = 500) -> pam.Trajectory
     x = run["x"] * (1.03 if fault == "scale" else 1.0) + NOISE * noise
     columns = {"x": x, "muscle.command": u}
     return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+
+
+def played(
+    rig: pam.Plant, u: np.ndarray, noise: dict[str, float], random: Any, between: Any = "previous"
+) -> pam.Trajectory:
+    """A rig at 100 Hz from its rest under a command, as seen with noise of these sizes."""
+    (command,) = (v.name for v in rig.inputs)
+    t, start = 0.01 * np.arange(len(u)), rig.equilibrium({command: u[0]})
+    run = pam.simulate(rig, {command: u}, t=t, start=start, interpolation=between, rtol=1e-9)
+    columns = {n: run[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
+    columns[command] = u
+    return pam.Trajectory(t, columns, [rig.variable(n) for n in columns], between)
 
 
 def off() -> pam.Plant:
@@ -91,15 +108,8 @@ def test_friction_inside_a_muscle_is_no_lag_though_its_force_sensor_feels_it() -
         return pam.AntagonisticSlide("DMSP-20-400N", 3.0, damping=80.0, feed=feed, losses=losses)
 
     rig, model = slide(pam.losses.CoulombFriction(15.0, speed=5e-3)), slide()
-    random, t = np.random.default_rng(2), 0.01 * np.arange(600)
-    (command,) = (v.name for v in model.inputs)
-    u = np.repeat(random.uniform(-1e5, 1e5, 15), 40)
-    start = rig.equilibrium({command: u[0]})
-    run = pam.simulate(rig, {command: u}, t=t, start=start, interpolation="previous", rtol=1e-9)
-    noise = {"x": NOISE, "muscle1.force": 1.0}
-    columns = {n: run[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
-    columns[command] = u
-    shown = pam.Trajectory(t, columns, [model.variable(n) for n in columns], "previous")
+    random, noise = np.random.default_rng(2), {"x": NOISE, "muscle1.force": 1.0}
+    shown = played(rig, np.repeat(random.uniform(-1e5, 1e5, 15), 40), noise, random)
     asked = {"outputs": list(noise), "horizon": None, "judge": False}
     free = ["base_pressure", "damping", "muscle*.lag"]
     assert fit_free_run(model, shown, free, **asked).adequacy.cause == "friction or hysteresis"
@@ -155,16 +165,8 @@ def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
         )
 
     rig = spring(pam.losses.CoulombFriction(20.0, speed=5e-3))
-    random, t = np.random.default_rng(3), 0.01 * np.arange(450)
-    u = np.repeat(random.uniform(1.5e5, 5e5, 10), 45)
-    start = rig.equilibrium({"muscle.command": u[0]})
-    run = pam.simulate(
-        rig, {"muscle.command": u}, t=t, start=start, interpolation="previous", rtol=1e-9
-    )
-    noise = {"x": 4e-5, "muscle.pressure": 1e3}
-    columns = {n: run[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
-    columns["muscle.command"] = u
-    shown = pam.Trajectory(t, columns, [rig.variable(n) for n in columns], "previous")
+    random, noise = np.random.default_rng(3), {"x": 4e-5, "muscle.pressure": 1e3}
+    shown = played(rig, np.repeat(random.uniform(1.5e5, 5e5, 10), 45), noise, random)
     asked = {"outputs": list(noise), "horizon": 0.4, "every": 0.2, "judge": False}
     fit = fit_free_run(spring(lag=0.11), shown, ["mass", "muscle.lag"], **asked)
     assert fit.at_bound == ("mass",)
@@ -175,13 +177,7 @@ def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
 
 @pytest.mark.slow
 def test_records_without_noise_are_not_judged() -> None:
-    clean = record()
-    plant = hanging()
-    u = clean["muscle.command"]
-    held = {"start": plant.equilibrium({"muscle.command": u[0]}), "interpolation": "previous"}
-    run = pam.simulate(plant, {"muscle.command": u}, t=clean.t, rtol=1e-9, **held)
-    variables = [plant.variable(n) for n in ("x", "muscle.command")]
-    exact = pam.Trajectory(clean.t, {"x": run["x"], "muscle.command": u}, variables, "previous")
+    exact = played(hanging(), record()["muscle.command"], {"x": 0.0}, np.random.default_rng())
     fit = fit_free_run(off(), exact, list(TRUE), horizon=None)
     assert fit.adequacy == Adequacy()
     assert "not tested" in fit.adequacy.report()
@@ -226,21 +222,10 @@ def test_intervals_hold_the_truth_under_coloured_noise() -> None:
 
 
 def test_standard_errors_count_several_outputs_with_the_weights_of_the_fit() -> None:
-    from pam_ocp.fitting.dynamic.rollout import Rollout
-    from pam_ocp.fitting.dynamic.runs import runs_of
-
-    noise, cut = {"x": NOISE, "muscle.pressure": 3e3}, record(samples=300)
-    plant, t = hanging(), cut.t
+    noise = {"x": NOISE, "muscle.pressure": 3e3}
     # pressures that range over less than nominal
-    u = 3.5e5 + 0.15 * (cut["muscle.command"] - 3.5e5)
-    start = plant.equilibrium({"muscle.command": u[0]})
-    motion = pam.simulate(
-        plant, {"muscle.command": u}, t=t, start=start, interpolation="previous", rtol=1e-9
-    )
-    random = np.random.default_rng(7)
-    columns = {"muscle.command": u}
-    columns |= {n: motion[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
-    both = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    u = 3.5e5 + 0.15 * (record(samples=300)["muscle.command"] - 3.5e5)
+    both = played(hanging(), u, noise, np.random.default_rng(7))
     fit = fit_free_run(off(), both, list(TRUE), horizon=None, outputs=list(noise), judge=False)
     assert fit.adequacy.adequate
     runs = runs_of(fit.plant, both, **fit.options)
@@ -264,11 +249,6 @@ def test_pressures_that_nobody_measured_begin_where_they_belong(options: Any) ->
 
 
 def test_runs_in_mid_record_have_exact_slopes_through_their_hidden_past() -> None:
-    from pam_ocp.fitting.dynamic.experiment import groups
-    from pam_ocp.fitting.dynamic.rig import unknowns_of
-    from pam_ocp.fitting.dynamic.rollout import Rollout
-    from pam_ocp.fitting.dynamic.runs import hidden_states, runs_of, settled_starts
-
     plant, cut = off(), record(samples=150)
     runs = runs_of(plant, [cut], 0.2, 0.3, ["x"], 3, 4)
     places = hidden_states(plant, ["x"], (), False)
@@ -298,15 +278,9 @@ def test_one_parameter_more_never_fits_worse() -> None:
 
 @pytest.mark.slow
 def test_held_and_joined_inputs_fit_side_by_side() -> None:
-    held = record()
-    t, u = held.t, np.interp(held.t, [0, 1, 2, 3, 5], [3e5, 4e5, 2.5e5, 4.5e5, 3e5])
-    plant = hanging()
-    start = plant.equilibrium({"muscle.command": u[0]})
-    run = pam.simulate(plant, {"muscle.command": u}, t=t, start=start, interpolation="linear")
-    x = run["x"] + NOISE * np.random.default_rng(5).standard_normal(t.size)
-    variables = [plant.variable(n) for n in ("x", "muscle.command")]
-    joined = pam.Trajectory(t, {"x": x, "muscle.command": u}, variables, "linear")
-    fit = fit_plant(off(), [held, joined], list(TRUE))
+    u = np.interp(record().t, [0, 1, 2, 3, 5], [3e5, 4e5, 2.5e5, 4.5e5, 3e5])
+    joined = played(hanging(), u, {"x": NOISE}, np.random.default_rng(5), "linear")
+    fit = fit_plant(off(), [record(), joined], list(TRUE))
     assert fit.values["damping"] == pytest.approx(80.0, rel=0.01)
 
 
@@ -389,16 +363,14 @@ def test_a_fit_that_time_ended_shows_the_motion_of_its_values(
     """Collocation begins at the measured states, which meet the record and no equation: its first
     iterate has no residuals.
     """
-    from pam_ocp.fitting.dynamic import gauss_newton
-    from pam_ocp.fitting.dynamic.gauss_newton import TIMED
 
     def ended(program: Any, weights: Any, guess: Any, *_: Any) -> Any:
-        return gauss_newton._solution(program, weights, guess, TIMED, 1)
+        return gauss_newton._solution(program, guess, gauss_newton.TIMED, 1)
 
-    monkeypatch.setattr("pam_ocp.fitting.dynamic.gauss_newton._interior_point", ended)
+    monkeypatch.setattr(gauss_newton, "_interior_point", ended)
     shown = record("friction")
     fit = fit_plant(off(), shown, list(TRUE))
-    assert fit.status == TIMED
+    assert fit.status == gauss_newton.TIMED
     run = pam.simulate(
         fit.plant,
         {"muscle.command": shown["muscle.command"]},
@@ -435,8 +407,6 @@ def test_short_horizons_leave_the_full_one_its_evaluations() -> None:
 
 def test_a_bounded_step_of_values_and_starts_is_that_of_least_squares_in_a_box() -> None:
     """Two motions, each with a start; SciPy's bounded least squares solves the whole at once."""
-    from pam_ocp.fitting.dynamic.evidence import Motion, _bounded
-
     random = np.random.default_rng(4)
     count, weights = 30, np.array([2.0])
     motions = [

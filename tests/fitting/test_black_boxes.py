@@ -28,7 +28,7 @@ from pam_ocp.fitting import (
 )
 from pam_ocp.fitting.dynamic.choice import rmse_ratios
 from pam_ocp.fitting.dynamic.networks import NUMPY, NetworkModel, _Arrays
-from pam_ocp.fitting.dynamic.subspace import Scales, levels_of
+from pam_ocp.fitting.dynamic.structures import Scales, levels_of
 
 STEP = 0.02
 WAYS = {"horizon": (0.1, 0.5), "every": 0.1}

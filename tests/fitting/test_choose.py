@@ -136,18 +136,21 @@ def test_groups_stay_together_and_failures_are_told() -> None:
     assert found.name != "broken"
 
 
-def test_what_cannot_be_is_refused() -> None:
-    records = parabolas(0)
-    with pytest.raises(InputError, match="folds = 2"):
-        choose(POWERS, records, folds=2)
-    with pytest.raises(InputError, match="3 independent records make no 5 folds"):
-        choose(POWERS, records[:3])
-    with pytest.raises(InputError, match=r"structures\['a'\] is an int"):
-        choose({"a": 3}, records)  # type: ignore[dict-item]
-    with pytest.raises(FitError, match="no structure could be fitted"):
-        choose({"broken": Power(2, fails=True)}, records)
-    with pytest.raises(OutOfTime):
-        choose(POWERS, records, time_limit=1e-9)
+@pytest.mark.parametrize(
+    ("structures", "count", "options", "error", "words"),
+    [
+        (POWERS, 24, {"folds": 2}, InputError, "folds = 2"),
+        (POWERS, 3, {}, InputError, "3 independent records make no 5 folds"),
+        ({"a": 3}, 24, {}, InputError, r"structures\['a'\] is an int"),
+        ({"broken": Power(2, fails=True)}, 24, {}, FitError, "no structure could be fitted"),
+        (POWERS, 24, {"time_limit": 1e-9}, OutOfTime, None),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    structures: Any, count: int, options: Any, error: Any, words: str | None
+) -> None:
+    with pytest.raises(error, match=words):
+        choose(structures, parabolas(0)[:count], **options)
 
 
 def test_an_arx_model_of_an_arx_process_predicts_it_to_its_noise() -> None:

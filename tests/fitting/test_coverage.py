@@ -110,22 +110,12 @@ def test_friction_is_found_through_wide_roundings_and_limits_keep_the_best() -> 
     noise = 1e-4 * np.random.default_rng(1).standard_normal(t.size)
     record = pam.Trajectory(t, {"q": run["q"] + noise, "u": u}, interpolation="linear")
     told: list[str] = []
+    given = rubbing(0.01).with_values(friction=0.3, k=30.0), record, ["friction", "k"]
     fit = fit_plant(
-        rubbing(0.01).with_values(friction=0.3, k=30.0),
-        record,
-        ["friction", "k"],
-        widest={"width": 0.3},
-        degree=5,
-        progress=lambda stage, count, cost: told.append(stage),
+        *given, widest={"width": 0.3}, degree=5, progress=lambda stage, *_: told.append(stage)
     )
     assert fit.values["friction"] == pytest.approx(2.0, rel=0.05)
     assert fit.values["k"] == pytest.approx(40.0, rel=0.02)
     assert told
-    short = fit_plant(
-        rubbing(0.01).with_values(friction=0.3, k=30.0),
-        record,
-        ["friction", "k"],
-        iterations=2,
-        degree=3,
-    )
+    short = fit_plant(*given, iterations=2, degree=3)
     assert any("did not come to its end" in w for w in short.warnings)

@@ -116,15 +116,9 @@ def test_a_structure_with_it_counts_it() -> None:
     ],
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], words: str) -> None:
-    if "outputs" in options:
-        run = record(1)
-        with_torque = pam.Trajectory(
-            run.t, {"torque": GAIN * run["u"], "u": run["u"]}, interpolation="previous"
-        )
-        with pytest.raises(InputError, match=words):
-            pam.fit_free_run(
-                sprung(), with_torque, ["k"], horizon=0.1, every=0.1, warm_up=0.1, **options
-            )
-        return
+    run = record(1)
+    columns = {"torque": GAIN * run["u"], "q": run["q"], "u": run["u"]}
+    both = pam.Trajectory(run.t, columns, interpolation="previous")
+    given = {"horizon": 0.1, "every": 0.1, "warm_up": 0.1, "outputs": ["q"], "disturbance": ["w"]}
     with pytest.raises(InputError, match=words):
-        fitted(**{"disturbance": ["w"], **options})
+        pam.fit_free_run(sprung(), both, ["k"], **{**given, **options})

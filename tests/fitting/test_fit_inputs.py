@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError
 from pam_ocp.fitting import fit_plant, read_record
 from pam_ocp.fitting.dynamic.experiment import deviance
+from pam_ocp.fitting.dynamic.free_run_fit import _require_sense
+from pam_ocp.fitting.dynamic.rig import RunUnknowns, Unknown
+from pam_ocp.fitting.dynamic.runs import FreeRun
 
 FREE = ["damping", "muscle*.lag"]
 T = np.arange(0, 1.2, 0.01)
@@ -124,8 +128,6 @@ def test_input_noise_is_refused_where_it_cannot_be(rig: pam.Plant) -> None:
 
 # ---- free runs ----------------------------------------------------------------------------------
 def test_a_free_run_that_diverges_says_so() -> None:
-    from pam_ocp.fitting.dynamic.runs import FreeRun
-
     t = np.array([0.1, 0.2])
     wild = np.array([[[1.0], [np.inf]], [[1.0], [1.1]], [[1.0], [5e3]]])
     runs = FreeRun(
@@ -137,11 +139,6 @@ def test_a_free_run_that_diverges_says_so() -> None:
 
 
 def test_discarded_sensitivities_are_not_called_no_influence() -> None:
-    from types import SimpleNamespace
-
-    from pam_ocp.fitting.dynamic.free_run_fit import _require_sense
-    from pam_ocp.fitting.dynamic.rig import RunUnknowns, Unknown
-
     row = Unknown("groups", None, "stiffness", "N/m", 0.0, 1.0, -1.0, 1.0)
     unknowns = RunUnknowns((row,))
     for damped, words in ((4, "cannot be told"), (0, "no influence")):

@@ -16,6 +16,7 @@ from pam_ocp.fitting import fit_plant
 SPRING, DAMPER, STEP = 40.0, 1.5, 0.05
 INTENSITY, NOISE = 0.05, 5e-4
 FREE = ["spring", "damper"]
+NOISY: dict[str, Any] = {"noise": {"x": NOISE}, "process_noise": {"v": INTENSITY}}
 
 
 def oscillator(spring: float = SPRING, damper: float = DAMPER) -> pam.Plant:
@@ -81,9 +82,7 @@ def run() -> pam.Trajectory:
 
 @pytest.fixture(scope="module")
 def fit(run: pam.Trajectory) -> pam.fitting.PlantFit:
-    return fit_plant(
-        oscillator(35.0, 1.0), run, FREE, noise={"x": NOISE}, process_noise={"v": INTENSITY}
-    )
+    return fit_plant(oscillator(35.0, 1.0), run, FREE, **NOISY)
 
 
 def test_the_fit_is_that_of_a_kalman_filter(fit: pam.fitting.PlantFit, run: pam.Trajectory) -> None:
@@ -115,15 +114,8 @@ def test_the_fit_is_that_of_a_kalman_filter(fit: pam.fitting.PlantFit, run: pam.
 
 
 def test_multiple_shooting_finds_the_same(fit: pam.fitting.PlantFit, run: pam.Trajectory) -> None:
-    other = fit_plant(
-        oscillator(35.0, 1.0),
-        run,
-        FREE,
-        noise={"x": NOISE},
-        process_noise={"v": INTENSITY},
-        method="multiple-shooting",
-        degree=4,
-    )
+    way: Any = {"method": "multiple-shooting", "degree": 4}
+    other = fit_plant(oscillator(35.0, 1.0), run, FREE, **NOISY, **way)
     for name, (low, high) in fit.intervals().items():
         assert other.values[name] == pytest.approx(fit.values[name], rel=1e-4)
         assert other.interval(name) == pytest.approx((low, high), rel=1e-3)
@@ -148,9 +140,7 @@ def test_intervals_cover_where_those_without_process_noise_do_not() -> None:
     with_, without, hits = [], [], np.zeros(3)
     for seed in range(20):
         run = record(seed)
-        smooth = fit_plant(
-            oscillator(35.0, 1.0), run, FREE, noise={"x": NOISE}, process_noise={"v": INTENSITY}
-        )
+        smooth = fit_plant(oscillator(35.0, 1.0), run, FREE, **NOISY)
         plain = fit_plant(oscillator(35.0, 1.0), run, FREE)
         for name, true in (("spring", SPRING), ("damper", DAMPER)):
             for i, found in enumerate((smooth, plain)):
@@ -191,6 +181,5 @@ def test_a_vanishing_process_noise_is_none(run: pam.Trajectory) -> None:
 def test_bad_arguments_are_refused_in_words(
     arguments: dict[str, Any], words: str, run: pam.Trajectory
 ) -> None:
-    usual: dict[str, Any] = {"noise": {"x": NOISE}, "process_noise": {"v": INTENSITY}}
     with pytest.raises(InputError, match=words):
-        fit_plant(oscillator(), run, FREE, **(usual | arguments))
+        fit_plant(oscillator(), run, FREE, **(NOISY | arguments))

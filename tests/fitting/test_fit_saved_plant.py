@@ -41,7 +41,7 @@ def fit() -> pam.fitting.PlantFit:
     return fit_plant(plant.with_values(mass=1.5), records, ["mass", "damper"])
 
 
-def test_a_saved_fit_comes_back(fit: pam.fitting.PlantFit, tmp_path: Path) -> None:
+def test_a_saved_fit_comes_back_and_validates(fit: pam.fitting.PlantFit, tmp_path: Path) -> None:
     again = load_plant_fit(fit.save(tmp_path / "fit.json"), cart())
     assert again.values == fit.values
     assert again.plant.variable("mass").start == fit.plant.variable("mass").start
@@ -52,27 +52,21 @@ def test_a_saved_fit_comes_back(fit: pam.fitting.PlantFit, tmp_path: Path) -> No
     assert again.warnings == fit.warnings
     assert again.report() == fit.report()
     assert [c.tolist() for c in again.residuals] == [c.tolist() for c in fit.residuals]
-
-
-def test_a_fit_that_was_read_validates(fit: pam.fitting.PlantFit, tmp_path: Path) -> None:
-    again = load_plant_fit(fit.save(tmp_path / "fit.json"), cart())
-    one, other = fit.validate(fit.records[1])[0], again.validate(fit.records[1])[0]
-    assert other["x"].fit_percent == pytest.approx(one["x"].fit_percent, rel=1e-9)
+    one, other = (f.validate(fit.records[1])[0]["x"].fit_percent for f in (fit, again))
+    assert other == pytest.approx(one, rel=1e-9)
 
 
 def test_files_that_hold_no_such_fit_are_refused(fit: pam.fitting.PlantFit, tmp_path: Path) -> None:
     path = fit.save(tmp_path / "fit.json")
-    with pytest.raises(
-        InputError, match="whose parameters are others: only the plant has friction"
-    ):
-        load_plant_fit(path, cart(extra=True))
-    with pytest.raises(InputError, match="no such file"):
-        load_plant_fit(tmp_path / "none.json", cart())
     (tmp_path / "other.json").write_text("{}")
-    with pytest.raises(InputError, match="is no fit of a plant"):
-        load_plant_fit(tmp_path / "other.json", cart())
     content = json.loads(path.read_text())
     del content["linearisation"]["scale"]
     (tmp_path / "broken.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match="cannot be read as a fit of a plant"):
-        load_plant_fit(tmp_path / "broken.json", cart())
+    for name, plant, words in (
+        ("fit", cart(extra=True), "whose parameters are others: only the plant has friction"),
+        ("none", cart(), "no such file"),
+        ("other", cart(), "is no fit of a plant"),
+        ("broken", cart(), "cannot be read as a fit of a plant"),
+    ):
+        with pytest.raises(InputError, match=words):
+            load_plant_fit(tmp_path / f"{name}.json", plant)

@@ -14,7 +14,10 @@ import pytest
 import pam_ocp as pam
 from pam_ocp.cli.main import main
 from pam_ocp.core.errors import FitError, InputError, OutOfTime, UnknownNameError
+from pam_ocp.core.stop import TimeIsUp
 from pam_ocp.fitting import Ladder, Rung, fit_ladder
+from pam_ocp.fitting.dynamic import ladder as module
+from pam_ocp.fitting.dynamic.free_run_result import widened
 from pam_ocp.fitting.dynamic.ladder import rungs_of
 from pam_ocp.fitting.dynamic.rungs import HISTORY, RungModel, Task, model_of
 
@@ -84,12 +87,8 @@ def test_runs_are_those_of_an_accurate_integrator_with_exact_dead_time() -> None
     exact = pam.simulate(
         plant, {"difference": record["difference"]}, t=t, start=start, dead_times="exact"
     )
-    clean = pam.Trajectory(
-        t,
-        {n: exact[n] for n in ("difference", *OUTPUTS)},
-        [plant.variable(n) for n in ("difference", *OUTPUTS)],
-        "previous",
-    )
+    columns = {n: exact[n] for n in ("difference", *OUTPUTS)}
+    clean = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
     runs = model(plant, clean)
     coarse, fine = (np.sqrt(np.mean(error(runs, n) ** 2)) for n in (4, 8))
     assert np.abs(error(runs)).max() < 0.03
@@ -186,8 +185,6 @@ def test_the_truth_lies_within_the_intervals(ladder: Ladder) -> None:
 
 def test_errors_that_follow_each_other_widen_the_intervals() -> None:
     """Beside white noise of the same size: by sqrt((1 + a)/(1 - a)) for a mean."""
-    from pam_ocp.fitting.dynamic.free_run_result import widened
-
     random, n, a, blocks = np.random.default_rng(8), 4000, 0.8, 40
     ratios = {0.0: [], a: []}  # type: ignore[var-annotated]
     for follows, found in ratios.items():
@@ -195,7 +192,7 @@ def test_errors_that_follow_each_other_widen_the_intervals() -> None:
             e = random.standard_normal(n)
             for k in range(1, n):
                 e[k] = follows * e[k - 1] + np.sqrt(1 - follows**2) * e[k]
-            covariance, _ = widened(
+            covariance = widened(
                 np.array([[1 / n]]), e.reshape(blocks, -1).sum(axis=1)[:, None], float(e @ e) / n
             )
             found.append(float(covariance[0, 0]) * n)
@@ -338,11 +335,7 @@ def test_rungs_are_structures_to_choose_among() -> None:
 def test_when_time_is_over_the_rungs_climbed_remain(
     record: pam.Trajectory, monkeypatch: Any
 ) -> None:
-    from pam_ocp.core.stop import TimeIsUp
-    from pam_ocp.fitting.dynamic import ladder as module
-    from pam_ocp.fitting.dynamic.rungs import climbed as whole
-
-    seen = []
+    seen, whole = [], module.climbed
 
     def twice(*arguments: Any) -> Any:
         seen.append(1)

@@ -379,16 +379,17 @@ def test_a_path_says_where_it_ends():
         vibration.stability_path(load(pam.losses.ConstantDamping(9.0)), "mass", [20, 200], FOUR_BAR)
 
 
-def test_a_guess_that_has_come_to_rest_is_refused():
-    still = pam.simulate(beyond(0.5), t=np.linspace(0, 40, 2001), start={"x": 0.045})
-    with pytest.raises(InputError, match="the guess does not oscillate"):
-        vibration.limit_cycle(beyond(0.5), still)
-
-
-def test_a_guess_that_dies_out_gives_no_cycle():
-    dying = pam.simulate(beyond(0.5), t=np.linspace(0, 3, 1001), start={"x": 0.045})
-    with pytest.raises(VibrationError, match="from this guess: it collapses to an equilibrium"):
-        vibration.limit_cycle(beyond(0.5), dying)
+@pytest.mark.parametrize(
+    ("duration", "error", "words"),
+    [
+        (40, InputError, "the guess does not oscillate"),
+        (3, VibrationError, "from this guess: it collapses to an equilibrium"),
+    ],
+)
+def test_a_guess_that_has_come_to_rest_or_dies_out_gives_no_cycle(duration, error, words):
+    t = np.linspace(0, duration, 2001)
+    with pytest.raises(error, match=words):
+        vibration.limit_cycle(beyond(0.5), pam.simulate(beyond(0.5), t=t, start={"x": 0.045}))
 
 
 def test_a_regulator_needs_a_positive_lag():

@@ -550,7 +550,8 @@ def _verdict(
     follows = {n: neighbours([r[:, j] for r in base.residuals]) for j, n in enumerate(e.outputs)}
     shifts = (cause.fit.values[:k] - base.values[:k]) * -e.scale if cause.chosen else np.zeros(k)
     # the noise that the values were found in: with all that the model leaves out
-    covariance = _covariance(case, case.noises(base), weights)
+    noises = case.noises(base)
+    covariance = _covariance(case, noises, weights)
     stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * e.scale
     if given is not None:
         stderr = np.array([given[n] for n in e.names])
@@ -564,7 +565,7 @@ def _verdict(
     if cause.chosen:
         part = 1 - case.regressed(cause.chosen).squares / max(base.squares, 1e-300)
     n = sum(len(r) for r in base.residuals)
-    effective = sum(x.effective * n for x in case.noises(base))
+    effective = sum(x.effective * n for x in noises)
     return Adequacy(
         cause.name,
         subject,

@@ -102,9 +102,7 @@ class Structure(Protocol):
 
     Examples
     --------
-    >>> names = ["x"], ["muscle.command"]
-    >>> yardstick = pam.fitting.ArxStructure(*names, order=2, horizon=[0.1], every=0.2)
-    >>> isinstance(yardstick, pam.fitting.Structure)
+    >>> isinstance(orders["order 1"], pam.fitting.Structure)
     True
     """
 
@@ -134,13 +132,7 @@ class Tried:
 
     Examples
     --------
-    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> orders = {
-    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
-    ...     for n in (1, 2)
-    ... }
-    >>> choice = pam.fitting.choose(orders, runs, folds=3, seed=1)
+    >>> choice = pam.fitting.choose(orders, episodes, folds=3, seed=1)
     >>> [tried.name for tried in choice.tried]  # the simplest first
     ['order 1', 'order 2']
     """
@@ -171,13 +163,7 @@ class Choice:
 
     Examples
     --------
-    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> orders = {
-    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
-    ...     for n in (1, 2)
-    ... }
-    >>> choice = pam.fitting.choose(orders, runs, folds=3, seed=1)
+    >>> choice = pam.fitting.choose(orders, episodes, folds=3, seed=1)
     >>> choice.name in orders, choice.nested.shape
     (True, (3, 1))
     """
@@ -248,13 +234,7 @@ class Ratios:
 
     Examples
     --------
-    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> orders = {
-    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
-    ...     for n in (1, 2)
-    ... }
-    >>> ratios = pam.fitting.choose(orders, runs, folds=3, seed=1).against("order 1")
+    >>> ratios = pam.fitting.choose(orders, episodes, folds=3, seed=1).against("order 1")
     >>> ratios["order 1"]
     array([[1., 1., 1.]])
     """
@@ -337,13 +317,7 @@ def choose(
 
     Examples
     --------
-    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> orders = {
-    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
-    ...     for n in (1, 2)
-    ... }
-    >>> pam.fitting.choose(orders, runs, folds=3, seed=1).name in orders
+    >>> pam.fitting.choose(orders, episodes, folds=3, seed=1).name in orders
     True
     """
     began = time.perf_counter()
@@ -372,7 +346,16 @@ def choose(
             nested[fold == k] = outer[taken][fold == k]
         model = given[winner].fit(chosen_records) if refit else None
     tried = [
-        _tried(n, prices[n], outer[n], ranked[n], per_fold.count(n), found[n])
+        Tried(
+            n,
+            prices[n],
+            mean_loss(outer[n]),
+            *ranked[n],
+            per_fold.count(n),
+            float(np.mean([f.seconds for f in found[n].values()])),
+            tuple(f.failure for f in found[n].values() if f.failure),
+            outer[n],
+        )
         for n in sorted(given, key=lambda n: prices[n])
     ]
     return Choice(
@@ -460,22 +443,6 @@ class _Fitted:
     failure: str = ""
 
 
-def _fitted(
-    structure: Structure,
-    training: Sequence[Trajectory],
-    tests: Mapping[int, Sequence[Trajectory]],
-) -> _Fitted:
-    """The work of one task; here or in another process."""
-    began = time.process_time()
-    try:
-        model = structure.fit(training)
-        seconds = time.process_time() - began
-        losses = {k: _losses(structure, model, test) for k, test in tests.items()}
-    except PamError as error:
-        return _Fitted({}, time.process_time() - began, f"{type(error).__name__}: {error}")
-    return _Fitted(losses, seconds)
-
-
 def _losses(structure: Structure, model: Any, records: Sequence[Trajectory]) -> Array:
     found = np.asarray(structure.losses(model, records), dtype=float)
     if found.ndim == 1:
@@ -527,7 +494,9 @@ def _fits(
 
 @dataclass(frozen=True, eq=False)
 class _Without:
-    """Structures and records; called with a structure's name and the folds that are left out."""
+    """Structures and records; called with a structure's name and the folds that are left out, here
+    or in another process.
+    """
 
     structures: Mapping[str, Structure]
     records: Sequence[Trajectory]
@@ -538,7 +507,14 @@ class _Without:
         placed = list(zip(self.records, self.fold, strict=True))
         training = [r for r, k in placed if k not in out]
         tests = {i: [r for r, k in placed if k == i] for i in out}
-        return _fitted(self.structures[name], training, tests)
+        structure, began = self.structures[name], time.process_time()
+        try:
+            model = structure.fit(training)
+            seconds = time.process_time() - began
+            losses = {k: _losses(structure, model, test) for k, test in tests.items()}
+        except PamError as error:
+            return _Fitted({}, time.process_time() - began, f"{type(error).__name__}: {error}")
+        return _Fitted(losses, seconds)
 
 
 def _gathered(
@@ -592,26 +568,3 @@ def _pick(
             close.append(n)
     winner = best if rule == "best" else min(close, key=lambda n: (prices[n], scores[n]))
     return winner, found
-
-
-def _tried(
-    name: str,
-    price: float,
-    losses: Array,
-    ranked: tuple[float, float, float],
-    chosen: int,
-    fits: Mapping[tuple[int, ...], _Fitted],
-) -> Tried:
-    score, behind, error = ranked
-    return Tried(
-        name,
-        price,
-        mean_loss(losses),
-        score,
-        behind,
-        error,
-        chosen,
-        float(np.mean([f.seconds for f in fits.values()])),
-        tuple(f.failure for f in fits.values() if f.failure),
-        losses,
-    )

@@ -32,6 +32,7 @@ from ...plants.plant import Plant
 from ...simulation.simulator import simulate
 from ..estimates import Tabled
 from ..statistics import Array, Coefficient, student_t
+from .experiment import with_columns
 
 __all__ = ["Band", "Coverage", "FittedPlant", "Reach", "coverage", "visited"]
 
@@ -292,7 +293,7 @@ def coverage(
         raise InputError("the fit holds no records: give one that was fitted here or loaded whole")
     asked = _asked(plant, other, duration, sample, start)
     before = [visited(plant, r) for r in fit.records]
-    measured = _measured(fit)
+    measured = tuple(fit.measured if hasattr(fit, "measured") else fit.training.names)
     found = _compared(plant, before, asked, measured, _usual(plant, before))
     spread = _uncertainty(fit, before, asked, measured) if uncertainty else {}
     return replace(found, uncertainty=spread)
@@ -365,34 +366,13 @@ def visited(
             columns[velocity] = np.gradient(columns[position], record.t)
     if any(n not in columns for n in states):
         begin = {n: float(columns[n][0]) for n in states if n in columns} | dict(start or {})
-        inputs = {v.name: (record.t, record[v.name]) for v in plant.inputs if v.name in record}
         try:
-            run = simulate(
-                plant,
-                inputs,
-                t=record.t,
-                start=_within(plant, begin),
-                rtol=1e-5,
-                interpolation=record.interpolation,
-            )
+            run = _played(plant, record, begin, 1e-5)
+            every = [v.name for v in (*plant.states, *plant.outputs)]
+            columns |= {n: run[n] for n in every if n not in columns}
         except PamError:
-            run = None
-        for n in [v.name for v in (*plant.states, *plant.outputs)] if run is not None else []:
-            assert run is not None
-            columns.setdefault(n, run[n])
-    return Trajectory(record.t, columns, interpolation=record.interpolation)
-
-
-def _within(plant: Plant, values: Mapping[str, float]) -> dict[str, float]:
-    found = {}
-    for name, value in values.items():
-        v = plant.variable(name)
-        found[v.name] = float(np.clip(value, v.min, v.max))
-    return found
-
-
-def _measured(fit: Any) -> tuple[str, ...]:
-    return tuple(fit.measured) if hasattr(fit, "measured") else tuple(fit.training.names)
+            pass  # what was not measured stays unknown
+    return with_columns(record, columns)
 
 
 def _asked(
@@ -507,10 +487,10 @@ def _uncertainty(
     plant: Plant = fit.plant
     known = [v.name for v in plant.parameters]
     held = [n for n in fit.coefficients if all(part in known for part in n.split(" = "))]
-    spread = fit.covariance if hasattr(fit, "covariance") else fit.spread.covariance
+    spread = np.asarray(fit.covariance)
     order = list(fit.coefficients)
     rows = [order.index(n) for n in held]
-    covariance = np.asarray(spread)[np.ix_(rows, rows)]
+    covariance = spread[np.ix_(rows, rows)]
     if not held or not np.all(np.isfinite(covariance)):
         return {}
     values, vectors = np.linalg.eigh(covariance)
@@ -520,7 +500,8 @@ def _uncertainty(
     def total(motions: Sequence[Trajectory]) -> dict[str, float]:
         squares, count = dict.fromkeys(measured, 0.0), 0
         for m in motions[:3]:
-            base = _played(plant, m)
+            start = {v.name: float(m[v.name][0]) for v in plant.states if v.name in m}
+            base = _played(plant, m, start, 1e-7)
             count += len(m)
             for step in directions:
                 moved = {
@@ -528,7 +509,7 @@ def _uncertainty(
                     for n, d in zip(held, step, strict=True)
                     for p in n.split(" = ")
                 }
-                run = _played(plant.with_values(moved), m)
+                run = _played(plant.with_values(moved), m, start, 1e-7)
                 for n in measured:
                     squares[n] += float(np.sum((10 * (run[n] - base[n])) ** 2))
         return {n: float(np.sqrt(s / max(count, 1))) for n, s in squares.items()}
@@ -540,17 +521,17 @@ def _uncertainty(
     return {n: (here[n], there[n]) for n in measured}
 
 
-def _played(plant: Plant, motion: Trajectory) -> Trajectory:
-    start = {v.name: float(motion[v.name][0]) for v in plant.states if v.name in motion}
+def _played(
+    plant: Plant, motion: Trajectory, start: Mapping[str, float], rtol: float
+) -> Trajectory:
+    """The plant under the inputs of a motion, from a start that is brought within its bounds."""
     inputs = {v.name: (motion.t, motion[v.name]) for v in plant.inputs if v.name in motion}
-    return simulate(
-        plant,
-        inputs,
-        t=motion.t,
-        start=_within(plant, start),
-        rtol=1e-7,
-        interpolation=motion.interpolation,
-    )
+    begin = {}
+    for name, value in start.items():
+        v = plant.variable(name)
+        begin[v.name] = float(np.clip(value, v.min, v.max))
+    between = motion.interpolation
+    return simulate(plant, inputs, t=motion.t, start=begin, rtol=rtol, interpolation=between)
 
 
 # ---- of fits of plants ---------------------------------------------------------------------------

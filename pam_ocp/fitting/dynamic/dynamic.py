@@ -11,7 +11,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from functools import partial
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -47,6 +48,7 @@ from .experiment import (
 )
 from .gauss_newton import GRACE, TIMED, Progress, from_fewer, reporter
 from .plant_fit import ACCURATE, PlantFit
+from .rig import delay_range
 from .transcribe import FitMethod
 
 __all__ = ["PlantFit", "fit_plant"]
@@ -285,18 +287,17 @@ def _deferred(task: FitTask, found: PlantEstimate, fit: PlantFit) -> tuple[Plant
 
     At the fixed point the residuals are those of an accurate simulation, whatever the degree.
     """
-    exact = [e.measured for e in task.problem.experiments]
+    exact = [e.measured for e in task.experiments]
     for _ in range(CORRECTIONS):
         if found.solution.timed or fit.integration_error < ACCURATE:
             break
         experiments = []
         for e, own, left, run in zip(
-            task.problem.experiments, exact, fit.residuals, fit.simulated, strict=True
+            task.experiments, exact, fit.residuals, fit.simulated, strict=True
         ):
             simulated = run.array(list(fit.measured))[-len(left) :]
             experiments.append(replace(e, measured=own + (e.measured - left) - simulated))
-        problem = replace(task.problem, experiments=experiments)
-        moved = replace(task, problem=problem).refined(found, task.degree)
+        moved = replace(task, experiments=experiments).refined(found, task.degree)
         again = estimate(moved, found.sigma, found.delay)
         better = _told(moved, again)
         if not better.integration_error < fit.integration_error:
@@ -323,7 +324,7 @@ def _roundings(
 
 def _narrowed(task: FitTask, widths: Mapping[str, float]) -> FitTask:
     """The task, starting from what was found with wide roundings, step by step down to its own."""
-    plant, asked, sigma = task.problem.plant, task.asked, task.sigma
+    plant, asked, sigma = task.plant, task.asked, task.sigma
     few = replace(asked, noise=sigma, iterations=min(asked.iterations or NARROWING, NARROWING))
     own = {n: float(plant.variable(n).start or 0.0) for n in widths}
     delay = None
@@ -332,28 +333,20 @@ def _narrowed(task: FitTask, widths: Mapping[str, float]) -> FitTask:
             n: float(np.clip(w ** (1 - part) * max(own[n], 1e-3 * w) ** part, v.min, v.max))
             for (n, w), v in zip(widths.items(), map(plant.variable, widths), strict=True)
         }
-        problem = replace(task.problem, plant=plant.with_values(wide))
-        stage = replace(task, problem=problem, asked=few)
+        stage = replace(task, plant=plant.with_values(wide), asked=few)
         found = estimate(stage, sigma, delay)
         if not found.solution.found:
             break  # where this led is no better a start than the plant's own values
         delay = found.delay if asked.free_delay else None
         stage = stage.refined(found, stage.degree)
-        task = replace(stage, problem=replace(stage.problem, plant=plant), asked=asked)
+        task = replace(stage, plant=plant, asked=asked)
     return task
 
 
 # ---- arguments ----------------------------------------------------------------------------------
 def _delays(delay: Any) -> tuple[float, float]:
-    if isinstance(delay, (tuple, list)):
-        if len(delay) != 2:
-            raise InputError(f"delay = {delay!r}: give seconds, or (low, high) to estimate it")
-        low, high = (require_positive("delay", d, "s", zero=True) for d in delay)
-        if not low < high:
-            raise InputError(f"delay = ({low:g}, {high:g}) s: the lower must be the smaller")
-        return low, high
-    value = require_positive("delay", delay, "s", zero=True)
-    return value, value
+    found = delay_range(delay, partial(require_positive, zero=True))
+    return found if isinstance(found, tuple) else (found, found)
 
 
 def _process(
@@ -372,12 +365,9 @@ def _process(
             "process_noise needs noise={measured variable: standard deviation}: the data alone do "
             "not tell which of both scattered"
         )
-    order, found = [v.name for v in plant.states], []
-    for name, value in given.items():
-        v = named("process_noise", name, plant, "state")
-        size = require_positive(f"process_noise[{name!r}]", value, f"{v.unit}/sqrt(s)")
-        found.append((order.index(v.name), size))
-    return tuple(found)
+    sizes = _sizes("process_noise", given, plant, "state")
+    order = [v.name for v in plant.states]
+    return tuple((order.index(n), size) for n, size in sizes.items())
 
 
 def _input_noise(
@@ -388,10 +378,17 @@ def _input_noise(
             "input_noise needs noise={measured variable: standard deviation}, too: the data alone "
             "do not tell which of both scattered"
         )
-    found = {}
-    for name, value in (given or {}).items():
-        v = named("input_noise", name, plant, "input")
-        found[v.name] = require_positive(f"input_noise[{name!r}]", value, v.unit)
+    return _sizes("input_noise", given or {}, plant, "input")
+
+
+def _sizes(
+    argument: str, given: Mapping[str, float], plant: Plant, kind: Literal["state", "input"]
+) -> dict[str, float]:
+    """What scatters, by the plant's own names."""
+    found, per = {}, "/sqrt(s)" if kind == "state" else ""
+    for name, value in given.items():
+        v = named(argument, name, plant, kind)
+        found[v.name] = require_positive(f"{argument}[{name!r}]", value, v.unit + per)
     return found
 
 

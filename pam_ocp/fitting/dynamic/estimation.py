@@ -118,8 +118,8 @@ class Asked:
         unknowns = unknowns_with_starts(
             plant, wanted, self.names, experiments, delay=delay, **self.sensors
         )
-        problem = FitProblem(plant, experiments, self.names, unknowns, low, self.process)
-        return FitTask(problem, method, order, self)
+        known = self.names, unknowns, low, self.process
+        return FitTask(plant, experiments, *known, method, order, self)
 
 
 def _padded(coefficients: Array, width: int) -> Array:
@@ -128,10 +128,9 @@ def _padded(coefficients: Array, width: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class FitTask:
+class FitTask(FitProblem):
     """A problem and how it is solved."""
 
-    problem: FitProblem
     method: FitMethod
     degree: int
     asked: Asked
@@ -141,13 +140,13 @@ class FitTask:
         """Standard deviations in nominals; at first a part of what each variable spreads over."""
         if self.asked.noise is not None:
             return self.asked.noise
-        measured = np.concatenate([e.measured for e in self.problem.experiments])
-        spread = measured.std(axis=0) / self.problem.nominal
+        measured = np.concatenate([e.measured for e in self.experiments])
+        spread = measured.std(axis=0) / self.nominal
         return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
 
     def program(self, delay: float, bounds: tuple[float, float] | None = None) -> Program:
         """The program at a delay, or with one that is free within bounds."""
-        problem, u = self.problem, self.problem.unknowns
+        problem, u = self, self.unknowns
         if u.of("delays"):
             late = [r.kind == "delays" for r in u.rows]
             low, high = bounds or (delay, delay)
@@ -162,17 +161,15 @@ class FitTask:
 
     def refined(self, estimate: PlantEstimate, order: int) -> FitTask:
         """The same with another degree, starting from what an estimate found."""
-        problem, w, head = self.problem, estimate.solution.w, estimate.program.head
-        nx, x_nominal = (
-            len(problem.plant.states),
-            problem.plant.vector("state", attribute="nominal"),
-        )
+        w, head = estimate.solution.w, estimate.program.head
+        x_nominal = self.plant.vector("state", attribute="nominal")
+        nx = len(x_nominal)
         per = nx * (self.degree if self.method == "collocation" else 1)
         inner = w[head : w.size - estimate.program.jumps]
         ends = inner.reshape(-1, per)[:, -nx:] * x_nominal  # none in single shooting
-        u, first, experiments = problem.unknowns, 0, []
+        u, first, experiments = self.unknowns, 0, []
         starts = (w[:head] * u.scale)[u.shared :].reshape(-1, nx)
-        for e, start in zip(problem.experiments, starts, strict=True):
+        for e, start in zip(self.experiments, starts, strict=True):
             states = e.states.copy()
             states[0] = start
             if ends.size:
@@ -180,8 +177,7 @@ class FitTask:
             first += len(e.mesh) - 1
             experiments.append(replace(e, states=states))
         unknowns = u.changed(guess=np.clip(w[:head], u.low, u.high))
-        moved = replace(problem, experiments=experiments, unknowns=unknowns)
-        return replace(self, problem=moved, degree=order)
+        return replace(self, experiments=experiments, unknowns=unknowns, degree=order)
 
     def solved(
         self,
@@ -197,7 +193,7 @@ class FitTask:
 
     @property
     def usual(self) -> float:
-        return usual(self.problem.experiments)
+        return usual(self.experiments)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,10 +226,10 @@ def estimate(task: FitTask, sigma: Array, start: float | None = None) -> PlantEs
             sigma = last  # exact records: the rest is rounding, and weighs too much to go on
             break
         program, solution = again, weighed
-        found = task.problem.delay(solution.w)
+        found = task.delay(solution.w)
     if not solution.found and not solution.timed and task.asked.iterations is None:
         raise FitError(
-            f"the fit of {task.problem.plant.name!r} came to no solution ({solution.status} after "
+            f"the fit of {task.plant.name!r} came to no solution ({solution.status} after "
             f"{solution.iterations} iterations); start nearer with plant.with_values(...), free "
             "fewer parameters or give bounds"
         )
@@ -244,17 +240,16 @@ def estimate(task: FitTask, sigma: Array, start: float | None = None) -> PlantEs
 def require_influence(task: FitTask, program: Program, sigma: Array) -> None:
     """Refuse parameters that nothing measured depends on, and inputs that do not move."""
     jacobian = program.jacobian(1 / sigma, program.guess)
-    problem = task.problem
-    names = [g.name for g in problem.unknowns.groups]
+    names = [g.name for g in task.unknowns.groups]
     lengths = np.linalg.norm(jacobian, axis=0)
     if not np.all(np.isfinite(lengths)):
         raise FitError("the plant's start values give no finite motion; set them with with_values")
     least = (BLIND_BY_RUNS if task.method == "simulation" else BLIND) * lengths.max()
     blind = [n for n, size in zip(names, lengths, strict=False) if size <= least]
-    still = all(_constant(e) for e in problem.experiments)
+    still = all(_constant(e) for e in task.experiments)
     if blind and not still:
         raise NoInfluence(
-            f"{', '.join(blind)}: no influence on {', '.join(problem.measured)} in these "
+            f"{', '.join(blind)}: no influence on {', '.join(task.measured)} in these "
             "records; leave it out of free, or measure something that depends on it (in a "
             "symmetric pair an equal constant of both muscles cancels)"
         )
@@ -299,7 +294,7 @@ def _seek_delay(
     for _ in range(int(np.ceil((high - low) / task.usual)) + 3):
         program = task.program(delay, _around(task, delay))
         solution = task.solved(program, 1 / sigma, w, "delay", 6 * SCAN_ITERATIONS)
-        w, moved = solution.w, task.problem.delay(solution.w)
+        w, moved = solution.w, task.delay(solution.w)
         settled = abs(moved - delay) < 0.5 * task.usual
         delay = moved
         if settled or solution.timed:
@@ -309,7 +304,7 @@ def _seek_delay(
         return solution, program, delay
     program = task.program(delay, _around(task, delay))
     solution = task.solved(program, 1 / sigma, w, "fit")
-    return solution, program, task.problem.delay(solution.w)
+    return solution, program, task.delay(solution.w)
 
 
 def _scanned(task: FitTask, sigma: Array) -> tuple[float, Array]:
@@ -333,8 +328,8 @@ def _scanned(task: FitTask, sigma: Array) -> tuple[float, Array]:
 # ---- what comes of it -------------------------------------------------------------------------
 def outcome(task: FitTask, estimate: PlantEstimate) -> PlantFit:
     """Statistics, fitted plant and simulations of a solution."""
-    solution, sigma, problem = estimate.solution, estimate.sigma, task.problem
-    plant, u, names, nominal = problem.plant, problem.unknowns, problem.measured, problem.nominal
+    solution, sigma = estimate.solution, estimate.sigma
+    plant, u, names, nominal = task.plant, task.unknowns, task.measured, task.nominal
     head = solution.w[: estimate.program.head]
     ends = [(g.low, g.high) for g in u.groups for _ in g.members]
     found = u.parameters(plant, head).items()
@@ -342,29 +337,29 @@ def outcome(task: FitTask, estimate: PlantEstimate) -> PlantFit:
         {n: float(np.clip(v, *within)) for (n, v), within in zip(found, ends, strict=True)}
     )
     rig, starts = u.rig(plant, names, Rig(), head), u.begins(plant, head)
-    sizes = np.cumsum([len(e.t) for e in problem.experiments])[:-1]
+    sizes = np.cumsum([len(e.t) for e in task.experiments])[:-1]
     residuals = tuple(np.split(solution.residuals * nominal, sizes))
     simulated = (
-        _smoothed(problem, residuals)
-        if problem.process
+        _smoothed(task, residuals)
+        if task.process
         else tuple(
             _simulated(fitted, e, s, estimate.delay, names, rig)
-            for e, s in zip(_corrected(problem, solution.jumps), starts, strict=True)
+            for e, s in zip(_corrected(task, solution.jumps), starts, strict=True)
         )
     )
-    if solution.timed and not problem.process:
+    if solution.timed and not task.process:
         # the states of a search that did not end need not move as the plant does
         residuals = tuple(
             e.record.array(names)[-len(e.t) :] - s.array(names)
-            for e, s in zip(problem.experiments, simulated, strict=True)
+            for e, s in zip(task.experiments, simulated, strict=True)
         )
         solution = replace(solution, residuals=np.concatenate(residuals) / nominal)
     # of a smoothed motion the residuals are smaller than the noise, which is given then
-    scatter = sigma if problem.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
-    linearisation, at_bound = _linearised(problem, replace(estimate, solution=solution))
+    scatter = sigma if task.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
+    linearisation, at_bound = _linearised(task, replace(estimate, solution=solution))
     return PlantFit(
         plant=fitted,
-        records=tuple(e.record for e in problem.experiments),
+        records=tuple(e.record for e in task.experiments),
         simulated=simulated,
         measured=tuple(names),
         parameters=u.names[: u.shared],
@@ -381,7 +376,7 @@ def outcome(task: FitTask, estimate: PlantEstimate) -> PlantFit:
         degree=task.degree,
         step=task.asked.step,
         inputs=task.asked.inputs,
-        process_noise={plant.states[i].name: size for i, size in problem.process},
+        process_noise={plant.states[i].name: size for i, size in task.process},
         input_noise=task.asked.input_noise,
         status=solution.status,
         iterations=solution.iterations,
@@ -401,11 +396,9 @@ def _linearised(
     tight[len(u.groups) : u.shared] = False
     dof = max(solution.residuals.size - len(u.names) + int(tight.sum()), 0)
     squares = float(np.sum((solution.residuals / sigma) ** 2) + np.sum(solution.jumps**2))
-    values = w * u.scale
-    values[[j for j, _ in u.of("gains")]] += 1.0
     linearisation = Linearisation(
         list(u.names),
-        values,
+        u.values(w),
         [r.unit for r in u.rows],
         jacobian / program.head_scale,
         np.sqrt(squares / max(dof, 1)),
@@ -467,12 +460,11 @@ def _replay(fit: PlantFit, record: Trajectory) -> Trajectory:
     delays, step = (fit.delay, fit.delay), fit.step
     asked = Asked(names, delays, step=step, inputs=fit.inputs, input_noise=noisy)
     task = replace(asked.task(fit.plant, [clean], [], fit.method), degree=fit.degree)
-    problem, unknowns = task.problem, task.problem.unknowns
-    sigma = np.maximum(np.array([fit.noise[n] for n in names]) / problem.nominal, 1e-9)
+    sigma = np.maximum(np.array([fit.noise[n] for n in names]) / task.nominal, 1e-9)
     program = task.program(fit.delay)
     solution = solve(program, 1 / sigma, program.guess)
-    (start,) = unknowns.begins(fit.plant, solution.w[: program.head])
-    (experiment,) = _corrected(problem, solution.jumps)
+    (start,) = task.unknowns.begins(fit.plant, solution.w[: program.head])
+    (experiment,) = _corrected(task, solution.jumps)
     rig = Rig(gains=fit.gains, offsets=fit.offsets)
     return _simulated(fit.plant, experiment, start, fit.delay, names, rig)
 

@@ -20,7 +20,7 @@ from ...plants.plant import Plant
 from ..statistics import Array, spanned
 from .experiment import ParameterGroup, with_inputs
 from .rig import Rig, RunUnknowns, Unknown
-from .rollout import Rollout
+from .rollout import Rollout, gaps
 from .runs import LEAST_STEPS, MOST_STEPS, Runs, runs_of, settled_starts
 from .suspects import Suspect, Suspected, sensor_suspects, suspected
 
@@ -150,11 +150,7 @@ def evidence_of(
         while True:
             finer = fine.finer()
             better = finer.predicted(every)
-            with np.errstate(over="ignore", invalid="ignore"):
-                gap, rms = (
-                    np.sqrt(np.nanmean((better - a) ** 2, axis=(0, 1)))
-                    for a in (modelled, runs.measured)
-                )
+            gap, rms = gaps(better, modelled), gaps(better, runs.measured)
             if np.all(gap <= ACCURATE * rms) or finer.runs.steps > MOST_STEPS:
                 break
             # values that were found with long steps leave more than they should
@@ -428,7 +424,7 @@ def _evidence(
         tuple(blocks),
         suspects,
         z - case.z,
-        np.asarray(gap),
+        gap,
         tuple(_rows(runs)),
         lambda cause: _squares_with(case, runs, found, cause, z, x0),
     )

@@ -45,6 +45,7 @@ __all__ = [
     "prepare",
     "recorded",
     "running",
+    "with_columns",
     "with_inputs",
 ]
 
@@ -247,8 +248,13 @@ def with_inputs(plant: Plant, record: Trajectory, values: Mapping[str, Any]) -> 
     missing = {n: v for n, v in (still | dict(values)).items() if n not in record}
     if not missing:
         return record
-    columns = {n: record[n] for n in record.names}
-    columns |= {n: np.broadcast_to(np.asarray(v, float), len(record)) for n, v in missing.items()}
+    every = {n: np.broadcast_to(np.asarray(v, float), len(record)) for n, v in missing.items()}
+    return with_columns(record, every)
+
+
+def with_columns(record: Trajectory, more: Mapping[str, Array]) -> Trajectory:
+    """The record with these columns, too, or in place of its own."""
+    columns = {n: record[n] for n in record.names} | dict(more)
     return Trajectory(record.t, columns, interpolation=record.interpolation)
 
 

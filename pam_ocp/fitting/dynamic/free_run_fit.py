@@ -24,11 +24,10 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import decided, groups, measured_names, recorded
-from .free_run_result import FreeRunFit, fine_runs, fineness, ran, spread_of
+from .free_run_result import FreeRunFit, fine_runs, fineness, spread_of, told
 from .gauss_newton import GRACE, Descent, Progress, descend, from_fewer, reporter
 from .rig import (
     Delay,
-    Disturbances,
     Rig,
     RunUnknowns,
     disturbed,
@@ -37,7 +36,7 @@ from .rig import (
     unknowns_of,
 )
 from .rollout import Rollout, followed, require_followed
-from .runs import LEAST_STEPS, MOST_STEPS, FreeRun, Runs, hidden_states, runs_of, settled_starts
+from .runs import LEAST_STEPS, MOST_STEPS, FreeRun, hidden_states, runs_of, settled_starts
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
@@ -108,7 +107,7 @@ def free_run(
     runs = runs_of(plant, records, horizon, every, outputs, history, first, warm_up)
     rig = known_rig(plant, runs.names, delay, gains, offsets, starts, corrections)
     nothing = np.empty(0)
-    rollout = Rollout(plant, runs, (), rig)
+    rollout = Rollout(plant, runs, None, rig)
     predicted = rollout.predicted(nothing)
     while steps is None and 2 * rollout.runs.steps <= MOST_STEPS:
         finer = rollout.finer()
@@ -116,7 +115,7 @@ def free_run(
         if fine_runs(predicted, better):
             break
         rollout, predicted = finer, better
-    return ran(runs, predicted)
+    return told(runs.result(predicted))
 
 
 @verb
@@ -193,12 +192,12 @@ def fit_free_run(
     """
     began = time.perf_counter()
     chosen = recorded(records)
-    pushed = Disturbances(plant)
+    pushed: dict[str, tuple[str, int]] = {}
     if disturbance:
         groups(plant, free, bounds)  # refused in terms of the plant that was given
         names = require_names("disturbance", disturbance)
-        pushed = disturbed(plant, names, measured_names(plant, chosen, outputs))
-        plant, free, correct = pushed.plant, [*free, *pushed.rates], correct or True
+        plant, rates, pushed = disturbed(plant, names, measured_names(plant, chosen, outputs))
+        free, correct = [*free, *rates], correct or True
     wanted = groups(plant, free, bounds)
     options: dict[str, Any] = {
         "horizon": horizon,
@@ -214,12 +213,12 @@ def fit_free_run(
         argument = "disturbance" if disturbance else "correct"
         raise InputError(f"{argument} needs warm_up=...: seconds before each start to correct in")
     given = {n for _, _, names in given_starts(plant, starts) for n in names}
-    hidden = hidden_states(plant, runs.names, {*given, *pushed.by}, horizon is None)
+    hidden = hidden_states(plant, runs.names, {*given, *pushed}, horizon is None)
     guesses = settled_starts(plant, runs, len(chosen), hidden).T
     unknowns, rig = unknowns_of(
         plant,
         wanted,
-        measured_names(plant, chosen, outputs),
+        runs.names,
         len(chosen),
         float(runs.t[0]),
         delay=delay,
@@ -227,7 +226,7 @@ def fit_free_run(
         offsets=offsets,
         starts=starts,
         correct=correct,
-        pushed=pushed.by,
+        pushed=pushed,
         hidden=dict(zip(hidden, guesses, strict=True)),
     )
     if not unknowns.shared:
@@ -239,12 +238,12 @@ def fit_free_run(
         count = int(np.sum(~np.isnan(fit.training.measured)))
         return fit, count * float(np.log(max(fit.cost[1], 1e-300)))
 
-    fit, between, words = decided(plant, chosen, fitted)
-    fit = replace(fit, interpolation=between, inputs_ran=words)
-    told = fit.training.warnings + fit.coarse
+    fit, between, why = decided(plant, chosen, fitted)
+    fit = replace(fit, interpolation=between, inputs_ran=why)
+    words = fit.training.warnings + fit.coarse
     if judge and fit.converged:
-        told += (fit.adequacy.sentence,)
-    for text in filter(None, told):
+        words += (fit.adequacy.sentence,)
+    for text in filter(None, words):
         warnings.warn(text, RuntimeWarning, stacklevel=outside())
     object.__setattr__(fit, "seconds", time.perf_counter() - began)
     return fit
@@ -267,13 +266,15 @@ class _Search:
         given = self.options["steps"]
         guess = self.unknowns.guess
         steps = LEAST_STEPS if given is None else given
-        while given is None and steps < MOST_STEPS and not self._followed(records, steps, guess):
+        while given is None and steps < MOST_STEPS:
+            if followed(self._rollout(records, steps=steps), guess):
+                break
             steps *= 2
         fit, found = self._fitted(records, steps, guess)
         while given is None and not fit.fine and 2 * steps <= MOST_STEPS and not found.timed:
             steps *= 2
             search, z = replace(self, begin_short=False), found.z
-            if not self._followed(records, steps, z):
+            if not followed(self._rollout(records, steps=steps), z):
                 search, z = self, guess  # an optimum that only long steps have
             try:
                 finer, found = search._fitted(records, steps, z, found.evaluations)
@@ -282,22 +283,22 @@ class _Search:
             fit = replace(finer, cost=(fit.cost[0], finer.cost[1]))
         return fit
 
-    def _followed(self, records: Sequence[Trajectory], steps: int, z: Array) -> bool:
-        runs = runs_of(self.plant, records, **{**self.options, "steps": steps})
-        return followed(Rollout(self.plant, runs, self.unknowns, self.rig), z)
+    def _rollout(self, records: Sequence[Trajectory], **options: Any) -> Rollout:
+        """``options`` of the runs that differ."""
+        runs = runs_of(self.plant, records, **{**self.options, **options})
+        return Rollout(self.plant, runs, self.unknowns, self.rig)
 
     def _fitted(
         self, records: Sequence[Trajectory], steps: int, z: Array, spent: int = 0
     ) -> tuple[FreeRunFit, Descent]:
         search = replace(self, options={**self.options, "steps": steps})
-        runs = runs_of(self.plant, records, **search.options)
-        rollout = Rollout(self.plant, runs, self.unknowns, self.rig)
+        rollout = search._rollout(records)
         before, found = search._descended(records, rollout, z)
         if spent == 0 and found.cost > POOR and not found.timed:
             found = search._not_worse(records, rollout, found, z)
         found = replace(found, evaluations=spent + found.evaluations)
         with spared(GRACE):
-            return search._result(records, runs, rollout, before, found), found
+            return search._result(records, rollout, before, found), found
 
     def _descended(
         self, records: Sequence[Trajectory], rollout: Rollout, z: Array
@@ -373,14 +374,12 @@ class _Search:
         """Runs of this length: as many as cover the records once, or the same cut short where
         states have starts of their own.
         """
-        options, u = dict(self.options), self.unknowns
-        every = options["every"]
+        u, every = self.unknowns, self.options["every"]
         if every is None:
-            records = [r.at(r.t[: self._samples(r, horizon)]) for r in records]
-        else:
-            same = bool(u.of("starts") or u.own_starts)
-            options |= {"horizon": horizon, "every": every if same else max(every, horizon)}
-        return Rollout(self.plant, runs_of(self.plant, records, **options), u, self.rig)
+            return self._rollout([r.at(r.t[: self._samples(r, horizon)]) for r in records])
+        same = bool(u.of("starts") or u.own_starts)
+        every = every if same else max(every, horizon)
+        return self._rollout(records, horizon=horizon, every=every)
 
     def _samples(self, record: Trajectory, horizon: float) -> int:
         """Of the past and a horizon, at the begin of a record."""
@@ -391,29 +390,26 @@ class _Search:
     def _result(
         self,
         records: Sequence[Trajectory],
-        runs: Runs,
         rollout: Rollout,
         before: float,
         found: Descent,
     ) -> FreeRunFit:
-        u = self.unknowns
+        u, runs = self.unknowns, rollout.runs
         values = u.parameters(self.plant, found.z)
         fitted = self.plant.with_values(values)
         rig = u.rig(self.plant, runs.names, self.rig, found.z)
         predicted = rollout.predicted(found.z)
         training = runs.result(predicted)
         own = found.z[u.shared :] * u.scale[u.shared :]
-        edge = (found.z - u.low < 1e-9) | (u.high - found.z < 1e-9)
-        spread = spread_of(rollout, runs, u, found.z, edge)
+        spread = spread_of(rollout, found.z)
         # hidden starts that are found by default are nobody's question
         named = u.shared if u.along else len(u.names)
-        stderr = np.array([c.stderr for c in spread.coefficients.values()]) / u.scale[: u.shared]
-        steps = fineness(rollout, found.z, ~edge, stderr)
+        steps = fineness(rollout, found.z, spread)
         return FreeRunFit(
             fitted,
             training,
             values,
-            tuple(n for n, at in zip(u.names[:named], edge, strict=False) if at),
+            tuple(n for n, at in zip(u.names[:named], spread.edge, strict=False) if at),
             dict(zip(runs.names, steps.gap.tolist(), strict=True)),
             (before, found.cost),
             found.status,

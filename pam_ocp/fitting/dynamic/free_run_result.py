@@ -32,10 +32,10 @@ from ..statistics import Array, Coefficient, inverse
 from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .coverage import FittedPlant
 from .evidence import evidence_of
-from .experiment import recorded, running
+from .experiment import groups, recorded, running
 from .gauss_newton import descend
 from .rig import Rig, RunUnknowns, unknowns_of
-from .rollout import Rollout, spreads
+from .rollout import Rollout, gaps, spreads
 from .runs import FreeRun, Runs, runs_of, settled_starts
 
 __all__ = [
@@ -43,10 +43,14 @@ __all__ = [
     "Fineness",
     "FreeRunFit",
     "Spread",
+    "asked_like",
+    "begun",
     "fine_runs",
     "fineness",
-    "ran",
+    "runs_like",
     "spread_of",
+    "told",
+    "unknowns_like",
     "widened",
 ]
 
@@ -58,20 +62,20 @@ UNSEEN = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Standard errors of a free-run fit. dof : blocks of the records less one. widening : how much
-    wider the intervals are than those of independent errors, on average.
+    """Standard errors of a free-run fit. dof : blocks of the records less one. edge : which
+    unknowns ended at the edge of their range.
     """
 
     coefficients: dict[str, Coefficient]
     covariance: Array
     dof: int
-    widening: float
+    edge: NDArray[np.bool_]
 
 
-def spread_of(
-    rollout: Rollout, runs: Runs, u: RunUnknowns, z: Array, edge: NDArray[np.bool_]
-) -> Spread:
-    """The covariance at z; unknowns at an ``edge`` count as known."""
+def spread_of(rollout: Rollout, z: Array) -> Spread:
+    """The covariance at z; unknowns at the edge of their range count as known."""
+    runs, u = rollout.runs, rollout.unknowns
+    edge = (z - u.low < 1e-9) | (u.high - z < 1e-9)
     label = _blocks(runs)
     scores = np.zeros((int(label.max()) + 1, len(z)))
     square, cost, samples = np.zeros((len(z), len(z))), 0.0, 0.0
@@ -89,15 +93,13 @@ def spread_of(
     covariance = np.full((len(z), len(z)), np.nan)
     usual, lost = _inverse(square[np.ix_(free, free)])
     noise = cost / max(samples - free.sum(), 1.0)
-    inner, ratio = widened(usual, scores[:, free], noise)
+    inner = widened(usual, scores[:, free], noise)
     covariance[np.ix_(free, free)] = inner * np.outer(u.scale[free], u.scale[free])
     errors_ = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     errors_[np.nonzero(free)[0][lost]] = np.inf
-    values = z * u.scale
-    values[[j for j, _ in u.of("gains")]] += 1.0
     descriptions = {g.name: g.description for g in u.groups}
     units = [r.unit for r in u.rows[: u.shared]]
-    told = zip(u.names, values, errors_, units, edge, strict=False)
+    shared = zip(u.names, u.values(z), errors_, units, edge, strict=False)
     coefficients = {
         n: Coefficient(
             n,
@@ -107,11 +109,9 @@ def spread_of(
             bool(at),
             descriptions.get(n, ""),
         )
-        for n, v, e, unit, at in told
+        for n, v, e, unit, at in shared
     }
-    return Spread(
-        coefficients, covariance, max(len(scores) - 1, 1), float(np.sqrt(max(ratio, 0.0)))
-    )
+    return Spread(coefficients, covariance, max(len(scores) - 1, 1), edge)
 
 
 def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -125,9 +125,8 @@ def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
     return np.asarray(found), (np.abs(vectors[:, ~seen]) > 1e-3).any(axis=1)
 
 
-def widened(usual: Array, scores: Array, noise: float) -> tuple[Array, float]:
-    """(covariance (k, k) of least squares with serially correlated errors, its mean widening, a
-    variance ratio).
+def widened(usual: Array, scores: Array, noise: float) -> Array:
+    """Covariance (k, k) of least squares with serially correlated errors.
 
     usual : inverse of the normal matrix J^T J. scores : J^T r of each block (blocks, k). noise :
     mean square of the errors r. Where there are few blocks to an unknown, only their mean widening
@@ -137,8 +136,8 @@ def widened(usual: Array, scores: Array, noise: float) -> tuple[Array, float]:
     meat = scores.T @ scores * blocks / max(blocks - 1, 1)
     ratio = float(np.trace(meat @ usual)) / k / max(noise, 1e-300)
     if blocks >= ENOUGH * k:
-        return np.asarray(usual @ meat @ usual), ratio
-    return np.asarray(usual * noise * max(ratio, 1.0)), ratio
+        return np.asarray(usual @ meat @ usual)
+    return np.asarray(usual * noise * max(ratio, 1.0))
 
 
 def _blocks(runs: Runs) -> NDArray[np.intp]:
@@ -183,16 +182,12 @@ class Fineness:
     fine: bool
 
 
-def fineness(rollout: Rollout, z: Array, free: NDArray[np.bool_], stderr: Array) -> Fineness:
-    """free : unknowns that no bound holds. stderr : of the unknowns that all records share, in
-    units of z.
-    """
+def fineness(rollout: Rollout, z: Array, spread: Spread) -> Fineness:
+    """Of steps with which these values were found."""
     predicted, finer = rollout.predicted(z), rollout.finer().predicted(z)
-    measured = rollout.runs.measured
-    with np.errstate(over="ignore", invalid="ignore"):
-        gap, error = (
-            np.sqrt(np.nanmean((finer - b) ** 2, axis=(0, 1))) for b in (predicted, measured)
-        )
+    gap, error = gaps(finer, predicted), gaps(finer, rollout.runs.measured)
+    u, free = rollout.unknowns, ~spread.edge
+    stderr = np.array([c.stderr for c in spread.coefficients.values()]) / u.scale[: u.shared]
     small = bool(np.all(gap <= np.maximum(GAP * error, SMALLEST * rollout.spread)))
     _, right, square, _ = rollout.normal(z, rollout.errors(finer) - rollout.errors(predicted))
     found = np.zeros(len(z))
@@ -202,7 +197,7 @@ def fineness(rollout: Rollout, z: Array, free: NDArray[np.bool_], stderr: Array)
         moved = shared / stderr
     moved = np.where(np.isfinite(moved), moved, 0.0)
     still = bool(np.all(error <= NO_NOISE * rollout.spread)) or unmoved(shared, stderr, z)
-    return Fineness(np.asarray(gap), moved, small and still)
+    return Fineness(gap, moved, small and still)
 
 
 def shift(square: Array, right: Array) -> Array:
@@ -224,7 +219,7 @@ def fine_runs(predicted: Array, finer: Array) -> bool:
     """
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # runs that diverge have no number at all
-        gap = np.sqrt(np.nanmean((finer - predicted) ** 2, axis=(0, 1)))
+        gap = gaps(finer, predicted)
         reach, size = np.nanstd(finer, axis=(0, 1)), np.nanmax(np.abs(finer))
     return bool(np.all(gap <= np.maximum(OF_REACH * reach, 1e-12 * size)))
 
@@ -244,8 +239,7 @@ class FreeRunFit(FittedPlant):
 
     Examples
     --------
-    >>> found = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
-    >>> abs(found.values["mass"] - 10.0) < 0.1
+    >>> abs(free_fit.values["mass"] - 10.0) < 0.1
     True
     """
 
@@ -258,23 +252,23 @@ class FreeRunFit(FittedPlant):
     status: str
     evaluations: int
     seconds: float
+    options: Mapping[str, Any] = field(repr=False)
+    """horizon, every, outputs, history, steps and warm_up of the runs."""
+    rig: Rig
+    own_starts: Mapping[str, Array] = field(repr=False)
+    """{state: where it began in each record}, of states with starts of their own."""
+    spread: Spread = field(repr=False)
+    moved: Mapping[str, float] = field(repr=False)
+    fine: bool
+    converged: bool
+    records: tuple[Trajectory, ...] = field(repr=False)
+    unknowns: RunUnknowns = field(repr=False)
+    z: Array = field(repr=False)
+    """Of the unknowns, scaled."""
     interpolation: Interpolation = "linear"
     """How inputs count as having run between the samples of records that do not say it."""
     inputs_ran: str = ""
     """How that was decided, in words; empty where the records say it."""
-    options: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """horizon, every, outputs, history, steps and warm_up of the runs."""
-    rig: Rig = field(default_factory=Rig)
-    own_starts: Mapping[str, Array] = field(default_factory=dict, repr=False)
-    """{state: where it began in each record}, of states with starts of their own."""
-    spread: Spread | None = field(default=None, repr=False)
-    moved: Mapping[str, float] = field(default_factory=dict, repr=False)
-    fine: bool = True
-    converged: bool = True
-    records: tuple[Trajectory, ...] = field(default=(), repr=False)
-    unknowns: RunUnknowns = field(default_factory=RunUnknowns, repr=False)
-    z: Array = field(default_factory=lambda: np.empty(0), repr=False)
-    """Of the unknowns, scaled."""
 
     @cached_property
     def adequacy(self) -> Adequacy:
@@ -282,7 +276,7 @@ class FreeRunFit(FittedPlant):
         :class:`Adequacy`.
         """
         pushed = any(n.endswith(".disturbance") for n, _ in self.rig.corrections)
-        if self.spread is None or not self.records or pushed or np.any(self.training.diverged):
+        if pushed or np.any(self.training.diverged):
             return Adequacy()  # a model with a disturbance says itself that it lacks something
         u, names = self.unknowns, list(self.training.names)
         known = running(self.records, self.interpolation)
@@ -314,8 +308,6 @@ class FreeRunFit(FittedPlant):
         """Every unknown but the starts of single records, with its standard error: that of
         autocorrelated residuals, and where the model is inadequate, of what that may shift.
         """
-        if self.spread is None:
-            return {}
         a = self.adequacy
         told = {} if self.at_bound and a.adequate else a.stderr
         return {
@@ -326,13 +318,11 @@ class FreeRunFit(FittedPlant):
         }
 
     def _freedom(self, name: str) -> int:
-        assert self.spread is not None
         a = self.adequacy
         own = self._whole and name in a.stderr and not self.at_bound
         return a.dof if own else self.spread.dof
 
     def _plain(self) -> Array:
-        assert self.spread is not None
         k = len(self.coefficients)
         return self.spread.covariance[:k, :k]
 
@@ -369,26 +359,7 @@ class FreeRunFit(FittedPlant):
         Starts that each record has for itself are estimated from it; nothing else is. ``options``
         of the runs that differ, such as ``every``.
         """
-        known = running(recorded(records), self.interpolation)
-        options = {**self.options, "outputs": list(self.training.names), **options}
-        runs = runs_of(self.plant, known, **options)
-        if not self.own_starts:
-            return ran(runs, Rollout(self.plant, runs, (), self.rig).predicted(np.empty(0)))
-        along = list(self.unknowns.along)
-        states = [v.name for v in self.plant.states]
-        guesses = settled_starts(self.plant, runs, len(known), along).T
-        unknowns, _ = unknowns_of(
-            self.plant,
-            (),
-            runs.names,
-            len(known),
-            runs.t[0],
-            starts={n: "record" for n in self.own_starts if states.index(n) not in along},
-            hidden=dict(zip(along, guesses, strict=True)),
-        )
-        rollout = Rollout(self.plant, runs, unknowns, self.rig)
-        found = descend(rollout, unknowns.guess, unknowns.low, unknowns.high, 30)
-        return ran(runs, rollout.predicted(found.z))
+        return told(runs_like(self, self.plant, records, options))
 
     def __str__(self) -> str:
         shown = self.plant.variable
@@ -402,8 +373,6 @@ class FreeRunFit(FittedPlant):
                 f"    {n}: RMSE{over} {shown(n).shown(e)}"
                 for n, e in self.training.rmse_over(h).items()
             ]
-        if self.spread is None:
-            lines += [f"    {n} = {shown(n).shown(v)}" for n, v in self.values.items()]
         lines += [coefficient_line(c, self.interval(n)) for n, c in self.coefficients.items()]
         if self.at_bound:
             lines.append(f"    at the edge of their range: {', '.join(self.at_bound)}")
@@ -412,9 +381,58 @@ class FreeRunFit(FittedPlant):
         return "\n".join(lines)
 
 
-def ran(runs: Runs, predicted: Array) -> FreeRun:
+def told(run: FreeRun) -> FreeRun:
     """The runs, with a warning where some diverge."""
-    found = runs.result(predicted)
-    for text in found.warnings:
+    for text in run.warnings:
         warnings.warn(text, RuntimeWarning, stacklevel=outside())
+    return run
+
+
+# ---- runs of the same kind along other records ---------------------------------------------------
+def asked_like(
+    fit: FreeRunFit, plant: Plant, records: Sequence[Trajectory], options: Mapping[str, Any]
+) -> Runs:
+    """What runs of a plant as those of the fit start from; ``options`` that differ."""
+    every = {**fit.options, "outputs": list(fit.training.names), **options}
+    return runs_of(plant, records, **every)
+
+
+def unknowns_like(
+    fit: FreeRunFit, plant: Plant, runs: Runs, records: int, weights: Sequence[str] = ()
+) -> RunUnknowns:
+    """Starts of each record as in the fit, and the weights of what was learned; its memories begin
+    in the same way.
+    """
+    states = [v.name for v in plant.states]
+    along = {fit.plant.states[i].name for i in fit.unknowns.along}
+    hidden = [i for i, n in enumerate(states) if n in along or ".learned.memory" in n]
+    guesses = settled_starts(plant, runs, records, hidden).T
+    found, _ = unknowns_of(
+        plant,
+        [replace(g, scale=1.0) for g in groups(plant, list(weights))] if weights else (),
+        runs.names,
+        records,
+        float(runs.t[0]),
+        starts={n: "record" for n in fit.own_starts if n not in along},
+        hidden=dict(zip(hidden, guesses, strict=True)),
+    )
     return found
+
+
+def begun(rollout: Rollout) -> Array:
+    """Starts that each record has for itself, from it, all else known."""
+    u = rollout.unknowns
+    return descend(rollout, u.guess, u.low, u.high, 30).z if len(u.guess) else np.empty(0)
+
+
+def runs_like(
+    fit: FreeRunFit,
+    plant: Plant,
+    records: Trajectory | Sequence[Trajectory],
+    options: Mapping[str, Any],
+) -> FreeRun:
+    """Runs of a plant as those of the fit, along other records."""
+    known = running(recorded(records), fit.interpolation)
+    runs = asked_like(fit, plant, known, options)
+    rollout = Rollout(plant, runs, unknowns_like(fit, plant, runs, len(known)), fit.rig)
+    return runs.result(rollout.predicted(begun(rollout)))

@@ -293,12 +293,12 @@ class _Seen:
         if self._report is not None:
             self._report(self._stage, self._count, value)
 
-    def kept(self, program: Program, weights: Array) -> GaussNewtonResult:
+    def kept(self, program: Program) -> GaussNewtonResult:
         """The best until a time limit; TimeIsUp where there is none."""
         if not self.w.size:
             raise TimeIsUp
         with spared(GRACE):
-            return _solution(program, weights, self.w, TIMED, self._count)
+            return _solution(program, self.w, TIMED, self._count)
 
 
 def _interior_point(
@@ -312,13 +312,12 @@ def _interior_point(
     try:
         answer = solver(x0=guess, p=weights, lbx=program.low, ubx=program.high, lbg=0.0, ubg=0.0)
     except TimeIsUp:
-        return seen.kept(program, weights)
+        return seen.kept(program)
     finally:
         tell.clear()
     statistics = solver.stats()
     return _solution(
         program,
-        weights,
         np.asarray(answer["x"]).ravel(),
         str(statistics["return_status"]),
         int(statistics["iter_count"]),
@@ -392,14 +391,12 @@ def _descended(
     )
     if found.timed:
         with spared(GRACE):
-            return _solution(program, weights, found.z, TIMED, found.evaluations)
+            return _solution(program, found.z, TIMED, found.evaluations)
     status = DONE[0] if found.converged else "Maximum_Iterations_Exceeded"
-    return _solution(program, weights, found.z, status, found.evaluations)
+    return _solution(program, found.z, status, found.evaluations)
 
 
-def _solution(
-    program: Program, weights: Array, found: Array, status: str, iterations: int
-) -> GaussNewtonResult:
+def _solution(program: Program, found: Array, status: str, iterations: int) -> GaussNewtonResult:
     if not np.all(np.isfinite(found)):
         raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")
     errors, jumps = program.errors(found)

@@ -140,12 +140,6 @@ def fit_ladder(
     --------
     >>> from functools import partial
     >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
-    >>> commanded = pam.Trajectory(
-    ...     record.t,
-    ...     {n: record[n] for n in ("muscle.command", "x")},
-    ...     [plant.variable(n) for n in ("muscle.command", "x")],
-    ...     "previous",
-    ... )
     >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
     >>> [rung.name for rung in ladder.rungs]
     ['static', '+ lag']
@@ -160,7 +154,8 @@ def fit_ladder(
     names = measured_names(ladder[-1].plant, chosen, outputs)
     student_t(level, 1)  # refuses what is no level
     parts = _parts(chosen, require_count("folds", folds, 3))
-    fold = _folds(chosen, parts, folds)
+    # in turn, so that a fold has parts of early and of late
+    fold = np.arange(len(parts), dtype=np.intp) % min(folds, len(parts))
     number = usual_steps(chosen) if steps is None else require_count("steps", steps)
     task = Task(chosen, names, parts, fold, number, _bounds(ladder, bounds))
     with limited(time_limit):
@@ -266,11 +261,6 @@ def _parts(records: Sequence[Trajectory], folds: int) -> list[Part]:
     return found
 
 
-def _folds(records: Sequence[Trajectory], parts: Sequence[Part], folds: int) -> NDArray[np.intp]:
-    """The fold of each part: in turn, so that a fold has parts of early and of late."""
-    return np.arange(len(parts), dtype=np.intp) % min(folds, len(parts))
-
-
 # ---- the usual candidates ---
 def rungs_of(
     build: Builder,
@@ -298,59 +288,26 @@ def rungs_of(
             raise InputError(
                 f'rungs has "{later}" without "{first}", from which it begins; name both'
             )
-    found: list[Rung] = []
+    added, found = _added(regulator), list[Rung]()
     parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
     losses: tuple[Any, ...] = ()
-    own: list[str] = []
+    own: tuple[str, ...] = ()
     for name in steps:
-        starts: list[dict[str, float]] = [{}]
-        fast: dict[str, Sequence[float]] = {}
-        if name == "lag":
-            own += ["lag"] + (["venting_lag"] if regulator.venting_lag is not None else [])
-            starts = [dict.fromkeys(own, value) for value in (0.002, 0.02, 0.1)]
-        elif name == "dead time":
-            given = regulator.dead_time
-            line = given if isinstance(given, DeadTime) else DeadTime(0.01, order=3)
-            parts["dead_time"] = line
-            starts = [{"dead_time": value} for value in (0.001, 0.004, 0.02, 0.06)]
-            own += ["dead_time"]
-        elif name == "slew":
-            parts["slew"] = regulator.slew or 1e6
-            fast = {"slew": (3.0, 0.9, 0.5, 0.25)}
-            own += ["slew"]
-        elif name == "friction":
-            losses += (CoulombFriction(5.0, speed=3e-3),)
-            starts = [{"friction_constant": value} for value in (0.0, 1.0, 8.0)]
-            own += ["friction_constant"]
-        elif name == "memory":
-            losses += (MaxwellSlip((2.0, 2.0), SLIP_YIELDS, edge=1.0),)
-            starts = [{"slip1_force": v, "slip2_force": v} for v in (0.0, 1.0, 6.0)]
-            own += ["slip1_force", "slip2_force"]
-        elif name == "memory per pressure":
-            losses = tuple(
-                replace(e, per_pressure=1e-6) if isinstance(e, MaxwellSlip) else e for e in losses
-            )
-            starts = [{"slip_per_pressure": v} for v in (0.0, 3e-6, 3e-5)]
-            own += ["slip_per_pressure"]
-        elif name == "creep":
-            losses += (Creep((200.0,), (1.0,)),)
-            starts = [
-                {"creep1_stiffness": k, "creep1_time": v}
-                for k, v in ((0.1, 1.0), (100.0, 0.3), (100.0, 3.0))
-            ]
-            own += ["creep1_stiffness", "creep1_time"]
+        one, static = added[name], name == "static"
+        parts |= one.parts
+        losses = (*(e for e in losses if type(e) not in map(type, one.losses)), *one.losses)
+        own += one.free
         plant = build(feed=replace(regulator, **parts), losses=losses)
-        static = name == "static"
         if name == "unequal lags":
             if len(_tied(plant, "lag")) < 2:
                 continue
-            own = [n for k in own for n in (_tied(plant, k) if k in LAGS else (k,))]
-        chosen = [*_present(plant, free)]
+            own = tuple(n for k in own for n in (_tied(plant, k) if k in LAGS else (k,)))
+        chosen, starts = _present(plant, free), list(one.starts)
         if name == "force law":
-            own += sorted(_coefficients(plant) - _members(plant, chosen))
+            own += tuple(sorted(_coefficients(plant) - _members(plant, chosen)))
         if "force law" in steps[: steps.index(name) + 1]:
             chosen = [e for e in chosen if not MASSES & _members(plant, [e])]
-        if name in ("friction", "memory") or (not static and all(r.static for r in found)):
+        if one.damps or (not static and all(r.static for r in found)):
             scales = _scaled(plant, free, dynamic)
             # the first of several starts is the rung before, which has its own mass
             starts += [{**a, **b} for b in scales for a in starts[1:] or starts]
@@ -359,16 +316,63 @@ def rungs_of(
             chosen += _present(plant, moving, dynamic is not None)
             chosen += [_tied(plant, key) for key in own]
         by_name = tuple({n: v for k, v in s.items() for n in _tied(plant, k)} for s in starts)
-        by_rate = {n: p for k, p in fast.items() for n in _tied(plant, k)}
+        by_rate = {n: p for k, p in one.fast.items() for n in _tied(plant, k)}
         label = name if not found else f"+ {name}"
         found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate))
     return found
 
 
+@dataclass(frozen=True)
+class _Added:
+    """What a rung has beyond the one before: parameters that it frees, values of them from which
+    the fit begins, parts of the regulator, losses. fast : see :class:`Rung`. damps : whether a free
+    mass is tried lighter and heavier, as where the plant moves for the first time.
+    """
+
+    free: tuple[str, ...] = ()
+    starts: tuple[dict[str, float], ...] = ({},)
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    losses: tuple[Any, ...] = ()
+    fast: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    damps: bool = False
+
+
+def _added(regulator: Regulator) -> dict[str, _Added]:
+    """By rung, for a regulator."""
+
+    def alike(names: tuple[str, ...], *values: float, **more: Any) -> _Added:
+        return _Added(names, tuple(dict.fromkeys(names, v) for v in values) or ({},), **more)
+
+    lags = LAGS if regulator.venting_lag is not None else LAGS[:1]
+    given = regulator.dead_time
+    line = given if isinstance(given, DeadTime) else DeadTime(0.01, order=3)
+    friction = CoulombFriction(5.0, speed=3e-3)
+    slip = MaxwellSlip((2.0, 2.0), SLIP_YIELDS, edge=1.0)
+    pressed = replace(slip, per_pressure=1e-6)
+    creep = ("creep1_stiffness", "creep1_time")
+    creeps = [dict(zip(creep, v, strict=True)) for v in ((0.1, 1.0), (100.0, 0.3), (100.0, 3.0))]
+    late, forces = ("dead_time",), ("slip1_force", "slip2_force")
+    slow = {"slew": regulator.slew or 1e6}
+    return {
+        "static": _Added(),
+        "lag": alike(lags, 0.002, 0.02, 0.1),
+        "unequal lags": _Added(),
+        "dead time": alike(late, 0.001, 0.004, 0.02, 0.06, parts={"dead_time": line}),
+        "slew": alike(("slew",), parts=slow, fast={"slew": (3.0, 0.9, 0.5, 0.25)}),
+        "friction": alike(("friction_constant",), 0.0, 1.0, 8.0, losses=(friction,), damps=True),
+        "memory": alike(forces, 0.0, 1.0, 6.0, losses=(slip,), damps=True),
+        "memory per pressure": alike(
+            ("slip_per_pressure",), 0.0, 3e-6, 3e-5, losses=(pressed,)
+        ),  # in place of the rung before's
+        "force law": _Added(),
+        "creep": _Added(creep, tuple(creeps), losses=(Creep((200.0,), (1.0,)),)),
+    }
+
+
 def _tied(plant: Plant, key: str) -> tuple[str, ...]:
     """All parameters called so, of whatever muscle: equal in a ladder; or the one of that name."""
-    names = [v.name for v in plant.parameters if key in (v.name, v.name.rpartition(".")[2])]
-    return tuple(names)
+    names = (v.name for v in plant.parameters)
+    return tuple(n for n in names if key in (n, n.rpartition(".")[2]))
 
 
 def _scaled(
@@ -425,12 +429,6 @@ class Ladder:
     --------
     >>> from functools import partial
     >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
-    >>> commanded = pam.Trajectory(
-    ...     record.t,
-    ...     {n: record[n] for n in ("muscle.command", "x")},
-    ...     [plant.variable(n) for n in ("muscle.command", "x")],
-    ...     "previous",
-    ... )
     >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
     >>> ladder.best.name
     '+ lag'

@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Protocol, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,15 @@ from ...core.errors import FitError, require_count, require_positive
 from ...core.lazy import library
 from ...core.trajectory import Trajectory
 from ..statistics import Array
-from .structures import JudgedRuns, run_losses
-from .subspace import Data, Scales, data_of, levels_of, one_length, require_structure
+from .structures import (
+    JudgedRuns,
+    Scales,
+    data_of,
+    levels_of,
+    one_length,
+    require_structure,
+    run_losses,
+)
 
 __all__ = [
     "GruStructure",
@@ -104,13 +111,6 @@ class _Narx:
             "out": (self.units, self.outputs),
         }
 
-    def first(self, past: Any, inputs: Any, gains: Any) -> Any:
-        """The features of the first sample behind the past (n, features), in NumPy."""
-        y = levels_of(np, past, [len(past)], 1, self.order)
-        u = levels_of(np, inputs, [len(past)], self.lag, self.order)
-        pair = [_features(np, y, gains[0]), _features(np, u, gains[1])]
-        return np.concatenate(pair, axis=-1)[0]
-
     def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any:
         """Free run (h, n, ny) behind a past (b, n, ny) along inputs (b + h, n, nu), all scaled."""
         xp, before = way.xp, len(past)
@@ -152,8 +152,6 @@ class _Gru:
             "out": (self.units, self.outputs),
         }
 
-    first = _Narx.first
-
     def _remembered(self, xp: Any, w: Weights, memory: Any, x: Any) -> Any:
         both = xp.concatenate([x, memory], axis=-1) @ w["gates"] + w["gates0"]
         gates = 0.5 * (1.0 + xp.tanh(0.5 * both))  # the logistic function
@@ -190,13 +188,15 @@ def _moved(xp: Any, w: Weights, levels: Any, x: Any, hidden: Any, gain: Any) -> 
     return xp.clip(levels[:, 0] + gain * increment, -FARTHEST, FARTHEST)
 
 
-class _Network(Protocol):
-    """What is trained."""
+_Network: TypeAlias = _Narx | _Gru
 
-    def __hash__(self) -> int: ...
-    def shapes(self) -> dict[str, tuple[int, ...]]: ...
-    def first(self, past: Any, inputs: Any, gains: Any) -> Any: ...
-    def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any: ...
+
+def _first(network: _Network, past: Any, inputs: Any, gains: Any) -> Any:
+    """The features of the first sample behind the past (n, features), in NumPy."""
+    y = levels_of(np, past, [len(past)], 1, network.order)
+    u = levels_of(np, inputs, [len(past)], network.lag, network.order)
+    pair = [_features(np, y, gains[0]), _features(np, u, gains[1])]
+    return np.concatenate(pair, axis=-1)[0]
 
 
 def _count(network: _Network) -> int:
@@ -293,7 +293,7 @@ def _weighing(pool: _Windows, random: np.random.Generator) -> Array:
 def _linear(network: _Network, pool: _Windows, gains: tuple[Array, Array]) -> tuple[Array, Array]:
     """Least squares of one step, where the training of the linear part begins."""
     y, u, _ = replace(pool, ahead=1)(np.arange(len(pool.places)))
-    x = network.first(y[:, : pool.before].swapaxes(0, 1), u.swapaxes(0, 1), gains)
+    x = _first(network, y[:, : pool.before].swapaxes(0, 1), u.swapaxes(0, 1), gains)
     rows = np.column_stack([x, np.ones(len(x))])
     steps = (y[:, pool.before] - y[:, pool.before - 1]) / gains[0]
     found = np.linalg.lstsq(rows, steps, rcond=1e-6)[0]
@@ -360,57 +360,19 @@ def _rates(steps: int, largest: float) -> Single:
     return (largest * np.minimum(part / WARM, 1) * falls).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class _Training:
-    """How long, by which seed."""
+def _split(
+    count: int, members: int, apart: bool, random: np.random.Generator
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Windows of each member for training, and those held out (members, JUDGES).
 
-    members: int
-    steps: int
-    batch: int
-    rate: float
-    seed: int
-    apart: bool
-    """Whether each member holds out other windows."""
-
-    def __call__(
-        self, network: _Network, pool: _Windows, gains: tuple[Array, Array]
-    ) -> tuple[dict[str, Array], Array]:
-        """(weights of all members, their losses on what they held out)."""
-        random = np.random.default_rng(self.seed)
-        scale = (_weighing(pool, random), *(g.astype(np.float32) for g in gains))
-        training, held = self._split(len(pool.places), random)
-        begin, advance, judged = _updates(network, pool.before)
-        w = _begin(network, self.members, _linear(network, pool, gains), random)
-        state, judges = begin(w), pool(held)
-        best, least, waited = w, np.asarray(judged(w, judges, scale)), 0
-        for rates in _rates(self.steps, self.rate).reshape(-1, CHECKED):
-            size = (CHECKED, self.members, self.batch)
-            chosen = random.integers(training.shape[1], size=size)
-            drawn = pool(training[np.arange(self.members)[:, None], chosen])
-            w, state = advance(w, state, drawn, rates, scale)
-            now = np.asarray(judged(w, judges, scale))
-            better = now < least  # never by what is not a number
-            waited = 0 if better.any() else waited + 1
-            least = np.where(better, now, least)
-            best = {n: _where(better, np.asarray(w[n]), np.asarray(best[n])) for n in best}
-            if waited >= PATIENCE:
-                break
-        return best, least
-
-    def _split(
-        self, count: int, random: np.random.Generator
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Windows of each member for training, and those held out (members, JUDGES).
-
-        What is held out is one piece of the row of all windows, so that most of it lies in records
-        of which nothing is trained.
-        """
-        out = min(max(1, round(HELD_OUT * count)), count - 1)
-        shifts = random.integers(count) + np.arange(self.members) * out * self.apart
-        rows = (shifts[:, None] + np.arange(count)) % count
-        held = rows[:, :out]
-        picked = random.integers(out, size=(self.members, JUDGES))
-        return rows[:, out:], np.take_along_axis(held, picked, axis=1)
+    What is held out is one piece of the row of all windows, so that most of it lies in records of
+    which nothing is trained. apart : whether each member holds out other windows.
+    """
+    out = min(max(1, round(HELD_OUT * count)), count - 1)
+    shifts = random.integers(count) + np.arange(members) * out * apart
+    rows = (shifts[:, None] + np.arange(count)) % count
+    picked = random.integers(out, size=(members, JUDGES))
+    return rows[:, out:], np.take_along_axis(rows[:, :out], picked, axis=1)
 
 
 def _where(rows: Any, new: Array, old: Array) -> Array:
@@ -438,20 +400,6 @@ def _require_jax(asks: str) -> None:
             f"{asks} is to be trained in a process that was forked from one with JAX, where it has "
             "no threads: executor=0, or a pool with multiprocessing.get_context('spawn')"
         )
-
-
-def _trained(
-    runs: JudgedRuns, network: _Network, before: int, training: _Training, data: Data
-) -> NetworkModel:
-    scales = Scales.of([y for y, _ in data.series]), Scales.of([u for _, u in data.series])
-    scaled = [(scales[0](y), scales[1](u)) for y, u in data.series]
-    pool = _drawable(runs, scaled, before, data.sampling)
-    weights, losses = training(network, pool, (scales[0].gain, scales[1].gain))
-    kept = range(training.members) if training.apart else [int(np.argmin(losses))]
-    if not np.all(np.isfinite(losses[list(kept)])):
-        raise FitError("the training left the range of numbers; a lower rate= may help")
-    members = tuple({n: w[i].astype(float) for n, w in weights.items()} for i in kept)
-    return NetworkModel(network, members, scales, before, tuple(losses[list(kept)].tolist()))
 
 
 # ---- structures ---------------------------------------------------------------------------------
@@ -489,9 +437,48 @@ class _NetworkStructure:
         apart: bool,
         records: Sequence[Trajectory],
     ) -> NetworkModel:
+        """apart : all members are kept, each with other windows held out; else the best one."""
         _require_jax(type(self).__name__)
-        training = _Training(members, self.steps, self.batch, self.rate, self.seed, apart)
-        return _trained(self, network, before, training, data_of(self, records))
+        data = data_of(self, records)
+        scales = data.scales
+        scaled = [(scales[0](y), scales[1](u)) for y, u in data.series]
+        pool = _drawable(self, scaled, before, data.sampling)
+        gains = scales[0].gain, scales[1].gain
+        weights, losses = self._trained(network, pool, gains, members, apart)
+        kept = range(members) if apart else [int(np.argmin(losses))]
+        if not np.all(np.isfinite(losses[list(kept)])):
+            raise FitError("the training left the range of numbers; a lower rate= may help")
+        chosen = tuple({n: w[i].astype(float) for n, w in weights.items()} for i in kept)
+        return NetworkModel(network, chosen, scales, before, tuple(losses[list(kept)].tolist()))
+
+    def _trained(
+        self,
+        network: _Network,
+        pool: _Windows,
+        gains: tuple[Array, Array],
+        members: int,
+        apart: bool,
+    ) -> tuple[dict[str, Array], Array]:
+        """(weights of all members, their losses on what they held out)."""
+        random = np.random.default_rng(self.seed)
+        scale = (_weighing(pool, random), *(g.astype(np.float32) for g in gains))
+        training, held = _split(len(pool.places), members, apart, random)
+        begin, advance, judged = _updates(network, pool.before)
+        w = _begin(network, members, _linear(network, pool, gains), random)
+        state, judges = begin(w), pool(held)
+        best, least, waited = w, np.asarray(judged(w, judges, scale)), 0
+        for rates in _rates(self.steps, self.rate).reshape(-1, CHECKED):
+            chosen = random.integers(training.shape[1], size=(CHECKED, members, self.batch))
+            drawn = pool(training[np.arange(members)[:, None], chosen])
+            w, state = advance(w, state, drawn, rates, scale)
+            now = np.asarray(judged(w, judges, scale))
+            better = now < least  # never by what is not a number
+            waited = 0 if better.any() else waited + 1
+            least = np.where(better, now, least)
+            best = {n: _where(better, np.asarray(w[n]), np.asarray(best[n])) for n in best}
+            if waited >= PATIENCE:
+                break
+        return best, least
 
 
 @dataclass(frozen=True, eq=False)

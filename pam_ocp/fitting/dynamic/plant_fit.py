@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,7 +37,7 @@ from .transcribe import FitMethod
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PlantFit", "load_plant_fit", "write_plant_fit"]
+__all__ = ["PlantFit", "load_plant_fit"]
 
 ACCURATE = 0.02
 """Largest error of the integration that a fit is content with, in standard deviations of the noise.
@@ -296,7 +296,44 @@ class PlantFit(FittedPlant):
     # ---- text ----------------------------------------------------------------------------------
     def report(self, level: float = 0.95) -> str:
         """The fit as text: agreement, parameters ± standard error, correlations, warnings."""
-        return _report(self, level)
+        linear = self.linearisation
+        samples = sum(len(r) for r in self.residuals)
+        known = set(self.coefficients)
+        pairs = [(r, a, b) for r, a, b in linear.correlated(0.8) if a in known and b in known]
+        lines = [
+            "[[Plant]]",
+            f"    {self.plant.name}: {self.plant.description}",
+            "[[Records]]",
+            f"    {len(self.records)} with {samples} samples of {', '.join(self.measured)}",
+            *([f"    {self.inputs_ran}"] if self.inputs_ran else []),
+            "[[Fit]]" + (" of the smoothed motion" if self.process_noise else ""),
+            *(
+                f"    {n}: RMSE {self.plant.variable(n).shown(e)}, fit {self.fit_percent[n]:.2f} %"
+                for n, e in self.rmse.items()
+            ),
+            f"    condition {linear.condition:.3g}, rank {self.rank} of {len(linear.names)} "
+            f"unknowns (initial states included), {linear.dof} degrees of freedom",
+            f"    {self.method}: {self.status}, {self.iterations} iterations, {self.seconds:.2f} s",
+            *(
+                f"    process noise of {n}: {size:.4g} {self.plant.variable(n).unit}/sqrt(s)"
+                for n, size in self.process_noise.items()
+            ),
+            *(
+                f"    measured {n} with noise of {self.plant.variable(n).shown(size)}: its errors "
+                "are estimated, too"
+                for n, size in self.input_noise.items()
+            ),
+        ]
+        if self.warnings:
+            lines += ["[[Warnings]]", *(f"    {text}" for text in self.warnings)]
+        lines.append(f"[[Parameters]] ± standard error (relative), {100 * level:g} % interval; SI")
+        lines += [
+            coefficient_line(c, self.interval(c.name, level)) for c in self.coefficients.values()
+        ]
+        if pairs:
+            lines.append("[[Correlations]] (beyond 0.8)")
+            lines += [f"    C({a}, {b}) = {r:+.4f}" for r, a, b in pairs]
+        return "\n".join(lines)
 
     def plot(self) -> Figure:
         """Each record and the fitted plant's motion over each other, and their difference."""
@@ -308,7 +345,35 @@ class PlantFit(FittedPlant):
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
-        return write_plant_fit(self, path)
+        linear = self.linearisation
+        content: dict[str, Any] = {
+            "format": FORMAT,
+            "version": 1,
+            "units": "SI",
+            "plant": self.plant.name,
+            "values": {v.name: v.start for v in self.plant.parameters},
+            "states": [v.name for v in self.plant.states],
+            "fitted": {n: c.value for n, c in self.coefficients.items()},
+            "stderr": {n: c.stderr for n, c in self.coefficients.items() if np.isfinite(c.stderr)},
+            "rmse": self.rmse,
+            "fit_percent": {n: v if np.isfinite(v) else None for n, v in self.fit_percent.items()},
+            "warnings": list(self.warnings),
+            **{n: _plain(getattr(self, n)) for n in (*_PLAIN, *_TUPLES)},
+            "linearisation": {
+                "names": list(linear.names),
+                "values": linear.values.tolist(),
+                "units": list(linear.units),
+                # what matters of the Jacobian is its triangle: J^T J = R^T R
+                "jacobian": _triangle(linear.jacobian).tolist(),
+                "scale": float(linear.scale),
+                "dof": linear.dof,
+                "active": None if linear.active is None else np.asarray(linear.active).tolist(),
+            },
+            "residuals": [r.tolist() for r in self.residuals],
+            "records": [_record(r, r.names) for r in self.records],
+            "simulated": [_record(r, self.measured) for r in self.simulated],
+        }
+        return write_json(path, content | carried(self.plant))
 
     def save_ssv(self, path: str | os.PathLike[str]) -> Path:
         """Write the fitted parameters as SSV (SSP 1.0), which sets the plant's FMU without
@@ -333,85 +398,14 @@ def _strays(evidence: Evidence, rmse: Array) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-300)))))
 
 
-def _report(fit: PlantFit, level: float) -> str:
-    """See :meth:`PlantFit.report`."""
-    linear = fit.linearisation
-    samples = sum(len(r) for r in fit.residuals)
-    known = set(fit.coefficients)
-    pairs = [(r, a, b) for r, a, b in linear.correlated(0.8) if a in known and b in known]
-    lines = [
-        "[[Plant]]",
-        f"    {fit.plant.name}: {fit.plant.description}",
-        "[[Records]]",
-        f"    {len(fit.records)} with {samples} samples of {', '.join(fit.measured)}",
-        *([f"    {fit.inputs_ran}"] if fit.inputs_ran else []),
-        "[[Fit]]" + (" of the smoothed motion" if fit.process_noise else ""),
-        *(
-            f"    {n}: RMSE {fit.plant.variable(n).shown(e)}, fit {fit.fit_percent[n]:.2f} %"
-            for n, e in fit.rmse.items()
-        ),
-        f"    condition {linear.condition:.3g}, rank {fit.rank} of {len(linear.names)} unknowns "
-        f"(initial states included), {linear.dof} degrees of freedom",
-        f"    {fit.method}: {fit.status}, {fit.iterations} iterations, {fit.seconds:.2f} s",
-        *(
-            f"    process noise of {n}: {size:.4g} {fit.plant.variable(n).unit}/sqrt(s)"
-            for n, size in fit.process_noise.items()
-        ),
-        *(
-            f"    measured {n} with noise of {fit.plant.variable(n).shown(size)}: its errors are "
-            "estimated, too"
-            for n, size in fit.input_noise.items()
-        ),
-    ]
-    if fit.warnings:
-        lines += ["[[Warnings]]", *(f"    {text}" for text in fit.warnings)]
-    lines.append(f"[[Parameters]] ± standard error (relative), {100 * level:g} % interval; SI")
-    lines += [coefficient_line(c, fit.interval(c.name, level)) for c in fit.coefficients.values()]
-    if pairs:
-        lines.append("[[Correlations]] (beyond 0.8)")
-        lines += [f"    C({a}, {b}) = {r:+.4f}" for r, a, b in pairs]
-    return "\n".join(lines)
-
-
 # ---- files ---------------------------------------------------------------------------------------
 FORMAT = "pam_ocp plant fit"
 _TUPLES = ("measured", "parameters", "starts", "at_bound")
 _OWN_WAY = (*_TUPLES, "plant", "records", "simulated", "linearisation", "residuals")
-_PLAIN = tuple(f for f in fields(PlantFit) if f.name not in _OWN_WAY)
-"""Written as they are; those with defaults are not in older files."""
-
-
-def write_plant_fit(fit: PlantFit, path: str | os.PathLike[str]) -> Path:
-    """See :meth:`PlantFit.save`."""
-    linear = fit.linearisation
-    content: dict[str, Any] = {
-        "format": FORMAT,
-        "version": 1,
-        "units": "SI",
-        "plant": fit.plant.name,
-        "values": {v.name: v.start for v in fit.plant.parameters},
-        "states": [v.name for v in fit.plant.states],
-        "fitted": {n: c.value for n, c in fit.coefficients.items()},
-        "stderr": {n: c.stderr for n, c in fit.coefficients.items() if np.isfinite(c.stderr)},
-        "rmse": fit.rmse,
-        "fit_percent": {n: v if np.isfinite(v) else None for n, v in fit.fit_percent.items()},
-        "warnings": list(fit.warnings),
-        **{n: _plain(getattr(fit, n)) for n in (*(f.name for f in _PLAIN), *_TUPLES)},
-        "linearisation": {
-            "names": list(linear.names),
-            "values": linear.values.tolist(),
-            "units": list(linear.units),
-            # what matters of the Jacobian is its triangle: J^T J = R^T R
-            "jacobian": _triangle(linear.jacobian).tolist(),
-            "scale": float(linear.scale),
-            "dof": linear.dof,
-            "active": None if linear.active is None else np.asarray(linear.active).tolist(),
-        },
-        "residuals": [r.tolist() for r in fit.residuals],
-        "records": [_record(r, r.names) for r in fit.records],
-        "simulated": [_record(r, fit.measured) for r in fit.simulated],
-    }
-    return write_json(path, content | carried(fit.plant))
+_PLAIN = tuple(f.name for f in fields(PlantFit) if f.name not in _OWN_WAY)
+"""Written as they are."""
+_LATER = ("process_noise", "input_noise", "interpolation", "inputs_ran")
+"""Not in older files."""
 
 
 @verb
@@ -440,7 +434,7 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant | None = None) -> 
         if linear["active"] is not None:
             linear["active"] = np.array(linear["active"], dtype=float)
         arguments: dict[str, Any] = {
-            **{f.name: content[f.name] for f in _PLAIN if f.name in content or not _optional(f)},
+            **{n: content[n] for n in _PLAIN if n in content or n not in _LATER},
             **{n: tuple(content[n]) for n in _TUPLES},
             "plant": plant.with_values(content["values"]),
             "records": tuple(_trajectory(r) for r in content["records"]),
@@ -449,10 +443,6 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant | None = None) -> 
             "residuals": tuple(np.array(r, dtype=float) for r in content["residuals"]),
         }
         return PlantFit(**arguments)
-
-
-def _optional(f: Field[Any]) -> bool:
-    return f.default is not MISSING or f.default_factory is not MISSING
 
 
 def _require_same(name: str, content: Mapping[str, Any], plant: Plant) -> None:

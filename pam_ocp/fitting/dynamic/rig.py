@@ -4,7 +4,7 @@ is measured, disturbances; each known, or to be estimated along with the plant's
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -23,10 +23,10 @@ from .experiment import ParameterGroup, named
 
 __all__ = [
     "Delay",
-    "Disturbances",
     "Rig",
     "RunUnknowns",
     "Unknown",
+    "delay_range",
     "disturbed",
     "given_starts",
     "known_rig",
@@ -208,6 +208,12 @@ class RunUnknowns:
             offsets[i] = z[j] * self.scale[j]
         return gains, offsets
 
+    def values(self, z: Array) -> Array:
+        """Each in its unit at z."""
+        found = z * self.scale
+        found[[j for j, _ in self.of("gains")]] += 1.0
+        return found
+
     def begins(self, plant: Plant, z: Array) -> list[dict[str, float]]:
         """Where the states with starts of their own begin in each record at z."""
         own = [plant.states[i] for i in self.own_starts]
@@ -353,16 +359,22 @@ def _delays(plant: Plant, given: Any) -> list[tuple[list[str], float | tuple[flo
         if taken & set(names):
             raise InputError(f"delay names {sorted(taken & set(names))[0]} twice")
         taken |= set(names)
-        if isinstance(ends, (tuple, list)):
-            if len(ends) != 2:
-                raise InputError(f"delay = {ends!r}: give seconds, or (low, high) to estimate it")
-            low, high = (require_finite("delay", d, "s") for d in ends)
-            if not low < high:
-                raise InputError(f"delay = ({low:g}, {high:g}) s: the lower must be the smaller")
-            found.append((names, (low, high)))
-        else:
-            found.append((names, require_finite("delay", ends, "s")))
+        found.append((names, delay_range(ends, require_finite)))
     return found
+
+
+def delay_range(
+    given: Any, checked: Callable[[str, Any, str], float]
+) -> float | tuple[float, float]:
+    """Seconds, or the range in which they are to be estimated."""
+    if not isinstance(given, (tuple, list)):
+        return checked("delay", given, "s")
+    if len(given) != 2:
+        raise InputError(f"delay = {given!r}: give seconds, or (low, high) to estimate it")
+    low, high = (checked("delay", d, "s") for d in given)
+    if not low < high:
+        raise InputError(f"delay = ({low:g}, {high:g}) s: the lower must be the smaller")
+    return low, high
 
 
 def _place(argument: str, name: str, plant: Plant, measured: Sequence[str]) -> int:
@@ -469,54 +481,32 @@ TAKEN_UP = 0.02
 """What a disturbance takes up of an error within a sampling interval, where the search begins."""
 
 
-@dataclass(frozen=True, eq=False)
-class Disturbances:
-    """A plant with disturbance states: their rates, by what they are corrected, and in what unit
-    of gain: 1/s where the pushed state itself is measured, 1/s^2 where its position is.
-    """
-
-    plant: Plant
-    rates: tuple[str, ...] = ()
-    by: Mapping[str, tuple[str, int]] = field(default_factory=dict)
-
-
-def disturbed(plant: Plant, names: Sequence[str], measured: Sequence[str]) -> Disturbances:
-    """The plant with a disturbance of the rate of each of these states.
+def disturbed(
+    plant: Plant, names: Sequence[str], measured: Sequence[str]
+) -> tuple[Plant, tuple[str, ...], dict[str, tuple[str, int]]]:
+    """The plant with a disturbance of the rate of each of these states; names of the rates with
+    which they are forgotten; and by what each is corrected, in what unit of gain: 1/s where the
+    pushed state itself is measured, 1/s^2 where its position is.
 
     ``w`` gets a state ``w.disturbance`` (d) and a parameter ``w.disturbance_rate`` (r): w' = ... +
     d, d' = -r d. It begins at zero, so that the plant by itself is what it was.
     """
     positions = {w: q for q, w in plant.positions.items()}
-    by: dict[str, tuple[str, int]] = {}
-    for name in names:
-        variable = plant.variable(name)
-        if variable.causality != "state":
-            raise InputError(
-                f"disturbance names {variable.name}, which is no state; states are "
-                f"{', '.join(v.name for v in plant.states)}"
-            )
-        seen, power = variable.name, 1
-        if seen not in measured:
-            seen, power = positions.get(variable.name, ""), 2
-        if seen not in measured:
-            raise InputError(
-                f"disturbance: neither {variable.name} nor a position whose velocity it is was "
-                f"measured; measured are {', '.join(measured)}"
-            )
-        by[variable.name] = seen, power
-    made = _with(plant, list(by))
-    return Disturbances(
-        made,
-        tuple(f"{n}.disturbance_rate" for n in by),
-        {f"{n}.disturbance": way for n, way in by.items()},
-    )
-
-
-def _with(plant: Plant, pushed: Sequence[str]) -> Plant:
     again = Redeclared(plant)
-    rates, pushes = again.equations(), {}
-    for name in pushed:
+    rates, by, forgotten = again.equations(), dict[str, tuple[str, int]](), list[str]()
+    for name in dict.fromkeys(plant.variable(n).name for n in names):
         v = plant.variable(name)
+        if v.causality != "state":
+            raise InputError(
+                f"disturbance names {name}, which is no state; states are "
+                f"{', '.join(x.name for x in plant.states)}"
+            )
+        seen, power = (name, 1) if name in measured else (positions.get(name, ""), 2)
+        if seen not in measured:
+            raise InputError(
+                f"disturbance: neither {name} nor a position whose velocity it is was measured; "
+                f"measured are {', '.join(measured)}"
+            )
         push = again.state(
             f"{name}.disturbance",
             unit=per_second(v.unit),
@@ -533,5 +523,7 @@ def _with(plant: Plant, pushed: Sequence[str]) -> Plant:
             description="with which it is forgotten",
         )
         rates[name] += push
-        pushes[f"{name}.disturbance"] = -forget * push
-    return again.finished(rates | pushes)
+        rates[f"{name}.disturbance"] = -forget * push
+        by[f"{name}.disturbance"] = seen, power
+        forgotten.append(f"{name}.disturbance_rate")
+    return again.finished(rates), tuple(forgotten), by

@@ -16,11 +16,10 @@ from ...core.stop import check, native
 from ...numerics.rosenbrock import ros2, ros2_with_slopes
 from ...plants.plant import Plant
 from ..statistics import Array
-from .experiment import ParameterGroup
-from .rig import Rig, RunUnknowns, Unknown
+from .rig import Rig, RunUnknowns
 from .runs import Runs, RunSteps
 
-__all__ = ["Rollout", "require_followed", "spreads"]
+__all__ = ["Rollout", "followed", "gaps", "require_followed", "spreads"]
 
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
@@ -61,15 +60,14 @@ class Rollout:
         self,
         plant: Plant,
         runs: Runs,
-        unknowns: RunUnknowns | Sequence[ParameterGroup] = (),
+        unknowns: RunUnknowns | None = None,
         rig: Rig | None = None,
         *,
         weigh: Array | None = None,
         static: bool = False,
     ) -> None:
-        if not isinstance(unknowns, RunUnknowns):
-            unknowns = RunUnknowns(tuple(map(Unknown.of_group, unknowns)), 0)
-        self._plant, self.runs, self._unknowns, self._rig = plant, runs, unknowns, rig or Rig()
+        unknowns = unknowns or RunUnknowns()
+        self._plant, self.runs, self.unknowns, self._rig = plant, runs, unknowns, rig or Rig()
         self.spread = spreads(plant, runs.names, runs.measured)
         every = np.ones(len(runs.names)) if weigh is None else weigh
         self.weights = np.sqrt(runs.weights / len(runs.names))[..., None] * every
@@ -86,7 +84,7 @@ class Rollout:
     def finer(self) -> Rollout:
         """With steps of half the length."""
         halved = replace(self.runs, steps=2 * self.runs.steps)
-        return Rollout(self._plant, halved, self._unknowns, self._rig)
+        return Rollout(self._plant, halved, self.unknowns, self._rig)
 
     # ---- what is asked for --------------------------------------------------------------------
     def predicted(self, z: Array) -> Array:
@@ -166,7 +164,7 @@ class Rollout:
         """How far local unknowns may move, in their scales, for WILD: the start of a motion that is
         small beside its nominal by no more than it, or every row of it would be called wild.
         """
-        u, found = self._unknowns, np.ones(self._local)
+        u, found = self.unknowns, np.ones(self._local)
         order = [v.name for v in self._plant.states]
         velocity = self._plant.positions
         for name, spread in zip(self.runs.names, self.spread, strict=True):
@@ -181,7 +179,7 @@ class Rollout:
 
     def _scattered(self, rows: NDArray[np.intp], slopes: Array, nz: int) -> Array:
         """Columns of a record's own starts to their places in z."""
-        shared, own = self._unknowns.shared, len(self._unknowns.own_starts)
+        shared, own = self.unknowns.shared, len(self.unknowns.own_starts)
         if not own:
             return slopes
         found = np.zeros((*slopes.shape[:2], nz))
@@ -230,7 +228,7 @@ class Rollout:
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
         self._came_to(z, x0, s0, deep, every)
-        shared = z[: self._unknowns.shared]
+        shared = z[: self.unknowns.shared]
         for part in self._parts[deep]:
             check()
             m, total = len(part.rows), runs.warm + part.samples
@@ -257,7 +255,7 @@ class Rollout:
     def _one(self, deep: bool, every: bool) -> ca.Function:
         """From sample to sample, with sensitivities where it is ``deep``; made when it is used."""
         if (deep, every) not in self._sampled:
-            given = self._plant, self.runs, self._unknowns, self._rig
+            given = self._plant, self.runs, self.unknowns, self._rig
             step, read = _functions(*given, self._static, deep, every)
             if self._count * (self.runs.length + self.runs.warm).sum() > MANY:
                 step = _compiled(step)
@@ -266,7 +264,7 @@ class Rollout:
 
     def _driven(self, z: Array) -> tuple[list[Array], Array]:
         """What drives the steps of all records at the dead times of z, and these [s]."""
-        u = self._unknowns
+        u = self.unknowns
         inputs = [v.name for v in self._plant.inputs]
         delays = np.array([self._rig.delays.get(n, 0.0) for n in inputs])
         for place, members in u.of("delays"):
@@ -278,7 +276,7 @@ class Rollout:
 
     def _begun(self, z: Array) -> tuple[Array, Array]:
         """States (n, nx) where runs begin, and their slopes (n, nx, local unknowns)."""
-        u, runs, plant = self._unknowns, self.runs, self._plant
+        u, runs, plant = self.unknowns, self.runs, self._plant
         order = [v.name for v in plant.states]
         x0, slopes = runs.x0.copy(), np.zeros((*runs.x0.shape, self._local))
         for name, value in self._rig.starts.items():
@@ -311,9 +309,9 @@ class Rollout:
         """Puts hidden states of runs in the middle of a record to where the plant has come by then:
         from start to start along the inputs, all other states set anew at each of them.
         """
-        runs, hidden = self.runs, list(self._unknowns.along)
+        runs, hidden = self.runs, list(self.unknowns.along)
         driven, delays = self._driven(z)
-        given = np.concatenate([z[: self._unknowns.shared], delays])
+        given = np.concatenate([z[: self.unknowns.shared], delays])
         order = np.lexsort((runs.first, runs.record))
         for before, row in pairwise(order if hidden else ()):
             count = int(runs.first[row] - runs.first[before])
@@ -352,6 +350,12 @@ def spreads(plant: Plant, names: Sequence[str], measured: Array) -> Array:
     spread = np.nanstd(measured.reshape(-1, len(names)), axis=0)
     nominal = np.array([plant.variable(v).nominal for v in names])
     return np.asarray(np.where(spread > 1e-9 * nominal, spread, nominal))
+
+
+def gaps(one: Array, other: Array) -> Array:
+    """Root mean square of what runs (n, K, ny) differ by, of each variable (ny,)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(np.sqrt(np.nanmean((one - other) ** 2, axis=(0, 1))))
 
 
 def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tuple[int, ...], ...]:

@@ -23,7 +23,7 @@ from ...plants.dead_time import DelayLine
 from ...plants.plant import Plant
 from ...plants.undelayed import without_dead_times
 from ..statistics import Array, Coefficient
-from .experiment import ParameterGroup, groups, measured_names, with_inputs
+from .experiment import ParameterGroup, groups, measured_names, with_columns, with_inputs
 from .free_run_result import fineness, spread_of
 from .gauss_newton import Descent, descend
 from .rig import Rig, RunUnknowns, Unknown, unknowns_of
@@ -278,8 +278,7 @@ def _at_outlets(record: Trajectory, lines: Sequence[DelayLine]) -> Trajectory:
     """With what goes into a delay line as a column called as what comes out of it."""
     if not lines:
         return record
-    columns = {n: record[n] for n in record.names} | {n.outlet: record[n.source] for n in lines}
-    return Trajectory(record.t, columns, interpolation=record.interpolation)
+    return with_columns(record, {n.outlet: record[n.source] for n in lines})
 
 
 def _dead_times(
@@ -401,20 +400,15 @@ def _accurate(model: RungModel) -> tuple[RungModel, dict[str, Coefficient]]:
     sizes = np.sqrt(np.nanmean(_squares(rollout, model.z), axis=(0, 1)))
     model = replace(model, weigh=1 / np.maximum(sizes, 1e-6))
     while True:
-        rollout, u = model.rollout(), model.unknowns
+        rollout = model.rollout()
         z = model.fitted(rollout, EVALUATIONS).z
         model = replace(model, z=z)
         if not z.size:
             return model, {}
-        edge = (z - u.low < 1e-9) | (u.high - z < 1e-9)
-        found = spread_of(rollout, rollout.runs, u, z, edge).coefficients
-        stderr = np.array([c.stderr for c in found.values()]) / u.scale[: u.shared]
-        finer = replace(model, steps=2 * model.steps)
-        if model.static or finer.steps > MOST_STEPS:
-            return model, found
-        if fineness(rollout, z, ~edge, stderr).fine:
-            return model, found
-        model = finer
+        spread, steps = spread_of(rollout, z), 2 * model.steps
+        if model.static or steps > MOST_STEPS or fineness(rollout, z, spread).fine:
+            return model, spread.coefficients
+        model = replace(model, steps=steps)
 
 
 @verb

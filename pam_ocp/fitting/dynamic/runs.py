@@ -465,6 +465,8 @@ def settled_starts(plant: Plant, runs: Runs, records: int, places: Sequence[int]
     of a record, the others at rest under its first inputs; at the plant's start values where they
     do not come to rest.
     """
+    if not places:
+        return np.empty((records, 0))
     order = [v.name for v in plant.states]
     seen = {*runs.names, *(v for q, v in plant.positions.items() if q in runs.names)}
     loose = [i for i, n in enumerate(order) if n not in seen]

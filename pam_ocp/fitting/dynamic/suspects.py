@@ -20,7 +20,7 @@ from ...core.units import per_second
 from ...plants.plant import Plant
 from ...plants.undelayed import Redeclared
 from ..statistics import Array
-from .experiment import ParameterGroup
+from .experiment import ParameterGroup, with_columns
 
 __all__ = ["CAUSES", "Suspect", "Suspected", "sensor_suspects", "suspected"]
 
@@ -122,12 +122,7 @@ def suspected(
         for i, (n, s) in enumerate(zip(later, b.suspects, strict=True))
     )
     wider = [
-        Trajectory(
-            r.t,
-            {n: r[n] for n in r.names} | {n: c[i] for n, c in b.columns.items()},
-            interpolation=r.interpolation,
-        )
-        for i, r in enumerate(records)
+        with_columns(r, {n: c[i] for n, c in b.columns.items()}) for i, r in enumerate(records)
     ]
     return Suspected(made, wider, (*groups, *extra), tuple(b.suspects), b.delays)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import casadi as ca
 import numpy as np
@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting", "simulation"]
-METHODS = ("collocation", "multiple-shooting", "single-shooting", "simulation")
+METHODS = get_args(FitMethod)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +61,8 @@ class FitProblem:
     experiments: Sequence[Experiment]
     measured: Sequence[str]
     unknowns: RunUnknowns
-    known_delay: float = 0.0
-    process: Sequence[tuple[int, float]] = ()
+    known_delay: float
+    process: Sequence[tuple[int, float]]
 
     def delay(self, head: Array) -> float:
         """At these values of the unknowns [s]."""
@@ -74,39 +74,6 @@ class FitProblem:
     def nominal(self) -> Array:
         """Of what is measured."""
         return np.array([self.plant.variable(n).nominal for n in self.measured])
-
-
-class Program(Protocol):
-    """Least squares in scaled unknowns w, of which the first ``head`` are those of the problem."""
-
-    @property
-    def head(self) -> int: ...
-
-    @property
-    def head_scale(self) -> Array: ...
-
-    @property
-    def guess(self) -> Array: ...
-
-    @property
-    def low(self) -> Array: ...
-
-    @property
-    def high(self) -> Array: ...
-
-    @property
-    def jumps(self) -> int: ...
-
-    def errors(self, w: Array, /) -> tuple[Array, Array]:
-        """Measured less modelled (K, ny), in nominals and without weights; and the jumps."""
-        ...
-
-    def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """d(weighted residuals)/d(head), the states following from the plant's equations.
-
-        base : errors at w, where these are known.
-        """
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,23 +115,22 @@ class FitProgram:
         return ca.Function("residuals", [self.w, self.weights], [self.residuals])
 
     def errors(self, w: Array) -> tuple[Array, Array]:
-        """See :class:`Program`."""
+        """Measured less modelled (K, ny), in nominals and without weights; and the jumps."""
         weights = np.ones(self.weights.numel())
         value = np.asarray(native(self._values, w, weights)).ravel()
         measured, jumps = np.split(value, [value.size - self.jumps])
         return measured.reshape(-1, weights.size), jumps
 
     def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """See :class:`Program`: along solutions of defects(head, states) = 0,
+        """d(weighted residuals)/d(head), along solutions of defects(head, states) = 0:
         d(states) = -(d defects/d states)^-1 (d defects/d head) d(head).
 
         The rest of the covariance is that of least squares in the head alone. Jumps of disturbed
         states are unknown too: their columns are projected out of the head's.
         """
-        from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
 
-        r, g = (_sparse(csc_matrix, block) for block in native(self.derivatives, w, weights))
+        r, g = (block.sparse() for block in native(self.derivatives, w, weights))
         inner = slice(self.head, w.size - self.jumps)
         own = np.r_[: self.head, inner.stop : w.size]
         direct = np.asarray(r[:, own].todense())
@@ -183,14 +149,6 @@ class FitProgram:
         basis = np.linalg.qr(every[:, self.head :])[0]
         rest = every[:, : self.head]
         return np.asarray(rest - basis @ (basis.T @ rest))
-
-
-def _sparse(kind: Any, matrix: ca.DM) -> Any:
-    pattern = matrix.sparsity()
-    return kind(
-        (np.array(matrix.nonzeros()), np.array(pattern.row()), np.array(pattern.colind())),
-        shape=matrix.shape,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -502,7 +460,7 @@ DIVERGED = 1e3
 
 
 class SimulatedProgram:
-    """By simulations, with nothing unknown but the head; see :class:`Program`."""
+    """As :class:`FitProgram`, by simulations, with nothing unknown but the head."""
 
     jumps = 0
 
@@ -512,7 +470,7 @@ class SimulatedProgram:
         self.head = self.guess.size
 
     def errors(self, w: Array) -> tuple[Array, Array]:
-        """See :class:`Program`; there are no jumps."""
+        """As those of :class:`FitProgram`; there are no jumps."""
         problem = self._problem
         plant, u, names = problem.plant, problem.unknowns, problem.measured
         rig, late = u.rig(plant, names, Rig(), w), problem.delay(w)
@@ -527,8 +485,8 @@ class SimulatedProgram:
         return np.concatenate(parts), np.empty(0)
 
     def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """See :class:`Program`: by central differences, one-sided at bounds, and from ``base``:
-        for a search these are enough.
+        """By central differences, one-sided at bounds, and from ``base``, errors at w where these
+        are known: for a search these are enough.
         """
         columns = []
         for i in range(w.size):
@@ -545,6 +503,9 @@ class SimulatedProgram:
             width = ends[1] - ends[0]
             columns.append(((above - below) * weights).ravel() / (width or 1.0))
         return np.stack(columns, axis=1)
+
+
+Program: TypeAlias = FitProgram | SimulatedProgram
 
 
 def sensed(

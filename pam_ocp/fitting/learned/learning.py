@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -35,11 +35,10 @@ from ...plants.plant import Plant, require_plant
 from ..dynamic.choice import paired
 from ..dynamic.experiment import groups, recorded, running
 from ..dynamic.free_run_fit import fit_free_run
-from ..dynamic.free_run_result import FreeRunFit
+from ..dynamic.free_run_result import FreeRunFit, asked_like, begun, runs_like, unknowns_like
 from ..dynamic.gauss_newton import descend
-from ..dynamic.rig import RunUnknowns, unknowns_of
 from ..dynamic.rollout import Rollout
-from ..dynamic.runs import FreeRun, Runs, runs_of, settled_starts
+from ..dynamic.runs import FreeRun
 from ..dynamic.structures import FreeRunStructure
 from ..statistics import Array
 from .residual import Attached, Residual, Visited, attached
@@ -84,9 +83,8 @@ class Band:
 
     Examples
     --------
-    >>> fit = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
     >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
-    >>> learned = pam.fitting.fit_residual(fit, lacking, folds=2, strengths=[1.0])
+    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
     >>> 0.8 < learned.predict(record, level=0.9).coverage["x"] <= 1.0
     True
     """
@@ -115,10 +113,9 @@ class LearnedFit:
 
     Examples
     --------
-    >>> fit = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
     >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
-    >>> learned = pam.fitting.fit_residual(fit, lacking, folds=2, strengths=[1.0])
-    >>> len(learned.strengths), learned.plant is fit.plant
+    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
+    >>> len(learned.strengths), learned.plant is free_fit.plant
     (2, True)
     """
 
@@ -144,7 +141,7 @@ class LearnedFit:
 
     def validate(self, records: Trajectory | Sequence[Trajectory], **options: Any) -> FreeRun:
         """Runs along other records, as :meth:`FreeRunFit.validate`."""
-        return _ran(self.plant, self.physics, records, options)
+        return runs_like(self.physics, self.plant, records, options)
 
     def predict(
         self, records: Trajectory | Sequence[Trajectory], level: float = 0.9, **options: Any
@@ -182,7 +179,7 @@ def _disagreement(
     """Standard deviation of what the members predict for a run; zero without any."""
     if not members:
         return np.zeros_like(run.predicted)
-    every = [_ran(m, fit, records, options).predicted for m in members]
+    every = [runs_like(fit, m, records, options).predicted for m in members]
     return np.asarray(np.std(every, axis=0))
 
 
@@ -222,9 +219,8 @@ def fit_residual(
 
     Examples
     --------
-    >>> fit = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
     >>> lacking = pam.fitting.Residual("v", ["x", "v"], pam.fitting.Splines(3))
-    >>> learned = pam.fitting.fit_residual(fit, lacking, folds=3, strengths=[1e-2])
+    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=3, strengths=[1e-2])
     >>> learned.strength is None  # the plant that made the record lacks nothing
     True
     """
@@ -373,7 +369,7 @@ class _Trial:
         for i, w in enumerate(weights):
             own = np.flatnonzero(self.fold == i)
             left = [self.parts[j] for j in own]
-            run = _ran(self.attached.at(w), self.fit, left, {})
+            run = runs_like(self.fit, self.attached.at(w), left, {})
             found = _losses(run, len(left))
             losses = (
                 np.full((len(self.parts), found.shape[1]), np.nan) if losses is None else losses
@@ -432,12 +428,11 @@ class _Search:
 
     def __init__(self, made: Attached, fit: FreeRunFit, records: Sequence[Trajectory]) -> None:
         self._made, self._w = made, made.begin
-        runs = _runs(made.plant, fit, records, {})
-        unknowns = _unknowns(made.plant, fit, runs, len(records), made.weights)
+        runs = asked_like(fit, made.plant, records, {})
+        unknowns = unknowns_like(fit, made.plant, runs, len(records), made.weights)
         self._rollout = Rollout(made.plant, runs, unknowns, fit.rig)
-        plain = _unknowns(made.plant, fit, runs, len(records), ())
-        physics = made.at(made.centre)
-        self._starts = _starts(Rollout(physics, runs, plain, fit.rig), plain)
+        plain = unknowns_like(fit, made.plant, runs, len(records))
+        self._starts = begun(Rollout(made.at(made.centre), runs, plain, fit.rig))
 
     def to(self, strength: float, evaluations: int) -> Array:
         """The weights at a strength."""
@@ -452,53 +447,9 @@ class _Search:
         return self._w
 
 
-def _starts(rollout: Rollout, u: RunUnknowns) -> Array:
-    """Of records that have starts of their own: found from them, all else known."""
-    return descend(rollout, u.guess, u.low, u.high, 30).z if len(u.guess) else np.empty(0)
-
-
-def _runs(
-    plant: Plant, fit: FreeRunFit, records: Sequence[Trajectory], options: Mapping[str, Any]
-) -> Runs:
-    asked = {**fit.options, "outputs": list(fit.training.names), **options}
-    return runs_of(plant, records, **asked)
-
-
-def _unknowns(
-    plant: Plant, fit: FreeRunFit, runs: Runs, records: int, weights: Sequence[str]
-) -> RunUnknowns:
-    """The weights, and starts of each record as in the fit of the physics; memories begin in the
-    same way.
-    """
-    states = [v.name for v in plant.states]
-    along = {fit.plant.states[i].name for i in fit.unknowns.along}
-    memories = [n for n in states if ".learned.memory" in n]
-    hidden = [i for i, n in enumerate(states) if n in along or n in memories]
-    guesses = settled_starts(plant, runs, records, hidden).T
-    found, _ = unknowns_of(
-        plant,
-        [replace(g, scale=1.0) for g in groups(plant, list(weights))] if weights else (),
-        runs.names,
-        records,
-        float(runs.t[0]),
-        starts={n: "record" for n in fit.own_starts if n not in along},
-        hidden=dict(zip(hidden, guesses, strict=True)),
-    )
-    return found
-
-
-def _ran(plant: Plant, fit: FreeRunFit, records: Any, options: Mapping[str, Any]) -> FreeRun:
-    """Runs of a plant; starts that each record has for itself are estimated from it."""
-    known = running(recorded(records), fit.interpolation)
-    runs = _runs(plant, fit, known, options)
-    u = _unknowns(plant, fit, runs, len(known), ())
-    rollout = Rollout(plant, runs, u, fit.rig)
-    return runs.result(rollout.predicted(_starts(rollout, u)))
-
-
 def _visited(fit: FreeRunFit, records: Sequence[Trajectory]) -> Visited:
     """States and inputs at all samples of the runs of the fit."""
-    runs = _runs(fit.plant, fit, records, {})
+    runs = asked_like(fit, fit.plant, records, {})
     rollout = Rollout(fit.plant, runs, fit.unknowns, fit.rig)
     states, inputs = [], []
     for part, x in rollout.states(fit.z):
