@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import pam_ocp as pam
 from pam_ocp.control.estimators.stationary import WithEstimate, kalman
 from pam_ocp.control.linear_quadratic import lqr
-from pam_ocp.control.offset_free import OffsetFree
+from pam_ocp.control.state_feedback import OffsetFree
 
 DT = 2e-3
 NOISE = {"theta": 5e-5}

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.control.linear_quadratic import lqr
+from pam_ocp.control.linear_quadratic import lqr, scheduled_lqr
 from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.references import moves
-from pam_ocp.control.schedule import scheduled_lqr
 from pam_ocp.figures.control import plot_tracking
 
 DT = 2e-3

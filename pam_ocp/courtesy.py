@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from .core.lazy import lazily
 
 if TYPE_CHECKING:
-    from .control.blocks.making import block as block
+    from .control.blocks.running import block as block
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
     from .export.machine import MachinePlant as MachinePlant
@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from .rig.tuning import tune as tune
 
 _HOMES: dict[str, str] = {
-    "block": "control.blocks.making",
+    "block": "control.blocks.running",
     "closed_loop": "control.loop",
     "equilibrium": "operating.resting_point",
     "plot_fit_surface": "figures.surface",

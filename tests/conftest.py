@@ -46,6 +46,11 @@ def hanging(long_muscle: pam.Muscle) -> pam.Plant:
 
 
 @pytest.fixture
+def joint(long_muscle: pam.Muscle) -> pam.Plant:
+    return pam.AntagonisticJoint(long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2)
+
+
+@pytest.fixture
 def slide() -> pam.Plant:
     """The plant of the planner's benchmark PAM-2DIR."""
     return benchmark_slide()

@@ -16,14 +16,12 @@ import signal
 import sys
 import threading
 import time
-from base64 import b64encode
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
 from ..core.errors import PamError
-from ..rig.rig import Rig
-from ..rig.rig_file import load_rig
+from ..rig.rig import Rig, load_rig
 from ..rig.running import Running
 
 __all__ = ["Pressed", "Worker", "main"]
@@ -199,16 +197,7 @@ def main(arguments: list[str]) -> None:
         print(json.dumps({"error": str(error), "over": True}), flush=True)
         return
     emergency = getattr(rig.driver, "emergency", lambda: None)()
-    how = None
-    if emergency is not None:
-        how = {
-            "kind": emergency.kind,
-            "target": emergency.target,
-            "port": emergency.port,
-            "payload": b64encode(emergency.payload).decode("ascii"),
-            "arguments": dict(emergency.arguments or {}),
-            "path": sys.path,
-        }
+    how = None if emergency is None else emergency.told
     channels = [
         {"name": v.name, "unit": v.unit, "low": v.min, "high": v.max, "is": v.causality}
         for v in rig.variables

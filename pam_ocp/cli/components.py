@@ -1,4 +1,6 @@
-"""The command ``pam-ocp components``: what there is to build with, read from the registries."""
+"""The commands ``pam-ocp components`` (what there is to build with, read from the registries) and
+``completion`` (by a shell).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,11 @@ from typing import Any
 from ..core.registry import Argument, Registry
 from .output import add_json, tell
 
-__all__ = ["add_components", "page"]
+__all__ = [
+    "add_completion",
+    "add_components",
+    "page",
+]
 
 
 def add_components(commands: Any) -> None:
@@ -164,3 +170,44 @@ def _shown(made: Any, argument: Argument) -> str:
         text += f" = {shown if len(shown) <= 40 else type(default).__name__ + '(...)'}"
     units = [u for u in argument.units if u != "1"]
     return f"{text} [{' or '.join(units)}]" if units else text
+
+
+# ---- completion by tab ---------------------------------------------------------------------------
+SHELLS = ("bash", "zsh", "tcsh")
+EPILOG = """\
+  pam-ocp completion bash > ~/.local/share/bash-completion/completions/pam-ocp
+  pam-ocp completion zsh > ~/.zfunc/_pam-ocp          # a folder of $fpath
+  pam-ocp completion tcsh >> ~/.tcshrc
+"""
+
+
+def add_completion(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    completion = commands.add_parser(
+        "completion",
+        help="print a script by which a shell completes commands and options",
+        description="Print a completion script for a shell.",
+        epilog=EPILOG,
+    )
+    completion.add_argument("shell", choices=SHELLS)
+    completion.set_defaults(run=_completion)
+
+
+def _completion(options: argparse.Namespace) -> int:
+    import shtab
+
+    print(shtab.complete(_with_files(options.parser), options.shell))
+    return 0
+
+
+def _with_files(made: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """Arguments that are files complete as files."""
+    import shtab
+
+    for action in made._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in dict.fromkeys(action.choices.values()):
+                _with_files(command)
+        elif action.nargs != 0 and not action.choices:
+            action.complete = shtab.FILE  # type: ignore[attr-defined]
+    return made

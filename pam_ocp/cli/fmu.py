@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 from ..core.errors import InputError
 from ..core.files import read_toml, reading
 from ..core.quantities import known_keys, quantity, table
-from .options import number, require_places
+from .options import add_plant, number, plant_said, require_places
 from .output import add_json, tell, wrote
-from .plants import add_plant, plant_said
 
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
@@ -96,7 +95,6 @@ def add_export(commands: Any) -> None:
         description="Export a plant as an FMU for Model Exchange and Co-Simulation, or a system "
         "file as an SSP of such units.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_plant(export)
     export.add_argument(

@@ -19,27 +19,20 @@ from ..core.exceptions import nearest
 from ..core.interrupts import interruptible
 from ..core.stop import limited
 from ..export.cache import home_folder, usable_folder
-from .bars import bars
 from .bench import add_bench
-from .completion import add_completion
-from .components import add_components
-from .fit import add_fit_plant
+from .components import add_completion, add_components
+from .fit import add_fit_plant, add_ladder
 from .fmu import add_check, add_export
-from .ladder import add_ladder
-from .linearize import add_linearize
 from .mpc import add_mpc
 from .muscles import add_loads, add_muscles
 from .options import require_outputs, seconds
-from .output import escaping, finish, logged
+from .output import bars, command_of, command_words, escaping, finish, logged
 from .plan import add_plan
-from .quick import add_quick
 from .reading import add_look
-from .report import add_report
 from .rig import add_rig, add_twin
-from .simulate import add_compare, add_simulate
+from .simulate import add_compare, add_linearize, add_simulate
 from .static import add_campaign, add_fit, add_fit_forces, add_fit_holds
-from .study import add_study, add_tour
-from .words import command_of, command_words
+from .study import add_quick, add_report, add_study, add_tour
 
 __all__ = ["main"]
 
@@ -105,10 +98,22 @@ def _refuse(
     made.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
 
+class _Formatter(argparse.HelpFormatter):
+    """Breaks lines of what has none; what has (files as they are written) stays as it is."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if "\n" not in text:
+            return super()._fill_text(text, width, indent)
+        return "".join(f"{indent}{line}" for line in text.splitlines(keepends=True))
+
+
 class _Parser(argparse.ArgumentParser):
     """One whose help must be written (argparse swallows what goes wrong there), and which names
     the choice that was probably meant.
     """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=_Formatter, **options)
 
     def error(self, message: str) -> NoReturn:
         found = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)$", message)

@@ -13,6 +13,7 @@ from ..core.files import read_toml, reading
 from .options import (
     add_allow_code,
     add_out,
+    add_pairs,
     add_plot,
     pairs,
     require_motion_ending,
@@ -76,7 +77,6 @@ def add_mpc(commands: Any) -> None:
         "whose "
         "load differs; print step times, steady error and what was found.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     mpc.add_argument(
         "problem",
@@ -89,13 +89,7 @@ def add_mpc(commands: Any) -> None:
         ("set", "value of the model's parameter or start value"),
         ("real", "value on the real side that the controller is not told, as in mass='2.6 kg'"),
     ):
-        mpc.add_argument(
-            f"--{name}",
-            action="append",
-            default=[],
-            metavar="NAME=VALUE",
-            help=f"{meaning}; SI without a unit (may be repeated)",
-        )
+        add_pairs(mpc, f"--{name}", f"{meaning}; SI without a unit")
     mpc.add_argument("--against", metavar="SIDE", help="plant, fmu, or FILE.fmu (default: plant)")
     mpc.add_argument("--estimator", metavar="KIND", help="kind of estimator (default: kalman)")
     mpc.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
@@ -129,7 +123,9 @@ def _mpc(options: argparse.Namespace) -> int:
 
 
 def _data(study: Any, loop: Any) -> dict[str, Any]:
-    window = min(float(study["window"]), float(study["duration"]))
+    from ..studies.loop_problem import window_of
+
+    window = window_of(study)
     names = loop.reference.names if loop.reference else ()
     return {
         "duration": loop.trajectory.duration,

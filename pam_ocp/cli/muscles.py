@@ -8,9 +8,8 @@ from dataclasses import asdict
 from typing import Any
 
 from ..core.errors import InputError
-from .options import add_out, add_plot, add_rest_length, length_of
+from .options import add_out, add_plot, add_rest_length, length_of, muscle_named
 from .output import add_json, tell, wrote
-from .plants import muscle_named
 
 __all__ = ["add_loads", "add_muscles", "muscle_text"]
 

@@ -63,7 +63,6 @@ def add_plan(commands: Any) -> None:
         description="Plan the optimal motion that a problem file asks for, check it by a tight "
         "independent integration, and print how far to trust it.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     plan.add_argument("problem", type=Path, metavar="FILE.toml", help="the problem, see below")
     for option, ending, words in (

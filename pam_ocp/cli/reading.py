@@ -144,7 +144,6 @@ def add_look(commands: Any) -> None:
         description="Print how files are interpreted, column by column: names, units, ranges, "
         "empty cells, the clock, ramps, warnings, and the call that reads them.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     look.add_argument("files", nargs="+", metavar="FILE", help="files, folders or patterns")
     add_reading(look)

@@ -8,9 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.quantities import known_keys, quantity
-from .options import add_allow_code, number, pairs, require_places, whole, written
+from .options import (
+    PLANT,
+    add_allow_code,
+    add_pairs,
+    add_plant_options,
+    number,
+    pairs,
+    plant_named,
+    require_places,
+    whole,
+    written,
+)
 from .output import add_json, tell, wrote
-from .plants import PLANT, add_plant_options, plant_named
 
 if TYPE_CHECKING:
     from ..rig.rig import Rig
@@ -46,7 +56,6 @@ def add_rig(commands: Any) -> None:
         help="check, home, identify, run or vent a real rig",
         description="Work with a rig (or its twin) that a file describes.",
         epilog=RIG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     rig.add_argument("what", choices=("check", "home", "identify", "run", "vent"))
     rig.add_argument("file", metavar="FILE.toml", help="the rig")
@@ -70,7 +79,7 @@ def add_rig(commands: Any) -> None:
 
 def _rig(options: argparse.Namespace) -> int:
     from ..rig.guard import RigError
-    from ..rig.rig_file import load_rig
+    from ..rig.rig import load_rig
 
     require_places(options.out)
     moves = options.what in ("home", "identify", "run")
@@ -161,7 +170,6 @@ def add_twin(commands: Any) -> None:
         description="Serve a plant in real time behind Modbus TCP, a serial line (a "
         "pseudo-terminal), UDP or OPC UA, with noise, delay and faults, until Ctrl-C.",
         epilog=TWIN,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     twin.add_argument("plant", metavar="PLANT", help=PLANT)
     add_plant_options(twin)
@@ -173,13 +181,7 @@ def add_twin(commands: Any) -> None:
     twin.add_argument(
         "--scale", type=number, default=1.0, metavar="R", help="of the muscles' forces"
     )
-    twin.add_argument(
-        "--noise",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="of a reading (may be repeated)",
-    )
+    add_pairs(twin, "--noise", "of a reading")
     twin.add_argument("--delay", default="0 s", metavar="S", help="of commands, such as '5 ms'")
     twin.add_argument("--timeout", metavar="S", help="vent after this time without a command")
     twin.add_argument("--faults", type=Path, metavar="FILE.toml")
@@ -263,11 +265,9 @@ def _sensors(options: argparse.Namespace, given: Any) -> dict[str, Any]:
     from dataclasses import replace
 
     from ..simulation.instruments import Instrument
+    from ..studies.loop_problem import sensors_of
 
-    found = {}
-    for name, said in given.items():
-        known_keys(f"sensors.{name}", said, Instrument.__dataclass_fields__)
-        found[name] = Instrument(**said)
+    found = sensors_of(given)
     for name, noise in pairs("--noise", options.noise).items():
-        found[name] = replace(found.get(name, Instrument()), noise=noise)  # type: ignore[arg-type]
+        found[name] = replace(found.get(name, Instrument()), noise=noise)
     return found

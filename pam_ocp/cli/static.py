@@ -11,17 +11,20 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import InputError
 from ..core.files import require_ending
 from ..core.quantities import quantity
+from ..studies.plant_fit_problem import values
 from .options import (
+    PLANT,
     add_diameter,
     add_out,
+    add_plant_options,
     add_plot,
     add_rest_length,
     length_of,
     pairs,
+    plant_said,
     require_places,
 )
 from .output import add_json, coefficients, tell, wrote
-from .plants import PLANT, add_plant_options, plant_said
 from .reading import add_floor, add_reading, reading_options
 
 if TYPE_CHECKING:
@@ -222,11 +225,9 @@ def _add_fixed(command: argparse.ArgumentParser) -> None:
 
 # ---- what they do -------------------------------------------------------------------------------
 def _fixed(texts: Sequence[str], laws: Iterable[str]) -> dict[str, float]:
-    from ..fitting.static.static import law_class
+    from ..studies.steps.measured import fixed_values
 
-    units = {v.name: v.unit for law in laws for v in law_class(law).coefficient_variables()}
-    given = pairs("--fixed", texts)
-    return {n: quantity(f"fixed.{n}", v, units.get(n, "1")) for n, v in given.items()}
+    return fixed_values(laws, pairs("--fixed", texts))
 
 
 def _fit(options: argparse.Namespace) -> int:
@@ -423,10 +424,7 @@ def _fit_holds(options: argparse.Namespace) -> int:
             options.estimate,
             measured=options.measured,
             side=options.side,
-            inputs={
-                n: quantity(f"inputs.{n}", v, plant.variable(n).unit)
-                for n, v in pairs("--inputs", options.inputs).items()
-            },
+            inputs=values("inputs", plant, pairs("--inputs", options.inputs)),
             loss=options.loss,
             **reading_options(options),
         )

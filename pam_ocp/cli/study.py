@@ -1,4 +1,4 @@
-"""The commands of whole studies: ``pam-ocp tour`` and ``study``."""
+"""The commands of whole studies: ``pam-ocp tour``, ``study``, ``quick`` and ``report``."""
 
 from __future__ import annotations
 
@@ -8,10 +8,24 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from .options import add_allow_code, add_out, whole
+from .options import (
+    add_allow_code,
+    add_diameter,
+    add_out,
+    add_rest_length,
+    length_of,
+    require_places,
+    whole,
+)
 from .output import add_json, tell, wrote
+from .reading import add_floor, add_reading, reading_options
 
-__all__ = ["add_study", "add_tour"]
+__all__ = [
+    "add_quick",
+    "add_report",
+    "add_study",
+    "add_tour",
+]
 
 PATIENCE = 10.0
 """For a scheduler to answer [s]."""
@@ -71,7 +85,6 @@ def add_study(commands: Any) -> None:
         "earlier runs, even interrupted ones, are reused. Writes figures, tables, "
         "parameter files, FMUs and report.html into one folder.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     study.add_argument("study", type=Path, metavar="FILE.toml", help="the study; see below")
     add_out(study, "DIR", "folder for the results (default: named as the file)")
@@ -148,4 +161,119 @@ def _tour(options: argparse.Namespace) -> int:
 
     summary = tour(options.out, say=lambda text: tell(options, text))
     tell(options, "", lambda: summary) if options.json else None
+    return 0
+
+
+# ---- quick ---------------------------------------------------------------------------------------
+def add_quick(commands: Any) -> None:
+    """Add ``quick`` to the parser's commands."""
+    quick = commands.add_parser(
+        "quick",
+        help="one page from one file: law, plant, motion, FMU, report, workbook",
+        description="From a measured table to one page: read it, rank the force laws, build a "
+        "plant, plan its quickest motion, linearise it, write an FMU, a report "
+        "and a workbook. Assumptions are printed, each with the option that "
+        "changes it.",
+    )
+    quick.add_argument("table", metavar="TABLE", help="as for 'pam-ocp fit'")
+    quick.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for all files (default: TABLE's name)"
+    )
+    add_rest_length(quick, " (needed unless the table holds contractions)")
+    add_diameter(quick)
+    quick.add_argument(
+        "--law", action="append", metavar="LAW", help="one law, or several to rank (default: all)"
+    )
+    quick.add_argument(
+        "--counterforce",
+        choices=("pair", "load"),
+        default="pair",
+        help="a second muscle on a slide (default), or a hanging weight",
+    )
+    quick.add_argument("--mass", metavar="KG", help="moving mass (default: from the force)")
+    quick.add_argument("--stops", nargs=2, metavar="M", help="of the motion, as -10mm 10mm")
+    quick.add_argument(
+        "--platforms", nargs="+", default=["native"], metavar="NAME", help="of the FMU"
+    )
+    quick.add_argument(
+        "--force", dest="overwrite", action="store_true", help="overwrite existing files"
+    )
+    add_reading(quick)
+    add_floor(quick)
+    add_json(quick)
+    quick.set_defaults(run=_quick)
+
+
+def _quick(options: argparse.Namespace) -> int:
+    from ..studies.from_table import quick
+
+    made = quick(
+        options.table,
+        options.out or Path(Path(options.table).stem),
+        rest_length=length_of("--rest-length", options.rest_length),
+        diameter=length_of("--diameter", options.diameter),
+        law=options.law,
+        counterforce=options.counterforce,
+        mass=options.mass,
+        stops=options.stops,
+        platforms=options.platforms,
+        overwrite=options.overwrite,
+        **reading_options(options),
+    )
+    tell(
+        options,
+        made.report(),
+        lambda: {
+            "law": made.fit.law.name,
+            "rmse": made.fit.rmse,
+            "verified": made.plan is not None and made.plan.verified,
+            "assumptions": dict(made.assumptions),
+            "doubts": list(made.doubts),
+            "files": {what: str(path) for what, path in made.files.items()},
+        },
+    )
+    return 0
+
+
+# ---- report --------------------------------------------------------------------------------------
+def add_report(commands: Any) -> None:
+    """The command ``report``."""
+    report = commands.add_parser(
+        "report",
+        help="one HTML page on muscles, fits, motions and closed loops in files",
+        description="Show files of any command as one HTML page: muscles, fits, plans (judged "
+        "again), motions, closed loops, linear models, plants, FMUs (checked), "
+        "and records.",
+    )
+    report.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    report.add_argument(
+        "--out", type=Path, default=Path("report.html"), metavar="FILE.html", help="report.html"
+    )
+    report.add_argument("--title", default="Report", metavar="TEXT")
+    report.add_argument("--text", default="", metavar="TEXT", help="an introduction")
+    report.add_argument(
+        "--crate", type=Path, metavar="FILE.zip", help="also write an RO-Crate (needs --licence)"
+    )
+    report.add_argument("--licence", metavar="ID", help="of the crate, as CC-BY-4.0")
+    report.add_argument("--author", metavar="NAME", help="of the crate")
+    add_json(report)
+    report.set_defaults(run=_report)
+
+
+def _report(options: argparse.Namespace) -> int:
+    from ..figures.crate import save_crate
+    from ..figures.report import write_report
+    from ..studies.file_kinds import load
+
+    require_places(options.out, options.crate)
+    names = [
+        str(f) if len({g.name for g in options.files}) < len(options.files) else f.name
+        for f in options.files
+    ]
+    things = {n: load(f) for n, f in zip(names, options.files, strict=True)}
+    made = {"title": options.title, "text": options.text, "sources": options.files}
+    if options.crate is not None:  # first, as it may refuse its licence
+        own = {"licence": options.licence, "author": options.author}
+        wrote(options, save_crate(options.crate, things, **made, **own))
+    wrote(options, write_report(options.out, things, **made))
     return 0

@@ -8,8 +8,8 @@ from .analysis import margins_over as margins_over
 from .analysis import mode_map as mode_map
 from .blocks.chain import chain as chain
 from .blocks.guard import Guard as Guard
-from .blocks.making import BlockController as BlockController
-from .blocks.making import block as block
+from .blocks.running import BlockController as BlockController
+from .blocks.running import block as block
 from .compensation import HysteresisCompensation as HysteresisCompensation
 from .controller_plants import pid_controller as pid_controller
 from .controller_plants import state_feedback_controller as state_feedback_controller
@@ -25,13 +25,13 @@ from .estimators.stationary import WithEstimate as WithEstimate
 from .estimators.stationary import kalman as kalman
 from .inverse import InverseDynamics as InverseDynamics
 from .linear_quadratic import lqr as lqr
+from .linear_quadratic import scheduled_lqr as scheduled_lqr
 from .loop import ClosedLoop as ClosedLoop
 from .loop import closed_loop as closed_loop
 from .mpc.mpc import Mpc as Mpc
 from .mpc.mpc_block import mpc_block as mpc_block
-from .offset_free import OffsetFree as OffsetFree
 from .pid import PID as PID
 from .pid import PositionController as PositionController
 from .pid import PressureLoop as PressureLoop
 from .point_pid import PointPid as PointPid
-from .schedule import scheduled_lqr as scheduled_lqr
+from .state_feedback import OffsetFree as OffsetFree

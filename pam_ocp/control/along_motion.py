@@ -25,9 +25,9 @@ from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
 from .blocks.draft import Draft, Symbol, about, as_output
-from .blocks.kinds import BLOCKS
 from .blocks.running import ByBlock, Running
 from .controller import Measured
+from .kinds import BLOCKS
 from .linear_quadratic import Weighting, require_quick, stationary
 from .state_feedback import feedback_law
 
@@ -108,13 +108,8 @@ class TrajectoryFeedback(ByBlock):
     def aims(self, t: float) -> dict[str, float]:
         """The motion's positions at a time [s]; its last ones afterwards."""
         names = [p.name for p in self.plant.resting()]
-        row = self._row(t, self.motion.array(names), self.motion.t)
+        row = _between(self.motion.t, self.motion.array(names), t)
         return dict(zip(names, row.tolist(), strict=True))
-
-    def _row(self, t: float, values: Array, times: Array) -> Array:
-        i = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2))
-        share = float(np.clip((t - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0))
-        return np.asarray(values[i] + share * (values[i + 1] - values[i]))
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
@@ -137,8 +132,8 @@ class TrajectoryFeedback(ByBlock):
 
     def _rows(self, t: float) -> Array:
         """What the law needs at a time [s]: u(t), x(t), y(t), K(t), Ki(t), column by column."""
-        x, y = (self._row(t, values, self.motion.t) for values in (self._x, self._y))
-        k, ki = (self._row(t, values, self.t) for values in (self.K, self.Ki))
+        x, y = (_between(self.motion.t, values, t) for values in (self._x, self._y))
+        k, ki = (_between(self.t, values, t) for values in (self.K, self.Ki))
         return np.concatenate([self._planned(t), x, y, k.T.ravel(), ki.T.ravel()])
 
     def _planned(self, t: float) -> Array:
@@ -147,7 +142,7 @@ class TrajectoryFeedback(ByBlock):
         if not self._inversion:
             return planned
         named = dict(zip(self._open.inputs, planned.tolist(), strict=True))
-        x = self._row(t, self.motion.array(self._states), self.motion.t)
+        x = _between(self.motion.t, self.motion.array(self._states), t)
         seen = dict(zip(self._states, x.tolist(), strict=True))
         inner = self._inversion.openings(named, measured=seen)
         return np.array([inner[n] for n in self.inputs])
@@ -245,11 +240,11 @@ def tvlqr(
     )
 
 
-def _between(t: Array, matrices: Array, at: float) -> Array:
-    """Matrices given at times, in between."""
+def _between(t: Array, values: Array, at: float) -> Array:
+    """Rows (vectors, matrices) given at times, in between; beyond them the first or the last."""
     i = int(np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2))
-    share = (at - t[i]) / (t[i + 1] - t[i])
-    return np.asarray(matrices[i] + share * (matrices[i + 1] - matrices[i]))
+    share = float(np.clip((at - t[i]) / (t[i + 1] - t[i]), 0.0, 1.0))
+    return np.asarray(values[i] + share * (values[i + 1] - values[i]))
 
 
 def _riccati(

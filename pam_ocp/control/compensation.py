@@ -17,7 +17,6 @@ from ..numerics.rosenbrock import rodas3
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
 from .blocks.draft import Draft, Symbol, clipped
-from .blocks.kinds import BLOCKS, law_of
 from .blocks.running import Running, SampledLaw
 from .inverse import (
     InverseDynamics,
@@ -27,7 +26,7 @@ from .inverse import (
     wanted_motion,
     wanted_stiffness,
 )
-from .kinds import CONTROLLERS
+from .kinds import BLOCKS, CONTROLLERS, law_of
 from .pid import PID, PressureLoop, pid_law, saturating
 from .references import Source, source
 

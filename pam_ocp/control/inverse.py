@@ -4,8 +4,8 @@ stiffness).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import product
 from typing import Any, TypeAlias
 
@@ -18,7 +18,7 @@ from ..core.errors import InputError
 from ..core.stop import locked
 from ..plants.plant import Plant, require_plant
 from .blocks.draft import Draft, Symbol, as_output, per
-from .blocks.kinds import BLOCKS
+from .kinds import BLOCKS
 
 __all__ = [
     "InverseDynamics",
@@ -101,8 +101,10 @@ class InverseDynamics:
         self._where = where
         self._z = np.concatenate([plant.vector("state"), plant.vector("input")])
         self._p = plant.vector("parameter")
-        self.search = Search(self._build(pressures), len(self._z), self._place, self.low, self.high)
-        self._pressures = self.search.function
+        self.equations = self._build(pressures)
+        """z -> (acceleration[, stiffness], slopes over the pressures)."""
+        self.function = self._solved()
+        """(z, acceleration[, stiffness]) -> pressures; those in z do not count."""
 
     @staticmethod
     def _driven(plant: Plant) -> bool:
@@ -150,7 +152,7 @@ class InverseDynamics:
         for name, value in (states or {}).items():
             self._z[self._where[name]] = value
         self._z[list(self._at)] = position, velocity
-        return np.asarray(self._pressures(self._z, target), dtype=float).ravel()
+        return np.asarray(self.function(self._z, target), dtype=float).ravel()
 
     def points(self, position: ArrayLike, velocity: ArrayLike, pressures: ArrayLike) -> Array:
         """States and inputs of the plant in columns, of rows of position, velocity, pressures."""
@@ -165,41 +167,27 @@ class InverseDynamics:
     ) -> Array:
         """The plant's accelerations, of rows of positions, velocities and pressures."""
         z = self.points(position, velocity, pressures)
-        values: Any = self.search.equations.map(z.shape[1])(z)
+        values: Any = self.equations.map(z.shape[1])(z)
         found: Array = np.array(values[0], dtype=float)[0]
         return found
 
-
-@dataclass(frozen=True)
-class Search:
-    """The search of pressures in z (states and inputs of a plant) that meet a target.
-
-    Newton's method within the range, and where not both are possible one muscle at an end of its
-    range: one function for Python and for targets, each call of which takes the same time.
-
-    equations : z -> (acceleration[, stiffness], slopes over the pressures). size : of z; place :
-    where the pressures stand in it. low, high : their range.
-    """
-
-    equations: ca.Function
-    size: int
-    place: Sequence[int]
-    low: Array
-    high: Array
-
+    # ---- the search of pressures in z, states and inputs of the plant ---------------------------
     @property
     def steps(self) -> int:
         """Of Newton's method in each search; one for straight lines, and one for rounding."""
-        z = ca.SX.sym("z", self.size)
-        pressures = ca.vertcat(*(z[int(i)] for i in self.place))
+        z = ca.SX.sym("z", len(self._z))
+        pressures = ca.vertcat(*(z[int(i)] for i in self._place))
         slopes = ca.vec(self.equations(z)[1])
         return STEPS if any(ca.which_depends(slopes, pressures, 1, True)) else 2
 
-    @property
-    def function(self) -> ca.Function:
-        """(z, acceleration[, stiffness]) -> pressures; those in z do not count."""
-        n = len(self.place)
-        z, target = ca.MX.sym("z", self.size), ca.MX.sym("target", n)
+    def _solved(self) -> ca.Function:
+        """(z, acceleration[, stiffness]) -> pressures; those in z do not count.
+
+        Newton's method within the range, and where not both are possible one muscle at an end of
+        its range: one function for Python and for targets, each call of which takes the same time.
+        """
+        n = len(self._place)
+        z, target = ca.MX.sym("z", len(self._z)), ca.MX.sym("target", n)
         taut = ca.DM(self.high)  # a slack muscle has no slope to begin from
         both = self._search(list(range(n)), list(range(n)))
         pressures, miss, inside = both(taut, z, target)
@@ -227,10 +215,10 @@ class Search:
         """(pressures to begin from, z, target) ->
         (pressures, what is missed, relative, whether the unknown ones settled within their range).
         """
-        n = len(self.place)
-        w, z, target = (ca.SX.sym(k, m) for k, m in (("w", n), ("z", self.size), ("t", n)))
+        n = len(self._place)
+        w, z, target = (ca.SX.sym(k, m) for k, m in (("w", n), ("z", len(self._z)), ("t", n)))
         here = ca.SX(z)
-        for i, place in enumerate(self.place):
+        for i, place in enumerate(self._place):
             here[int(place)] = w[i]
         values, slopes = self.equations(here)
         missed = values - target
@@ -248,7 +236,7 @@ class Search:
         for i in equations:
             inside = ca.logic_and(inside, size[i] <= SETTLED[1])
         rest = ca.Function(f"{label}_missed", [w, z, target], [size, inside], {"cse": True})
-        arguments = [ca.MX.sym(k, m) for k, m in (("w", n), ("z", self.size), ("t", n))]
+        arguments = [ca.MX.sym(k, m) for k, m in (("w", n), ("z", len(self._z)), ("t", n))]
         p = arguments[0]
         for _ in range(self.steps):
             p = one(p, *arguments[1:])
@@ -337,13 +325,13 @@ def pressures_of(
     states: dict[str, Symbol] | None = None,
 ) -> Symbol:
     """Pressures of the muscles by inverse dynamics; states : of memories, by name."""
-    count = inverse.search.steps
+    count = inverse.steps
     known = {inverse._at[0]: x, inverse._at[1]: v}
     known |= {inverse._where[n]: s for n, s in (states or {}).items()}
     z = ca.vertcat(*(known.get(i, float(start)) for i, start in enumerate(inverse._z)))
     draft.repeats("Newton steps of the inverse dynamics", count * (1 if stiffness is None else 5))
     target = a if stiffness is None else ca.vertcat(a, stiffness)
-    return inverse.search.function(z, target)
+    return inverse.function(z, target)
 
 
 def at_an_end(inverse: InverseDynamics, p: Symbol) -> Symbol:

@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ..core.block import Block
 from ..core.errors import InputError, require_instance, require_positive
 from ..core.plausible import outside
 from ..core.stop import verb
-from ..operating.linear import held, inside, linearize, no_influence
+from ..operating.linear import LinearGrid, held, inside, linearize, linearize_grid, no_influence
 from ..operating.resting_point import OperatingPoint
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .kinds import CONTROLLERS
-from .state_feedback import Setpoint, StateFeedback
+from .blocks.draft import Draft, Symbol, about
+from .blocks.running import SampledLaw
+from .kinds import BLOCKS, CONTROLLERS
+from .state_feedback import Setpoint, StateFeedback, feedback_law
 
-__all__ = ["StateFeedback", "Weighting", "effort_units", "lqr", "require_quick"]
+__all__ = [
+    "ScheduledFeedback",
+    "StateFeedback",
+    "Weighting",
+    "effort_units",
+    "lqr",
+    "require_quick",
+    "scheduled_lqr",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -90,15 +103,14 @@ class Weighting:
         closed valves), every state gets ``LEAST_WEIGHT`` besides.
     effort : weight of each input, a number or {input: weight}.
     integral : {state or output: weight of its integrated error [per s]}.
-    units : what an effort of 1 is per, of each input [SI], see :func:`effort_units`; by default
-        nominal.
+    units : what an effort of 1 is per, of each input [SI], see :func:`effort_units`.
     """
 
     plant: Plant
-    weights: Mapping[str, float] | None = None
-    effort: float | Mapping[str, float] = 1.0
-    integral: Mapping[str, float] = field(default_factory=dict)
-    units: Array | None = None
+    weights: Mapping[str, float] | None
+    effort: float | Mapping[str, float]
+    integral: Mapping[str, float]
+    units: Array
 
     @classmethod
     def about(
@@ -159,7 +171,7 @@ class Weighting:
             efforts = [require_positive(f"effort[{n!r}]", named[n]) for n in self.inputs]
         else:
             efforts = [require_positive("effort", self.effort)] * len(self.inputs)
-        steps = self.scales(self.inputs) / self.units if self.units is not None else 1.0
+        steps = self.scales(self.inputs) / self.units
         return rows, np.diag(np.square(np.multiply(efforts, steps)))
 
     def scaled(
@@ -319,11 +331,8 @@ def lqr(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
     # held memories stick: no input reaches them, and nothing is fed back from them
-    nominal = at.plant.vector("state", attribute="nominal")
-    lift, pick = (
-        at.stuck.lift(nominal, len(weighting.integrated)),
-        at.stuck.pick(len(weighting.integrated)),
-    )
+    nominal, more = plant.vector("state", attribute="nominal"), len(weighting.integrated)
+    lift, pick = at.stuck.lift(nominal, more), at.stuck.pick(more)
     a, b, q = pick @ a @ lift, pick @ b, lift.T @ q @ lift
     try:
         k = stationary(a, b, q, r, len(at.stuck.kept), sample_time if sampled else None)[0]
@@ -344,3 +353,141 @@ def lqr(
         system,
         inversion if inversion else None,
     )
+
+
+# ---- scheduled: gains at every point of a grid, interpolated in between --------------------------
+@dataclass
+class ScheduledFeedback(SampledLaw):
+    """u = u0(s) - K(s) (x - x0(s)) - Ki(s) integral(y - y(s)): a Controller, s the place in the
+    grid.
+
+    place : t -> {axis: value}, where the plant is to be (position and stiffness, say): it chooses
+    the equilibrium and the gains. Values beyond the grid are taken at its border. For a plant fed
+    by valves u stands for the openings; the commands that give them are sent.
+    """
+
+    family: LinearGrid
+    K: Array = field(repr=False)
+    Ki: Array = field(repr=False)
+    integrated: list[str]
+    place: Callable[[float], Mapping[str, float]]
+    sample_time: float
+    inversion: Inversion | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        names = [v.name for v in self.family.plant.inputs]
+        self._columns = [names.index(n) for n in self.family.inputs]
+        self._goals = np.array(
+            [[p[n] for n in self.integrated] for p in self.family.points.ravel()]
+        ).reshape(*self.family.points.shape, len(self.integrated))
+
+    def where(self, t: float) -> dict[str, float]:
+        """The place in the grid at a time [s], within its borders."""
+        plant = self.family.plant
+        given = {plant.variable(n).name: v for n, v in self.place(t).items()}
+        return {
+            n: float(np.clip(given[n], axis[0], axis[-1])) if n in given else float(axis[0])
+            for n, axis in self.family.axes.items()
+        }
+
+    def aims(self, t: float) -> dict[str, float]:
+        """The positions among the axes at a time [s]."""
+        positions = {p.name for p in self.family.plant.resting()}
+        return {n: v for n, v in self.where(t).items() if n in positions}
+
+    def _references(self, t: float) -> dict[str, float]:
+        return {f"place.{n}": value for n, value in self.where(t).items()}
+
+
+@verb
+def scheduled_lqr(
+    plant: Plant,
+    axes: Mapping[str, ArrayLike],
+    place: Callable[[float], Mapping[str, float]],
+    conditions: Values | None = None,
+    *,
+    weights: Mapping[str, float] | None = None,
+    effort: float | Mapping[str, float] = 1.0,
+    integral: Mapping[str, float] | None = None,
+    sample_time: float = 1e-3,
+) -> ScheduledFeedback:
+    """LQR (LQI with ``integral``) at each equilibrium of a grid, interpolated by ``place``.
+
+    axes, conditions : see :func:`linearize_grid`, such as positions and stiffnesses.
+    place : t [s] -> {axis: value}. weights, effort, integral : see :class:`Weighting`.
+    sample_time : sampling time [s] of the controller.
+
+    Examples
+    --------
+    >>> place = lambda t: {"x": 0.03 + 0.01 * t}
+    >>> law = pam.control.scheduled_lqr(plant, {"x": [0.03, 0.05]}, place)
+    >>> loop = pam.closed_loop(law, plant, duration=0.5, start=plant.equilibrium(x=0.03))
+    >>> print(f"{loop['x'][-1]:.3f}")
+    0.035
+    """
+    inversion = Inversion(require_plant(plant))
+    inner = inversion.inner
+    if isinstance(effort, Mapping):
+        effort = inversion.names(effort)
+    inputs = [v.name for v in inner.inputs if not v.disturbance]
+    family = linearize_grid(inner, axes, inversion.conditions(conditions), inputs=inputs)
+    designs = [
+        lqr(p.plant, p, weights=weights, effort=effort, integral=integral, sample_time=sample_time)
+        for p in family.points.ravel()
+    ]
+    shape = family.points.shape
+    k = np.array([d.K for d in designs]).reshape(*shape, *designs[0].K.shape)
+    ki = np.array([d.Ki for d in designs]).reshape(*shape, *designs[0].Ki.shape)
+    return ScheduledFeedback(
+        family,
+        k,
+        ki,
+        designs[0].integrated,
+        place,
+        require_positive("sample_time", sample_time, "s"),
+        inversion if inversion else None,
+    )
+
+
+# ---- as a block ---------------------------------------------------------------------------------
+@BLOCKS.register("ScheduledFeedback")
+def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -> Block:
+    """u = u0(s) - K(s) (x - x0(s)) - Ki(s) integral(y - y(s)), as :class:`ScheduledFeedback`.
+
+    The place s in the grid are the inputs ``place.AXIS``, kept within its borders.
+    """
+    c, family = controller, controller.family
+    plant = family.plant
+    draft = Draft(name, c.sample_time, "scheduled state feedback", ca.MX)
+    start = c.where(0.0)
+    places = []
+    for n, axis in family.axes.items():
+        v = plant.variable(n)
+        words = about(v, "where the plant is to be: it chooses the gains")
+        s = draft.input(f"place.{n}", start[n], **words)
+        places.append(ca.fmin(ca.fmax(s, float(axis[0])), float(axis[-1])))
+    at = ca.vertcat(*places)
+    axes = [np.asarray(axis, dtype=float).tolist() for axis in family.axes.values()]
+    chosen = [plant.variable(n) for n in family.inputs]
+    integrated = [plant.variable(n) for n in c.integrated]
+    nu, nx, ni = len(chosen), len(plant.states), len(integrated)
+
+    def table(name: str, values: Array) -> Symbol:
+        if not values.size:
+            return draft.kind.zeros(0, 1)
+        return _interpolated(name, axes, values, len(family.axes))(at)
+
+    x0, u0 = table("x0", family.x), table("u0", family.u[..., c._columns])
+    k = ca.reshape(table("gains", np.swapaxes(c.K, -1, -2)), nu, nx)
+    ki = ca.reshape(table("integral_gains", np.swapaxes(c.Ki, -1, -2)), nu, ni)
+    goals = ca.vertsplit(table("goals", c._goals)) if integrated else []
+    tracked = integrated, goals
+    feedback_law(draft, c.inversion, plant.states, chosen, (k, ki), (x0, u0), tracked)
+    return draft.block()
+
+
+def _interpolated(name: str, axes: list[list[float]], values: Array, depth: int) -> ca.Function:
+    """place -> values, linear along each axis; entries of an array run along its last axes."""
+    flat = values.reshape(*values.shape[:depth], -1)
+    order = np.moveaxis(flat, -1, 0).reshape(flat.shape[-1], -1, order="F")
+    return ca.interpolant(name, "linear", axes, order.T.ravel().tolist())

@@ -17,10 +17,10 @@ from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
 from .blocks.draft import Draft, Symbol, as_output, compensated
-from .blocks.kinds import BLOCKS
 from .blocks.running import ByBlock, Running, SampledLaw
 from .controller import Measured
 from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
+from .kinds import BLOCKS
 from .references import Reference
 
 __all__ = ["PID", "PositionController", "PressureLoop", "pid_law", "saturating"]

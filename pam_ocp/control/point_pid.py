@@ -16,9 +16,8 @@ from ..core.errors import InputError, kind_of, require_finite, require_positive
 from ..operating.linear import OperatingPoint, inside, linearize, no_influence
 from ..plants.plant import Plant, Values, require_plant
 from .blocks.draft import Draft, clipped
-from .blocks.kinds import BLOCKS
 from .blocks.running import SampledLaw
-from .kinds import CONTROLLERS
+from .kinds import BLOCKS, CONTROLLERS
 from .pid import PID, pid_law, saturating
 from .references import Source
 from .state_feedback import acting, at_rest

@@ -69,7 +69,7 @@ class Side(ABC):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._held_open.close()
+        self._held_open.__exit__(kind, error, trace)
 
     @abstractmethod
     def values(self) -> dict[str, float]:

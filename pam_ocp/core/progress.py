@@ -1,7 +1,7 @@
 """Progress of long work: verbs say how far they are, and who wants to know listens.
 
 Nobody listens by default, and then it costs nothing. The command line shows bars
-(:mod:`pam_ocp.cli.bars`); in Python ``with listening(listener):`` does what one likes.
+(:mod:`pam_ocp.cli.output`); in Python ``with listening(listener):`` does what one likes.
 """
 
 from __future__ import annotations

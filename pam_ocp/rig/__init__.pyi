@@ -7,7 +7,6 @@ from .drift import Alarm as Alarm
 from .drift import Monitor as Monitor
 from .drivers.driver import Driver as Driver
 from .drivers.driver import DriverError as DriverError
-from .faults import Fault as Fault
 from .guard import Guard as Guard
 from .guard import RigError as RigError
 from .homing import Homing as Homing
@@ -16,11 +15,12 @@ from .learning import Learned as Learned
 from .real_time import Histogram as Histogram
 from .real_time import RealTimeError as RealTimeError
 from .real_time import RealTimeRun as RealTimeRun
-from .records import RecordWriter as RecordWriter
-from .records import read_run as read_run
 from .rig import Rig as Rig
-from .rig_file import driver as driver
-from .rig_file import load_rig as load_rig
+from .rig import driver as driver
+from .rig import load_rig as load_rig
+from .running import RecordWriter as RecordWriter
+from .running import read_run as read_run
 from .serving import serve as serve
 from .tuning import Tuned as Tuned
+from .twin import Fault as Fault
 from .twin import Twin as Twin

@@ -25,7 +25,7 @@ __all__ = ["FORMATS", "Channel", "Command", "Reading", "channels_of", "usual_cha
 FORMATS = ("float32", "int16", "uint16", "int32", "uint32")
 """What a channel may be on a bus of registers."""
 STRAIGHT = 1e-9
-"""Part of its range by which the calibration of a command may bend: it is inverted."""
+"""Part of its range by which a calibration may bend that is to be a straight line."""
 Kind = TypeVar("Kind", bound="Channel")
 
 
@@ -103,6 +103,17 @@ class Channel:
         """A raw number in SI; NaN stays."""
         scale: Scale = self.__dict__["_scale"]
         return float(scale.si(np.array([raw], dtype=float))[0])
+
+    def line(self, why: str) -> tuple[float, float]:
+        """(gain, zero) of SI = gain raw + zero. Raises InputError, which ends in ``why``, for a
+        calibration that is no straight line.
+        """
+        zero, one, far = self.si(0.0), self.si(1.0), self.si(1000.0)
+        gain = one - zero
+        bend = abs(far - zero - 1000 * gain)
+        if not math.isfinite(gain) or gain == 0 or bend > STRAIGHT * abs(far - zero):
+            raise InputError(f"{self.name}: scale = {self.scale!r} is no straight line{why}")
+        return gain, zero
 
     def variable(self, plant: Plant | None) -> Variable:
         """As a variable of the rig."""
@@ -200,7 +211,8 @@ class Command(Channel):
                     f"{self.name}: vent = {vent:g} lies outside its range {self.low:g} .. "
                     f"{self.high:g}; give the value that lets the air out"
                 )
-        self._invert()
+        why = ", and a command is sent through its inverse; give one such as 'V * 1 bar/V'"
+        object.__setattr__(self, "_line", self.line(why))
 
     def require_range(self) -> None:
         """InputError where there is none."""
@@ -209,25 +221,15 @@ class Command(Channel):
                 f"{self.name}: give low and high, both finite: nothing is sent beyond them"
             )
 
-    def _invert(self) -> None:
-        """raw = (value - zero)/gain; InputError for a calibration that is no straight line."""
-        zero, one, far = self.si(0.0), self.si(1.0), self.si(1000.0)
-        gain = one - zero
-        if (
-            not math.isfinite(gain)
-            or gain == 0
-            or abs(far - zero - 1000 * gain) > STRAIGHT * abs(far - zero)
-        ):
-            raise InputError(
-                f"{self.name}: scale = {self.scale!r} is no straight line, and a command is sent "
-                "through its inverse; give one such as 'V * 1 bar/V'"
-            )
-        object.__setattr__(self, "_line", (gain, zero))
-
     def raw(self, value: float) -> float:
         """A value in SI as the raw number that is sent."""
         gain, zero = self.__dict__["_line"]
         return float((value - zero) / gain)
+
+    @property
+    def raw_vent(self) -> float:
+        """The raw number that lets the air out."""
+        return self.raw(float(self.vent or 0.0))
 
 
 def channels_of(

@@ -35,11 +35,9 @@ from ..core.trajectory import Trajectory
 from ..export.c_code.package import export_c
 from ..export.compile import compile_library, native
 from ..plants.plant import Given, by_name
-from .channels import Channel
 from .drivers.lines import MOD, LineDriver
-from .guard import RigError
+from .guard import TRIPPED, RigError
 from .running import STEP, Running
-from .watchdog import TRIPPED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,8 +57,7 @@ LOOK = 0.01
 """How often the ring is read [s]."""
 PATIENCE = 10.0
 """For the process to begin, and for the loop to vent and to end [s]."""
-STRAIGHT = 1e-9
-"""Part by which the calibration of a reading may bend."""
+BENT = "; the loop in C takes straight ones alone: use closed_loop, or let the device calibrate"
 BEATS = 4
 """Signs of life within the guard's heartbeat."""
 (
@@ -240,18 +237,6 @@ class RealTimeError(RigError):
 
 
 # ---- what the loop is told -----------------------------------------------------------------------
-def _straight(channel: Channel) -> tuple[float, float]:
-    """(gain, zero) of SI = gain raw + zero. Raises InputError for a bent calibration."""
-    zero, one, far = channel.si(0.0), channel.si(1.0), channel.si(1000.0)
-    gain = one - zero
-    if not math.isfinite(gain) or abs(far - zero - 1000 * gain) > STRAIGHT * abs(far - zero):
-        raise InputError(
-            f"{channel.name}: scale = {channel.scale!r} is no straight line; the loop in C takes "
-            "straight ones alone: use closed_loop, or let the device calibrate"
-        )
-    return gain, zero
-
-
 def _sources(rig: Rig, law: Block, told: Mapping[str, int]) -> list[tuple[int, int]]:
     """(where from, which) of each input of the law; 0 for its start value."""
     readings, commands = list(rig.readings), list(rig.commands)
@@ -398,19 +383,16 @@ def fill(shared: Any, rig: Rig, law: Block, columns: Mapping[str, int]) -> None:
         )
     for place, channel in zip(shared.reading, rig.readings.values(), strict=False):
         derived = bool(channel.slope_of)
-        place.gain, place.zero = (1.0, 0.0) if derived else _straight(channel)
+        place.gain, place.zero = (1.0, 0.0) if derived else channel.line(BENT)
         place.zero -= rig.zeros.get(channel.name, 0.0)
         place.low, place.high, place.rate = channel.low, channel.high, channel.rate
         place.frozen = math.inf if channel.frozen is None else channel.frozen
-        place.filter, place.deviation, place.within = (
-            channel.filter,
-            channel.deviation,
-            channel.within,
-        )
+        place.filter = channel.filter
+        place.deviation, place.within = channel.deviation, channel.within
         place.follows = commands.index(channel.follows) if channel.follows else -1
         place.slope_of = readings.index(channel.slope_of) if derived else -1
     for place, command in zip(shared.command, rig.commands.values(), strict=False):
-        place.gain, place.zero = _straight(command)
+        place.gain, place.zero = command.line(BENT)
         place.low, place.high, place.rate = command.low, command.high, command.rate
     names = [v.name for v in law.outputs]
     for i, name in enumerate(commands):

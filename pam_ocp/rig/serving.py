@@ -10,7 +10,6 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from datetime import datetime, timedelta, timezone
-from types import TracebackType
 from typing import Any
 
 from ..core.arguments import with_kinds
@@ -48,12 +47,7 @@ class Served:
     def __enter__(self) -> Served:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -143,7 +137,7 @@ class Registers:
     def __init__(self, twin: Twin) -> None:
         self.twin = twin
         self._read, self._written = layout(twin.readings, twin.commands, TIME_ADDRESS)
-        self._last = {n: c.raw(float(c.vent or 0.0)) for n, c in twin.commands.items()}
+        self._last = {n: c.raw_vent for n, c in twin.commands.items()}
 
     def answer(self, request: bytes) -> bytes | None:
         """The answer to function and data; None where the twin says nothing."""
@@ -281,7 +275,7 @@ def _opcua(twin: Twin, host: str, port: int) -> Served:
         return made
 
     shown = {n: node(n, 0.0) for n in readings}
-    told = {n: node(n, c.raw(float(c.vent or 0.0))) for n, c in twin.commands.items()}
+    told = {n: node(n, c.raw_vent) for n, c in twin.commands.items()}
     vented, sample, order = node("vent", True), node("sample", ""), node("order", "")
     server.start()
     known: dict[Any, Any] = {}

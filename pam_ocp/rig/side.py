@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,14 +50,6 @@ class RigSide(Side):
         self._offset: dict[str, float] | None = None
         self.bumpless = True
         self._steps, self._sample_time = 0, sample_time
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._held_open.__exit__(kind, error, trace)
 
     def values(self) -> dict[str, float]:
         """See :class:`Side`: readings, and commands as they act."""

@@ -16,10 +16,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..control.blocks.kinds import law_of
 from ..control.blocks.running import Running
 from ..control.compensation import HysteresisCompensation, Rounded
 from ..control.controller import Measured
+from ..control.kinds import law_of
 from ..control.pid import PID
 from ..control.references import Source
 from ..core.errors import InputError

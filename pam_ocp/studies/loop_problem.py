@@ -13,6 +13,7 @@ from ..core.errors import InputError, require_positive
 from ..core.files import reading
 from ..core.quantities import known_keys, quantity, table
 from ..plants.plant import Plant
+from .plant_fit_problem import values
 
 if TYPE_CHECKING:
     from ..control.estimators.extended_kalman import Estimator
@@ -28,7 +29,9 @@ __all__ = [
     "loop_title",
     "require_spans",
     "run_loop",
+    "sensors_of",
     "set_up",
+    "window_of",
 ]
 
 DEFAULTS: dict[str, Any] = {
@@ -96,7 +99,7 @@ def set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:
     position = next(iter(plant.positions), plant.states[0].name)
     reference = study["reference"] or _reference(plant, position, study["duration"])
     sources = {n: source(f"reference.{n}", v, plant.variable(n).unit) for n, v in reference.items()}
-    start = _values("start", plant, study["start"]) or {n: s(0.0) for n, s in sources.items()}
+    start = values("start", plant, study["start"]) or {n: s(0.0) for n, s in sources.items()}
     rest = plant.equilibrium(start)
     begin = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs) if not v.disturbance}
     model = plant.with_values(begin)
@@ -128,9 +131,9 @@ def set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:
             "reference": sources if study["reference"] or untold else {},
             "estimator": estimator,
             "disturbances": disturbances,
-            "noise": _values("noise", plant, study["noise"]) or None,
-            "sensors": _sensors(study["sensors"]),
-            "parameters": _values("real", plant, study["real"]),
+            "noise": values("noise", plant, study["noise"]) or None,
+            "sensors": sensors_of(study["sensors"]),
+            "parameters": values("real", plant, study["real"]),
             "start": begin,
             "seed": study["seed"],
         },
@@ -151,7 +154,8 @@ def controller_of(
     return _made("controller", CONTROLLERS[kind], model, {**settings, **given})
 
 
-def _sensors(given: Mapping[str, Any]) -> dict[str, Any]:
+def sensors_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """{measured variable: its Instrument}."""
     from ..simulation.instruments import Instrument
 
     known = [f.name for f in fields(Instrument)]
@@ -177,12 +181,7 @@ def _plant(study: Mapping[str, Any]) -> Plant:
         typed = given == study["file"]  # on the command line: that is the consent
         muscle = muscle_of(study["muscle"], folder=folder)
         plant = plant_called(given, muscle, folder, allow_code=typed or study["allow_code"])
-    return plant.with_values(_values("set", plant, study["set"]))
-
-
-def _values(where: str, plant: Plant, given: Mapping[str, Any]) -> dict[str, float]:
-    """Values of a plant's variables in SI."""
-    return {n: quantity(f"{where}.{n}", v, plant.variable(n).unit) for n, v in given.items()}
+    return plant.with_values(values("set", plant, study["set"]))
 
 
 def _reference(plant: Plant, position: str, duration: float) -> dict[str, Any]:
@@ -212,7 +211,7 @@ def _estimator(model: Plant, position: str, settings: dict[str, Any]) -> Estimat
     chosen = ESTIMATORS.find("estimator.kind", kind, "none")
     for key in ("measured", "process", "uncertainty"):
         if key in settings:
-            settings[key] = _values(f"estimator.{key}", model, settings[key])
+            settings[key] = values(f"estimator.{key}", model, settings[key])
     pressures = [v for v in model.states if v.unit == "Pa"]
     at = model.variable(position)
     settings.setdefault(
@@ -251,6 +250,11 @@ def _real(against: str | Plant, model: Plant, folder: Path) -> Plant | Path:
     raise InputError(f"against = {against!r}: give plant, fmu, or the path of an FMU (.fmu)")
 
 
+def window_of(study: Mapping[str, Any]) -> float:
+    """The time at the end over which errors are steady [s]."""
+    return min(float(study["window"]), float(study["duration"]))
+
+
 def loop_title(study: Mapping[str, Any]) -> str:
     """What moves, in a word or two."""
     given = study["plant"]
@@ -259,7 +263,7 @@ def loop_title(study: Mapping[str, Any]) -> str:
 
 def loop_text(study: Mapping[str, Any], loop: ClosedLoop) -> str:
     """How a run went: steps, steady errors, what was found."""
-    window = min(float(study["window"]), float(study["duration"]))
+    window = window_of(study)
     lines = [f"{loop_title(study)} against {study['against']}, {loop.trajectory.duration:g} s"]
     lines += [f"real side: {n} = {v}" for n, v in study["real"].items()]
     if loop.statistics is not None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
     from ..plants.plant import Plant
 
-__all__ = ["FITTING", "READING", "bounds_of", "fit_arguments", "listed", "records_of"]
+__all__ = ["FITTING", "READING", "bounds_of", "fit_arguments", "listed", "records_of", "values"]
 
 READING = (
     *("columns", "units", "time", "interpolation", "max_gap", "split", "clock", "sample_time"),
@@ -56,17 +56,12 @@ def fit_arguments(study: Mapping[str, Any], plant: Plant) -> dict[str, Any]:
     for name in ("outputs", "offsets", "gains"):
         if name in study:
             found[name] = listed(name, study[name])
-    for name, per in (
-        ("noise", ""),
-        ("inputs", ""),
-        ("input_noise", ""),
-        ("process_noise", "/sqrt(s)"),
-    ):
+    for name in ("noise", "inputs", "input_noise"):
         if name in study:
-            found[name] = {
-                n: quantity(f"{name}.{n}", v, *(() if per else (plant.variable(n).unit,)))
-                for n, v in table(name, study[name]).items()
-            }
+            found[name] = values(name, plant, study[name])
+    if "process_noise" in study:  # of the plant [unit/sqrt(s)]
+        said = table("process_noise", study["process_noise"])
+        found["process_noise"] = {n: quantity(f"process_noise.{n}", v) for n, v in said.items()}
     if "bounds" in study:
         found["bounds"] = bounds_of(study, plant)
     if "step" in study:
@@ -89,6 +84,14 @@ def bounds_of(study: Mapping[str, Any], plant: Plant) -> dict[str, tuple[float, 
             float("inf") if high is None else high,
         )
     return found
+
+
+def values(where: str, plant: Plant, said: Any) -> dict[str, float]:
+    """Values of a plant's variables in SI, as a table of a file or of options names them."""
+    return {
+        plant.variable(n).name: quantity(f"{where}.{n}", v, plant.variable(n).unit)
+        for n, v in table(where, said).items()
+    }
 
 
 def listed(where: str, value: Any) -> list[Any]:

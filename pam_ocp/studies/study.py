@@ -323,7 +323,7 @@ class _Run:
     # ---- behind the last ----------------------------------------------------------------------
     def finish(self) -> StudyResult:
         """Summary, report, and the list of all that was written."""
-        from .study_report import study_report, summary
+        from .study_result import study_report, summary
 
         steps = {n: self.steps[n] for n in self.study.entries if n in self.share}
         if self.record is not None:  # what it made is kept; the merge writes the folder

@@ -6,7 +6,7 @@ from argparse import Namespace
 import pytest
 
 from pam_ocp.cli.main import _parser, main
-from pam_ocp.cli.words import command_words
+from pam_ocp.cli.output import command_words
 
 RIG = "Druck;Länge;Kraft\nbar;mm;N\n2,0;300;1.021,7\n4,0;285;1.689,2\n6,0;255;1.512,9\n"
 

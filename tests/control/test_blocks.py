@@ -23,8 +23,8 @@ from pam_ocp.control import (
     tvlqr,
 )
 from pam_ocp.control.blocks.guard import guarded
-from pam_ocp.control.blocks.kinds import BLOCKS
 from pam_ocp.control.estimators.stationary import WithEstimate
+from pam_ocp.control.kinds import BLOCKS
 from pam_ocp.control.references import sine
 from pam_ocp.core.block import Block
 from pam_ocp.core.errors import InputError, UnknownNameError

@@ -15,7 +15,7 @@ from test_valve_control import opening_by_hand
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control import block
-from pam_ocp.control.blocks.making import BlockController
+from pam_ocp.control.blocks.running import BlockController
 from pam_ocp.control.controller_plants import state_feedback_controller
 from pam_ocp.control.linear_quadratic import effort_units
 from pam_ocp.planning.continuation import ValveOpenings

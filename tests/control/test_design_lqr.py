@@ -9,20 +9,13 @@ import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control.analysis import margins
 from pam_ocp.control.estimators.stationary import WithEstimate, kalman
-from pam_ocp.control.linear_quadratic import lqr
+from pam_ocp.control.linear_quadratic import lqr, scheduled_lqr
 from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.references import moves
-from pam_ocp.control.schedule import scheduled_lqr
 from pam_ocp.plants.valves import SpoolValve
 
 
-@pytest.fixture
-def joint(long_muscle):
-    return pam.AntagonisticJoint(long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2)
-
-
 # ---- LQR, LQI, Kalman
-# ------------------------------------------------------------------------------
 def test_lqr_of_the_double_integrator_is_the_textbooks():
     """Cost q^2 x^2 + r^2 u^2: K = [q/r, sqrt(2 q/r)]."""
     plant = double_integrator()

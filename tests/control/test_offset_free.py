@@ -8,7 +8,7 @@ import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control.estimators.stationary import kalman
 from pam_ocp.control.linear_quadratic import lqr
-from pam_ocp.control.offset_free import OffsetFree
+from pam_ocp.control.state_feedback import OffsetFree
 
 
 @pytest.fixture

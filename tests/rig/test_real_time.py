@@ -311,7 +311,7 @@ def test_what_the_loop_in_c_cannot_do_is_said(bench, plant, law):
         other.run_in_c(law, 1.0)
     bent = pam.rig.Reading("x", "m", scale="V^2 * 1 mm/V^2")
     with pytest.raises(pam.InputError, match=r"straight line|scale"):
-        real_time._straight(bent)
+        bent.line(real_time.BENT)
 
 
 def test_a_histogram_counts_and_draws():

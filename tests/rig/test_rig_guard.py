@@ -13,8 +13,7 @@ from rig_fixtures import made, plant  # noqa: F401 - fixtures
 from rig_tools import child
 
 import pam_ocp as pam
-from pam_ocp.rig.guard import Watch
-from pam_ocp.rig.watchdog import Watchdog
+from pam_ocp.rig.guard import Watch, Watchdog
 
 Fault = pam.rig.Fault
 AT = 1.0

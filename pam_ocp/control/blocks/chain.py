@@ -15,8 +15,8 @@ from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable
-from .draft import about
-from .kinds import BEFORE, SENT, law_of
+from ..kinds import BEFORE, SENT, law_of
+from .draft import about, column_of
 
 __all__ = ["chain", "with_delay"]
 
@@ -252,8 +252,7 @@ class _Chain:
                     seen.append(given[source[0]][source[1]])
                 else:
                     seen.append(before[source])
-            column = ca.vertcat(*seen) if seen else kind.zeros(0, 1)
-            moved, answer = b.step.call([memory[i], column, gains[i]])
+            moved, answer = b.step.call([memory[i], column_of(kind, seen), gains[i]])
             after.append(moved)
             given.append(answer)
         after += [given[i][k] for i, k in late]

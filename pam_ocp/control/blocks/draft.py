@@ -15,7 +15,7 @@ from ...core.errors import InputError
 from ...core.variables import Variable
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant
-from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
+from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
 __all__ = ["Draft", "about", "as_output", "clipped", "compensated", "least_norm", "per", "sent_by"]
 
@@ -71,7 +71,7 @@ class Draft:
 
     def column(self, variables: Iterable[Variable], prefix: str = "", **more: Any) -> Symbol:
         """Inputs that measure these, as a column."""
-        return _column(self.kind, [self.like(v, prefix, **more) for v in variables])
+        return column_of(self.kind, [self.like(v, prefix, **more) for v in variables])
 
     def parameter(self, name: str, value: float, **about: Any) -> Symbol:
         """A number that may be tuned."""
@@ -227,7 +227,8 @@ class Draft:
             variables, symbol, following = self._column
             carried, symbols, after = carried + variables, [*symbols, symbol], [*after, following]
         results = [
-            _column(self.kind, column) for column in (after, [value for _, value in self._outputs])
+            column_of(self.kind, column)
+            for column in (after, [value for _, value in self._outputs])
         ]
         groups = [symbols, *([s for _, s in part] for part in (inputs, parameters))]
         return Block(
@@ -248,7 +249,7 @@ class Draft:
     def _step(self, groups: list[list[Symbol]], results: list[Symbol]) -> ca.Function:
         names = ["memory", "inputs", "parameters"], ["memory_next", "outputs"]
         if self.kind is ca.SX:
-            columns = [_column(ca.SX, group) for group in groups]
+            columns = [column_of(ca.SX, group) for group in groups]
             return ca.Function("step", columns, results, *names, {"cse": True})
         symbols = [s for group in groups for s in group]
         law = ca.Function("law", symbols, results)
@@ -263,7 +264,8 @@ class Draft:
         return ca.Function("step", columns, law.call(entries, True, False), *names)
 
 
-def _column(kind: Any, entries: list[Symbol]) -> Symbol:
+def column_of(kind: Any, entries: list[Symbol]) -> Symbol:
+    """Entries below each other, dense; without any a column of no rows."""
     return ca.densify(ca.vertcat(*entries)) if entries else kind.zeros(0, 1)
 
 

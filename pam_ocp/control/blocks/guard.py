@@ -23,8 +23,8 @@ import numpy as np
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.variables import Causality, Variable
-from .draft import per
-from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
+from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
+from .draft import column_of, per
 
 __all__ = ["STATUS", "Guard", "guarded"]
 
@@ -215,7 +215,9 @@ class _Guarded:
             seen[v.name] = s[names.get(v.name, v.name)]
         inner = [seen[v.name] for v in self.law.inputs]
         flags = ca.vertcat(s["enable"] >= 0.5, missing, lost)
-        return _function("watch", columns, [_cat(inner), _cat(held), _cat(ages), flags])
+        return ca.Function(
+            "watch", columns, [_cat(inner), _cat(held), _cat(ages), flags], {"cse": True}
+        )
 
     def _act(self) -> ca.Function:
         """(memory, inputs, enable, parameters, flags, law's memory is sound, law's outputs)
@@ -248,7 +250,7 @@ class _Guarded:
         limited = [ca.fmax(at_range, at_rate), ca.fmax(narrowed, at_rate)]
         done = [ca.logic_and(awake, whole), *limited] if self.commands else []
         results = [whole, _cat(sent), _cat(fade), _cat(done), _cat([*given, status])]
-        return _function("act", [*columns, flags, sound, outputs], results)
+        return ca.Function("act", [*columns, flags, sound, outputs], results, {"cse": True})
 
     def _sent(
         self, v: Variable, s: Symbols, asked: ca.SX, awake: ca.SX, whole: ca.SX
@@ -326,16 +328,17 @@ class _Guarded:
         inputs, enable = _split(columns[1], len(self.inputs))
         gains, settings = _split(columns[2], len(law.parameters))
         known = [of_guard, inputs, enable, settings]
-        seen, held, ages, flags = _called(self._watch(), known)
-        after, outputs = _called(law.step, [of_law, seen, gains])
+        seen, held, ages, flags = self._watch().call(known)
+        after, outputs = law.step.call([of_law, seen, gains])
         # of whole vectors, whose code stays short however much memory a law has
         sound = ca.sum1(ca.fabs(after) <= LARGEST) == after.numel() if law.memory else kind(1)
-        whole, sent, fade, done, given = _called(self._act(), [*known, flags, sound, outputs])
+        rest: list[Any] = [*known, flags, sound, outputs]
+        whole, sent, fade, done, given = self._act().call(rest)
         memory = ca.if_else(whole, after, of_law) if law.memory else after
         order = [f"held.{v.name}" for v in self.inputs] + [f"age.{v.name}" for v in self.inputs]
         order += [f"{part}.{v.name}" for part in ("sent", "fade") for v in self.commands]
         order += ["was_active", "was_limited", "was_held_back"] if self.commands else []
-        parts = ca.vertcat(held, ages, sent, fade, done)
+        parts: Any = ca.vertcat(held, ages, sent, fade, done)
         places = [order.index(n) for n in kept["state"]]
         sorted_parts = parts[places] if places else parts
         ends: list[Any] = [ca.densify(ca.vertcat(memory, sorted_parts)), ca.densify(given)]
@@ -348,13 +351,5 @@ def _split(column: Any, first: int) -> tuple[Any, Any]:
     return first_part, second
 
 
-def _cat(entries: list[ca.SX]) -> ca.SX:
-    return ca.densify(ca.vertcat(*entries)) if entries else ca.SX.zeros(0, 1)
-
-
-def _called(function: ca.Function, arguments: list[Any]) -> list[Any]:
-    return list(function.call(arguments))
-
-
-def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    return ca.Function(name, arguments, results, {"cse": True})
+def _cat(entries: list[ca.SX]) -> Any:
+    return column_of(ca.SX, entries)

@@ -25,9 +25,8 @@ from ...export.machine import quick
 from ...numerics.buffered import Buffered
 from ...plants.plant import Plant, Values, require_plant
 from ..blocks.draft import Draft, Symbol, clipped
-from ..blocks.kinds import BLOCKS, LARGEST
 from ..controller import Estimate
-from ..kinds import ESTIMATORS
+from ..kinds import BLOCKS, ESTIMATORS, LARGEST
 from ..step import Givens, Step, StepMethod
 
 __all__ = ["Estimate", "Estimator", "KalmanFilter", "estimated_variables"]

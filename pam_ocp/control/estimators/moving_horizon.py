@@ -31,9 +31,8 @@ from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
 from ...plants.plant import Plant, Values
 from ..blocks.draft import Draft
-from ..blocks.kinds import BLOCKS, LARGEST
 from ..controller import Estimate
-from ..kinds import ESTIMATORS
+from ..kinds import BLOCKS, ESTIMATORS, LARGEST
 from ..step import StepMethod, open_range
 from .extended_kalman import Estimator, estimated_variables
 from .smoother import PASSES, Smoother

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from ...numerics.bounded_loop import inlined, repeated
-from ..blocks.kinds import LARGEST
+from ..kinds import LARGEST
 from .extended_kalman import Estimator, mirrored, taken_in
 
 __all__ = ["Smoother"]

@@ -23,9 +23,9 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
 from ..blocks.chain import chain
 from ..blocks.draft import Draft, clipped, opened_by
-from ..blocks.kinds import BLOCKS, LARGEST, law_of
 from ..blocks.running import Running
 from ..controller import Controller, Estimate, Measured
+from ..kinds import BLOCKS, LARGEST, law_of
 
 __all__ = ["StationaryFilter", "WithEstimate", "kalman"]
 

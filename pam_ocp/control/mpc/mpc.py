@@ -338,10 +338,9 @@ class Mpc:
         from the moment on at which the inputs take effect.
         """
         p, point = self.program, self._sqp.point
-        nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
-        states: Array = np.column_stack([nodes[: p.nx], end[: p.nx]]).T * p.x_nominal
-        begin = p.nx + len(p.rated)
-        chosen = nodes[begin : begin + p.nu].T * p.u_nominal
+        scaled, inputs_scaled = self._planned()
+        states: Array = scaled.T * p.x_nominal
+        chosen = inputs_scaled.T * p.u_nominal
         chosen = np.vstack([chosen, chosen[-1]])
         n = len(self.plant.parameters)
         columns = dict(zip((v.name for v in self.given.controls), chosen.T, strict=True))
@@ -366,18 +365,22 @@ class Mpc:
         what an SQP that was not run to its end leaves of defects. Takes some milliseconds; a
         controller does not do it by itself.
         """
-        p, point = self.program, self._sqp.point
         if self._fine is None:
             how = replace(self._how, substeps=FINER * self._how.substeps)
             self._fine = self._predictor(how)
-        nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
-        states: Array = np.column_stack([nodes[: p.nx], end[: p.nx]])
-        begin = p.nx + len(p.rated)
-        exact = self._fine(states[:, :-1], nodes[begin : begin + p.nu], point.given)
+        states, inputs = self._planned()
+        exact = self._fine(states[:, :-1], inputs, self._sqp.point.given)
         worst = float(np.max(np.abs(np.asarray(exact, float) - states[:, 1:])))
         return worst if np.isfinite(worst) else math.inf
 
     # ---- inside ---------------------------------------------------------------------------------
+    def _planned(self) -> tuple[Array, Array]:
+        """States at all nodes and inputs at all but the last of the last solution, scaled."""
+        p, unknowns = self.program, self._sqp.point.unknowns
+        nodes, begin = unknowns[p.at], p.nx + len(p.rated)
+        states = np.column_stack([nodes[: p.nx], unknowns[p.at_last][: p.nx]])
+        return states, nodes[begin : begin + p.nu]
+
     def _expected(self) -> dict[str, float]:
         """By the model's own step, whatever the SQP has left of defects."""
         x, u, q = self._sample
@@ -526,7 +529,7 @@ class Mpc:
     def _first_inputs(self) -> Array:
         """The first inputs of the solution, held to their bounds against rounding."""
         p = self.program
-        at = p.at[p.nx + len(p.rated) : p.nx + len(p.rated) + p.nu, 0]
+        at = p.first_inputs
         inputs: Array = np.clip(self._sqp.point.w[at], p.w_low[at], p.w_high[at])
         return inputs
 

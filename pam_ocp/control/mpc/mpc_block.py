@@ -14,7 +14,7 @@ from ...core.stop import turns
 from ...core.variables import Variable
 from ...plants.plant import Plant
 from ..blocks.draft import Draft, Symbol, about, opened_by
-from ..blocks.kinds import BLOCKS
+from ..kinds import BLOCKS
 from .mpc import Mpc
 from .real_time import FACTS, PATIENCE, RealTimeIteration
 

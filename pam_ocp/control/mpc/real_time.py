@@ -123,8 +123,8 @@ class RealTimeIteration:
         warm, missing, failures = ca.vertsplit(part["counts"])
 
         present = ca.fabs(x_si) <= LARGEST
-        now = _either(present, x_si / p.x_nominal, part["expected"])
-        missing = _either(ca.sum1(present) == p.nx, 0, missing + 1)
+        now = ca.if_else(present, x_si / p.x_nominal, part["expected"])
+        missing = ca.if_else(ca.sum1(present) == p.nx, 0, missing + 1)
         start = self._advance(now, applied, q) if self.delay else now
         states, inputs = self._guess()(
             before, ca.reshape(part["inputs"], p.nu, n), start, applied, warm, q
@@ -134,16 +134,16 @@ class RealTimeIteration:
         found, chosen, told = inlined(self._sqp(), given)
         # begun: damping, step, work, iterations, finished, usable, active, violation, converged
         usable, converged = told[5], told[8]
-        failures = _either(usable, 0, failures + 1)
+        failures = ca.if_else(usable, 0, failures + 1)
         lost = failures > self.patience
-        states = _either(usable, found, states)
-        inputs = _either(usable, chosen, inputs)
-        first = _either(lost, safe, self._held(inputs[:, 0], bounds))
+        states = ca.if_else(usable, found, states)
+        inputs = ca.if_else(usable, chosen, inputs)
+        first = ca.if_else(lost, safe, self._held(inputs[:, 0], bounds))
         after = self._advance(now, applied if self.delay else first, q)
-        expected = _either(ca.fabs(after) <= LARGEST, after, now)
+        expected = ca.if_else(ca.fabs(after) <= LARGEST, after, now)
         counts = ca.vertcat(usable, missing, failures)
-        status = _either(converged, SOLVED, UNFINISHED)
-        status = _either(lost, SAFE, _either(usable, status, SHIFTED))
+        status = ca.if_else(converged, SOLVED, UNFINISHED)
+        status = ca.if_else(lost, SAFE, ca.if_else(usable, status, SHIFTED))
         facts = [status, told[3], told[2], told[1], converged, told[6], told[7], missing, failures]
         return ca.Function(
             "mpc",
@@ -165,9 +165,9 @@ class RealTimeIteration:
         warm, q = ca.MX.sym("warm"), ca.MX.sym("q", p.q.numel())
         end, last = states[:, n], inputs[:, n - 1]
         after = self._advance(end, last, q)
-        after = _either(ca.fabs(after) <= LARGEST, after, end)
-        shifted = _either(warm, ca.horzcat(states[:, 2:], after), ca.repmat(start, 1, n))
-        chosen = _either(warm, ca.horzcat(inputs[:, 1:], last), ca.repmat(applied, 1, n))
+        after = ca.if_else(ca.fabs(after) <= LARGEST, after, end)
+        shifted = ca.if_else(warm, ca.horzcat(states[:, 2:], after), ca.repmat(start, 1, n))
+        chosen = ca.if_else(warm, ca.horzcat(inputs[:, 1:], last), ca.repmat(applied, 1, n))
         return ca.Function(
             "guess",
             [states, inputs, start, applied, warm, q],
@@ -196,7 +196,7 @@ class RealTimeIteration:
         converged = ca.logic_and(usable, small)
         finished = ca.logic_or(ca.logic_or(converged, done >= self.work), ca.logic_not(usable))
         grown = ca.fmin(ca.fmax(4 * damping, DAMPING[0]), DAMPING[1])
-        damping = _either(size > before, grown, damping)
+        damping = ca.if_else(size > before, grown, damping)
         after = [damping, size, done, count + 1, finished, usable, facts[4], facts[5], converged]
         given = [start, applied, references, q, bounds]
         body = ca.Function(
@@ -263,8 +263,3 @@ class RealTimeCalls:
             spent,
             int(facts["work"]),
         )
-
-
-def _either(condition: ca.MX, yes: ca.MX | float, no: ca.MX | float) -> ca.MX:
-    """``yes`` where the condition holds, else ``no``; what is not taken may be NaN."""
-    return ca.if_else(condition, yes, no)

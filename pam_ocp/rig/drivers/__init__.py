@@ -1,1 +1,1 @@
-"""Drivers: one way to a rig each, in a file of its own."""
+"""Drivers: ways to a rig; those that speak lines of text share a file."""

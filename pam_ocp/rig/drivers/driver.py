@@ -5,6 +5,8 @@ A driver knows a transport and nothing of physics: raw numbers by the names of c
 
 from __future__ import annotations
 
+import base64
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -83,6 +85,14 @@ class Emergency:
     port: int = 0
     payload: bytes = b""
     arguments: Mapping[str, Any] | None = None
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """As JSON, for processes that vent (watchdog_server.py, vent_server.py)."""
+        own = {n: getattr(self, n) for n in ("kind", "target", "port")}
+        payload = base64.b64encode(self.payload).decode("ascii")
+        more = {"payload": payload, "arguments": dict(self.arguments or {}), "path": sys.path}
+        return own | more
 
 
 class DeviceClock:

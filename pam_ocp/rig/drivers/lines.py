@@ -1,4 +1,4 @@
-"""Lines with a check sum: the protocol of the serial and the UDP driver, both ends of it.
+"""Lines with a check sum: the drivers of serial ports and UDP, and the other end of them.
 
 A line is ASCII and ends in a line feed::
 
@@ -14,15 +14,25 @@ decimal, ``nan`` is one.
 
 from __future__ import annotations
 
+import select
+import socket
 import time
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
+from ...core.errors import InputError, require_count, require_positive
 from ..channels import Command, Reading
-from .driver import Clocked, DriverError
+from .driver import DRIVERS, Clocked, DriverError, Emergency, missing
 
-__all__ = ["LineDriver", "LineServer", "framed", "unframed"]
+__all__ = [
+    "LineDriver",
+    "LineServer",
+    "SerialLine",
+    "Udp",
+    "framed",
+    "unframed",
+]
 
 LONGEST = 1024
 """Bytes of a line; what is longer is noise."""
@@ -144,16 +154,7 @@ class LineDriver(Clocked):
         return b"\n" + framed(">0 V")
 
 
-class Device(Protocol):
-    """What stands behind a server: a twin."""
-
-    def now(self) -> float: ...
-    def read(self) -> dict[str, float] | None: ...
-    def write(self, inputs: Mapping[str, float]) -> None: ...
-    def vent(self) -> None: ...
-    def arm(self) -> None: ...
-
-
+# ---- the other end -------------------------------------------------------------------------------
 class LineServer:
     """The other end: answers lines on behalf of a device (a twin)."""
 
@@ -203,3 +204,114 @@ class Cut:
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[-LONGEST:]
         return [line + b"\n" for line in lines if line]
+
+
+# ---- UDP and serial ports ------------------------------------------------------------------------
+@DRIVERS.register("udp", units={"timeout": "s"})
+class Udp(LineDriver):
+    """Datagrams to a board on a network, with check sums.
+
+    host, port : of the board. timeout : for an answer [s]; tries : datagrams sent until none counts
+    as missing.
+
+    Examples
+    --------
+    >>> driver = pam.rig.driver("udp", host="127.0.0.1", port=9750)
+    >>> driver.close()
+    """
+
+    datagrams = True
+
+    def __init__(self, host: str, port: int, timeout: float = 0.008, tries: int = 2) -> None:
+        super().__init__(require_positive("timeout", timeout, "s"), require_count("tries", tries))
+        self.host, self.port = host, require_count("port", port, 1, 65535)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect((host, port))  # what others send is not received
+        except OSError as error:
+            self._socket.close()
+            raise InputError(f"host = {host!r} is not known ({error})") from None
+        self._socket.setblocking(False)
+
+    def send(self, data: bytes) -> None:
+        """See :class:`LineDriver`."""
+        self._socket.send(data)
+
+    def receive(self, until: float) -> bytes:
+        """See :class:`LineDriver`."""
+        left = until - time.monotonic()
+        if left > 0 and select.select([self._socket], [], [], left)[0]:
+            return self._socket.recv(LONGEST) or b"\n"
+        return b""
+
+    def fileno(self) -> int:
+        """See :class:`LineDriver`."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """See :class:`Driver`."""
+        self._socket.close()
+
+    def emergency(self) -> Emergency:
+        """A datagram of its own."""
+        return Emergency("udp", self.host, self.port, self.alarm().lstrip(b"\n"))
+
+
+@DRIVERS.register("serial", units={"timeout": "s"})
+class SerialLine(LineDriver):
+    """Serial port of a microcontroller, with check sums (pyserial).
+
+    port : such as "/dev/ttyACM0" or "COM3". baud : of the line; USB takes any. timeout : for an
+    answer [s]; tries : lines sent until none counts as missing.
+
+    Examples
+    --------
+    >>> from pam_ocp.rig.drivers.driver import DRIVERS
+    >>> DRIVERS["serial"].__name__
+    'SerialLine'
+    """
+
+    def __init__(
+        self, port: str, baud: int = 1_000_000, timeout: float = 0.008, tries: int = 2
+    ) -> None:
+        super().__init__(require_positive("timeout", timeout, "s"), require_count("tries", tries))
+        try:
+            import serial
+        except ImportError:
+            raise missing("pyserial", "pyserial") from None
+        self.port = port
+        try:
+            self._line: Any = serial.Serial(port, baud, timeout=0, write_timeout=self.timeout)
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise InputError(
+                f"port = {port!r} cannot be opened ({error}); look whether the device is there and "
+                "whether you may use it"
+            ) from None
+        self._cut, self._lines = Cut(), list[bytes]()
+
+    def send(self, data: bytes) -> None:
+        """See :class:`LineDriver`."""
+        self._lines.clear()
+        self._line.write(data)  # serial's errors are OSErrors
+
+    def receive(self, until: float) -> bytes:
+        """See :class:`LineDriver`."""
+        while not self._lines:
+            left = until - time.monotonic()
+            if left <= 0:
+                return b""
+            self._line.timeout = left
+            self._lines += self._cut(self._line.read(max(1, self._line.in_waiting)))
+        return self._lines.pop(0)
+
+    def fileno(self) -> int:
+        """See :class:`LineDriver`."""
+        return int(self._line.fileno())
+
+    def close(self) -> None:
+        """See :class:`Driver`."""
+        self._line.close()
+
+    def emergency(self) -> Emergency:
+        """The port is opened a second time by the watchdog."""
+        return Emergency("file", self.port, payload=self.alarm())

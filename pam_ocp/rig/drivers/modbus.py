@@ -206,7 +206,7 @@ class Modbus(Clocked):
         self._client.close()
 
     def _vented(self) -> dict[str, float]:
-        return {n: c.raw(float(c.vent or 0.0)) for n, c in self._commands.items()}
+        return {n: c.raw_vent for n, c in self._commands.items()}
 
     def emergency(self) -> Emergency:
         """A connection of its own, over which one request is sent again and again."""

@@ -214,7 +214,7 @@ class OpcUa(Clocked):
         if self.vent_node is not None:
             self._send({self._client.get_node(self.vent_node): True})
         else:
-            self.write({n: c.raw(float(c.vent or 0.0)) for n, c in self._commands.items()})
+            self.write({n: c.raw_vent for n, c in self._commands.items()})
 
     def arm(self) -> None:
         """Let the server act again."""
@@ -228,9 +228,7 @@ class OpcUa(Clocked):
 
     def emergency(self) -> Emergency:
         """A session of its own, in a process that loads asyncua."""
-        commands = {
-            n: (self._address(c), c.raw(float(c.vent or 0.0))) for n, c in self._commands.items()
-        }
+        commands = {n: (self._address(c), c.raw_vent) for n, c in self._commands.items()}
         arguments = {
             "url": self.url,
             "vent_node": self.vent_node,

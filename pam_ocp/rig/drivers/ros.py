@@ -151,7 +151,7 @@ class Ros(Clocked):
         """See :class:`Driver`."""
         if self._vents:
             self._vents.publish(self._types.Bool(data=True))
-        self.write({n: c.raw(float(c.vent or 0.0)) for n, c in self._commands.items()})
+        self.write({n: c.raw_vent for n, c in self._commands.items()})
 
     def arm(self) -> None:
         """Let the robot act again."""
@@ -171,7 +171,7 @@ class Ros(Clocked):
         """A node of its own, in a process that loads rclpy."""
         arguments = {
             **self._topics,
-            "values": {n: c.raw(float(c.vent or 0.0)) for n, c in self._commands.items()},
+            "values": {n: c.raw_vent for n, c in self._commands.items()},
         }
         return Emergency("call", "pam_ocp.rig.drivers.ros:venting", arguments=arguments)
 

@@ -158,7 +158,7 @@ def _held(said: Mapping[str, Any], parts: Mapping[str, Any]) -> tuple[Trajectory
     """(a motion that holds inputs of components at values, its wires). Raises UnknownNameError."""
     from dataclasses import replace
 
-    from ...control.blocks.making import block
+    from ...control.blocks.running import block
     from ...core.trajectory import Trajectory
 
     variables, values, wires = [], {}, {}

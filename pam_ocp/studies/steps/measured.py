@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from ...core.errors import InputError, UnknownNameError
 from ...core.quantities import quantity, table
-from .step import STEPS, Job, Made, Step, csv_text, doubts, text_of
+from .step import (
+    STEPS,
+    Job,
+    Made,
+    Step,
+    csv_text,
+    doubts,
+    intervals_said,
+    text_of,
+    write_intervals,
+)
 
 if TYPE_CHECKING:
     from ...fitting.static.force_fit import ForceFit
@@ -80,6 +89,16 @@ def _without(measured: ForceTable, cells: list[Any]) -> ForceTable:
     return measured.subset([i not in set(cells) for i in range(len(measured))])
 
 
+def fixed_values(laws: Iterable[str], said: Any) -> dict[str, float]:
+    """Coefficients of laws that are held, in SI."""
+    from ...fitting.static.static import law_class
+
+    units = {v.name: v.unit for law in laws for v in law_class(law).coefficient_variables()}
+    return {
+        n: quantity(f"fixed.{n}", v, units.get(n, "1")) for n, v in table("fixed", said).items()
+    }
+
+
 @STEPS.register("fit")
 class FitStep(Step):
     """A force law fitted to a measured table, with intervals."""
@@ -92,15 +111,8 @@ class FitStep(Step):
 
     @classmethod
     def _fixed(cls, job: Job) -> dict[str, float]:
-        from ...fitting.static.static import law_class
-
         said = job.get("law", "six-parameter")
-        laws = said if isinstance(said, list) else [said]
-        units = {v.name: v.unit for law in laws for v in law_class(law).coefficient_variables()}
-        return {
-            n: quantity(f"fixed.{n}", v, units.get(n, "1"))
-            for n, v in table("fixed", job.get("fixed", {})).items()
-        }
+        return fixed_values(said if isinstance(said, list) else [said], job.get("fixed", {}))
 
     @classmethod
     def check(cls, job: Job) -> dict[str, Any]:
@@ -154,13 +166,13 @@ class FitStep(Step):
         fit.to_json(job.out / "fit.json")
         job.workbook(fit, "fit.xlsx")
         job.save(fit.plot())
-        _write_coefficients(fit, job.out / "coefficients.csv")
+        write_intervals(fit, job.out / "coefficients.csv", "coefficient")
         return Made(
             fit,
             f"RMSE {fit.rmse:.4g} N over {fit.n} taut cells{doubts(fit.warnings)}",
             True,
             _numbers(fit),
-            tuple(_sure(fit)),
+            (*intervals_said(fit), *fit.warnings),
             text + fit.report(),
         )
 
@@ -171,30 +183,9 @@ class FitStep(Step):
         return load_muscle(job.out / cls.offers[noun])
 
 
-def _write_coefficients(fit: ForceFit, path: Path) -> None:
-    intervals = fit.intervals()
-    rows = [
-        (c.name, c.value, c.stderr, *intervals.get(c.name, (c.value, c.value)), c.unit)
-        for c in fit.coefficients.values()
-    ]
-    head = ("coefficient", "value", "stderr", "low", "high", "unit")
-    path.write_text(csv_text(head, rows), "utf-8")
-
-
 def _numbers(fit: ForceFit) -> dict[str, tuple[float, str]]:
     found = {"rmse": (fit.rmse, "N"), "r2": (fit.r2, "1")}
     return found | {c.name: (c.value, c.unit) for c in fit.coefficients.values()}
-
-
-def _sure(fit: ForceFit) -> list[str]:
-    intervals = fit.intervals()
-    wide = [
-        f"{n} lies in {low:.5g} .. {high:.5g} {fit.coefficients[n].unit} (95 %)".replace(
-            " 1 (", " ("
-        )
-        for n, (low, high) in intervals.items()
-    ]
-    return [*wide, *fit.warnings]
 
 
 @STEPS.register("muscle")

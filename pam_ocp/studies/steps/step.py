@@ -17,6 +17,7 @@ from ...core.exceptions import InputError
 from ...core.plausible import outside
 from ...core.quantities import is_quantity, quantity
 from ...core.registry import Registry
+from ..plant_fit_problem import listed, values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,9 +34,11 @@ __all__ = [
     "doubts",
     "ends",
     "in_si",
+    "intervals_said",
     "seconds",
     "text_of",
     "values",
+    "write_intervals",
 ]
 
 Stage: TypeAlias = Literal["measured", "assumed", "fitted", "computed", "verified"]
@@ -77,10 +80,7 @@ class Job:
 
     def listed(self, key: str) -> list[Any]:
         """A list; empty where nothing is said."""
-        value = self.said.get(key, [])
-        if not isinstance(value, list):
-            raise InputError(f"{key} = {value!r}: give a list, as [{value!r}]")
-        return value
+        return listed(key, self.said.get(key, []))
 
     def save(self, figure: Figure, name: str = "plot.png") -> Path:
         """Write a figure of this step."""
@@ -190,16 +190,6 @@ def text_of(job: Job, key: str, default: str | None = None) -> str:
     return value
 
 
-def values(where: str, plant: Any, said: Any) -> dict[str, float]:
-    """Values of a plant's variables in SI."""
-    from ...core.quantities import table
-
-    return {
-        plant.variable(n).name: quantity(f"{where}.{n}", v, plant.variable(n).unit)
-        for n, v in table(where, said).items()
-    }
-
-
 def ends(motion: Trajectory) -> dict[str, tuple[float, str]]:
     """Of each column its last, least and largest value."""
     found: dict[str, tuple[float, str]] = {}
@@ -208,6 +198,25 @@ def ends(motion: Trajectory) -> dict[str, tuple[float, str]]:
         for kind, of in kinds.items():
             found[f"{variable.name}.{kind}"] = float(of(motion[variable.name])), variable.unit
     return found
+
+
+def write_intervals(fit: Any, path: Path, first: str = "name") -> None:
+    """The fitted values of a fit with their intervals as a table; first : heading of the names."""
+    intervals = fit.intervals()
+    rows = [
+        (c.name, c.value, c.stderr, *intervals.get(c.name, (c.value, c.value)), c.unit)
+        for c in fit.coefficients.values()
+    ]
+    path.write_text(csv_text((first, "value", "stderr", "low", "high", "unit"), rows), "utf-8")
+
+
+def intervals_said(fit: Any) -> list[str]:
+    """The intervals of any fit, a sentence each."""
+    units = {n: fit.coefficients[n].unit for n in fit.intervals()}
+    return [
+        f"{n} lies in {low:.5g} .. {high:.5g}{'' if units[n] == '1' else f' {units[n]}'} (95 %)"
+        for n, (low, high) in fit.intervals().items()
+    ]
 
 
 def in_si(where: str, said: Any, unit: str) -> list[float]:
