@@ -83,25 +83,19 @@ def tag(name: str, text: str = "", classes: str = "", **attributes: Any) -> Text
     return made
 
 
-@contextmanager
-def split() -> Iterator[None]:
+def split() -> Element:
     """Controls (:func:`side`) at the left, pictures (:func:`plots`) at the right."""
-    with ui.element("div").classes("bench-split"):
-        yield
+    return ui.element("div").classes("bench-split")
 
 
-@contextmanager
-def side() -> Iterator[None]:
+def side() -> Element:
     """The left part of a :func:`split`: sections below each other."""
-    with ui.element("div").classes("bench-side"):
-        yield
+    return ui.element("div").classes("bench-side")
 
 
-@contextmanager
-def plots() -> Iterator[None]:
+def plots() -> Element:
     """The right part of a :func:`split`: sections in two columns."""
-    with ui.element("div").classes("bench-plots"):
-        yield
+    return ui.element("div").classes("bench-plots")
 
 
 @contextmanager
