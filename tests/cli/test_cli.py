@@ -103,34 +103,6 @@ def test_export_takes_a_plant_from_a_users_file(capsys, tmp_path):
     assert pam.check_fmu(tmp_path / "m.fmu").ok
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["fit", "nowhere.csv", "--rest-length", "0.3"], "nowhere.csv"),
-        (["fit", TABLE], "give --rest-length, as --rest-length '300 mm'"),
-        (["fit", TABLE, "--rest-length", "0.2"], "rest"),
-        (["fit", TABLE, "--rest-length", "0.25", "--law", "six-paramter"], "six-parameter"),
-        (["export", "hanging_lod"], "HangingLoad"),
-        (["export", "hanging_load", "--muscle", "DMSP-20-40N"], "DMSP-20-400N"),
-        (["export", "hanging_load", "--set", "mass"], "give NAME=VALUE"),
-        (["export", "hanging_load", "--set", "mass=-1"], "outside"),
-        (["export", "hanging_load", "--set", "mas=1"], "mass"),
-        (["check", "nowhere.fmu"], "no such file"),
-        (["check", __file__], "FMU"),
-    ],
-)
-def test_bad_input_is_one_sentence_and_exit_code_2(
-    capsys, tmp_path, monkeypatch, arguments, message
-):
-    monkeypatch.chdir(tmp_path)
-    code, _, err = run(capsys, "", *arguments)
-    assert code == 2
-    assert message in err
-    assert len(err.strip().splitlines()) == 1
-    assert "Traceback" not in err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_misspelt_command_is_told_which_was_meant(capsys):
     with pytest.raises(SystemExit) as ended:
         run(capsys, "tur")
@@ -152,8 +124,6 @@ def test_one_muscle_is_shown_with_its_forces(capsys, tmp_path):
     assert "1804.6" in out  # F(0) at 6 bar of the published set
     assert "27.9 %" in out
     assert plot.stat().st_size > 20_000
-    code, _, err = run(capsys, "muscles", "show")
-    assert (code, "give the NAME" in err) == (2, True)
 
 
 def test_what_is_slow_to_load_is_not_loaded_for_a_fit_and_poles():

@@ -55,17 +55,8 @@ def test_a_problem_file_is_run_and_reported(tmp_path, capsys):
 def test_options_go_over_the_file(tmp_path, capsys):
     problem = tmp_path / "p.toml"
     problem.write_text(PROBLEM)
-    options = [
-        "--duration",
-        "0.05",
-        "--estimator",
-        "none",
-        "--real",
-        "mass=2.2",
-        "--set",
-        "mass=2.2",
-    ]
-    assert main(["mpc", str(problem), *options]) == 0
+    options = "--duration 0.05 --estimator none --real mass=2.2 --set mass=2.2"
+    assert main(["mpc", str(problem), *options.split()]) == 0
     told = capsys.readouterr().out
     assert "mass = 2.2" in told
     assert ", 0.05 s" in told
@@ -111,12 +102,3 @@ def test_what_cannot_be_meant_is_refused_in_words(tmp_path, capsys, content, wor
     problem.write_text(content)
     assert main(["mpc", str(problem)]) == 2
     assert words in capsys.readouterr().err
-
-
-def test_a_missing_file_and_a_bad_value_are_refused(capsys):
-    assert main(["mpc", "none.toml"]) == 2
-    assert "none.toml" in capsys.readouterr().err
-    assert main(["mpc", "--real", "mass"]) == 2
-    assert "NAME=VALUE" in capsys.readouterr().err
-    assert main(["mpc", "--duration", "-1"]) == 2
-    assert "duration" in capsys.readouterr().err

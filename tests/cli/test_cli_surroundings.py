@@ -238,11 +238,10 @@ def test_a_whole_number_beyond_all_range_in_a_file_is_named(tmp_path, monkeypatc
         ("def plant(muscle): return 'x'", "mine.py:plant returns a str; give a Plant"),
     ],
 )
-@pytest.mark.parametrize("verb", ["simulate", "linearize", "export"])
-def test_what_is_no_plant_is_named(tmp_path, monkeypatch, capsys, verb, lines, words):
+def test_what_is_no_plant_is_named(tmp_path, monkeypatch, capsys, lines, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(lines + "\n")
-    code, out, err = run(capsys, verb, "mine.py:plant", "--muscle", "DMSP-20-300")
+    code, out, err = run(capsys, "simulate", "mine.py:plant", "--muscle", "DMSP-20-300")
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert words in err
 
