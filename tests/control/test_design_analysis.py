@@ -21,13 +21,7 @@ from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.loop import closed_loop
 
 
-@pytest.fixture
-def joint(long_muscle):
-    return pam.AntagonisticJoint(long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2)
-
-
 # ---- margins and measures
-# --------------------------------------------------------------------------
 def test_margins_of_a_third_order_loop_are_the_textbooks():
     """L = 2/(s (s+1) (s+2)): gain margin 3, at w = sqrt(2)."""
     loop = control.ss(control.tf([2.0], [1.0, 3.0, 2.0, 0.0]), inputs=["u"], outputs=["y"])

@@ -16,25 +16,13 @@ from pam_ocp.control.references import hold, moves, sine
 from pam_ocp.plants.valves import OnOffValves, SpoolValve
 
 
-@pytest.fixture
-def joint(long_muscle):
-    return pam.AntagonisticJoint(long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2)
-
-
 # ---- the loop itself
-# -------------------------------------------------------------------------------
 def test_between_samples_the_plant_moves_as_in_simulate(slide):
     answer = lambda t: {"muscle1.command": (3 + (t > 0.0499)) * BAR, "muscle2.command": 3 * BAR}  # noqa: E731
     run = closed_loop(Fixed(answer), slide, duration=0.2, sample_time=5e-3, parts=4)
     assert len(run.t) == 161
     motion = pam.simulate(slide, run.trajectory, t=run.t)
     assert run.trajectory.compare(motion).largest < 1e-6
-
-
-def test_a_function_may_be_the_controller(slide):
-    answer = lambda t, measured: {"muscle1.command": 4 * BAR if measured["x"] < 0 else 2 * BAR}  # noqa: E731
-    run = closed_loop(answer, slide, duration=0.05, sample_time=1e-2, start={"x": -1e-3})
-    assert run["muscle1.command"][0] == 4 * BAR
 
 
 def test_what_the_controller_asks_is_kept_within_the_plants_range(slide):
@@ -48,23 +36,6 @@ def test_a_delay_lets_the_start_values_run_first(slide):
         Fixed({"muscle1.command": 4 * BAR}), slide, duration=0.05, sample_time=1e-2, delay=2
     )
     assert run["muscle1.command"][:4] == pytest.approx([3 * BAR, 3 * BAR, 4 * BAR, 4 * BAR])
-
-
-def test_noise_has_the_deviation_asked_for_and_does_not_move_the_plant(slide):
-    watch = Fixed({})
-    run = closed_loop(watch, slide, duration=2.0, sample_time=1e-3, noise={"x": 1e-3}, seed=3)
-    seen = np.array([m["x"] for m in watch.seen])
-    assert np.std(seen - run["x"][:-1]) == pytest.approx(1e-3, rel=0.05)
-    assert run["x"] == pytest.approx(0.0, abs=1e-12)  # both muscles at equal pressures
-
-
-def test_disturbances_act_and_the_true_parameters_stay_hidden(long_muscle):
-    plant = pam.AntagonisticJoint(long_muscle, loads=[pam.loads.ExternalForce()])
-    (external,) = [v.name for v in plant.inputs if v.disturbance]
-    hidden = {"disturbances": {external: 1.0}, "parameters": {"inertia": 0.08}}
-    run = closed_loop(Fixed({}), plant, duration=2.5, sample_time=1e-2, **hidden)
-    assert abs(run["torque"][-1]) == pytest.approx(1.0, rel=1e-3)
-    assert np.all(run[external] == 1.0)
 
 
 def test_bad_arguments_of_the_closed_loop_are_named(slide):
@@ -89,7 +60,6 @@ def test_the_fmu_as_the_plant_gives_the_same_closed_loop(slide, tmp_path):
 
 
 # ---- exact inverse, PID, cascade
-# -------------------------------------------------------------------
 def test_the_inverse_is_the_allocation_of_a_pair(joint):
     inverse, allocation = InverseDynamics(joint), pam.operating.Allocation(joint)
     theta, omega, alpha, stiffness = 0.3, 0.7, 5.0, 26.0

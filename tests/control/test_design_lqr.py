@@ -206,7 +206,6 @@ def test_lqg_holds_a_stop_from_noisy_measurements(slide):
 
 
 # ---- gain scheduling
-# -------------------------------------------------------------------------------
 def test_at_a_grid_point_the_schedule_has_the_gains_of_the_lqr_there(slide):
     axes = {"x": [-0.004, 0.0, 0.004], "stiffness": [2.1e4, 2.4e4]}
     found = scheduled_lqr(

@@ -18,7 +18,6 @@ EVEN = {"muscle1.pressure": 3e5, "muscle2.pressure": 3e5}
 
 
 # ---- along a motion
-# --------------------------------------------------------------------------------
 def test_the_riccati_equation_has_the_scalar_solution_of_theory():
     """x' = u, cost x^2 + u^2, no end cost: P = tanh(T - t)."""
     plant = pam.Plant("integrator")

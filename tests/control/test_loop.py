@@ -87,24 +87,6 @@ def test_a_pid_loop_with_noise_and_delay_is_its_recursion(delay, sigma):
     assert moved(run) == pytest.approx(states, abs=1e-8)
 
 
-def test_a_position_controller_acts_late_by_the_delay(long_muscle):
-    plant = pam.HangingLoad(long_muscle, mass=20.0)
-    made = pam.control.PositionController(
-        plant, lambda t: (0.06, 0.0, 0.0), pam.control.PID.placed(1.0), sample_time=5e-3
-    )
-    answers = []
-
-    def heard(t, measured):
-        answers.append(made(t, measured)["muscle.command"])
-        return {"muscle.command": answers[-1]}
-
-    start = {"x": 0.055, "muscle.pressure": 3e5}
-    run = closed_loop(heard, plant, duration=0.1, sample_time=5e-3, delay=2, start=start)
-    low, high = (getattr(plant.variable("muscle.command"), end) for end in ("min", "max"))
-    assert run["muscle.command"][2:-1] == pytest.approx(np.clip(answers[:-2], low, high))
-    assert np.ptp(answers) > 1e4
-
-
 def test_a_controllers_own_sample_time_and_reference_are_the_loops():
     run = closed_loop(regulator(integral={"x": 1.0}), cart(), {"x": 0.1}, duration=20.0)
     assert np.diff(run.t) == pytest.approx(H)

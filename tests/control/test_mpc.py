@@ -251,20 +251,6 @@ def test_unknown_names_get_the_nearest_one():
         mpc.control([0, 0], {"x": [1.0, 2.0]})
 
 
-@pytest.mark.slow
-def test_plant_and_fmu_are_the_same_real_side(tmp_path):
-    plant = benchmark_slide()
-    rest = plant.equilibrium(x=0.0, stiffness=2e4)
-    start = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs)}
-    fmu = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms=["native"])
-    sides = ((plant.with_values(start), {}), (fmu, {"start": start}))
-    wanted, how = {"x": square, "stiffness": 2e4}, {"duration": 0.3, "parameters": {"mass": 2.6}}
-    one, other = (
-        closed_loop(slide_mpc(), side, wanted, **how, **more).trajectory for side, more in sides
-    )
-    assert one.compare(other, ["x", "v", "muscle1.pressure"]).largest < 1e-2
-
-
 def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
     mpc, real = mass_mpc(horizon=5), mass()
     with pytest.raises(InputError, match="shorter than a sample"):
@@ -281,7 +267,6 @@ def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
 
 
 # ---- what its statistics say
-# ------------------------------------------------------------------------
 def test_steps_that_are_applied_before_they_converged_are_counted():
     """A jump of the reference with one SQP step per call: not converged; at rest it is again."""
     mpc = slide_mpc(iterations=1, tolerance=1e-4)

@@ -135,7 +135,6 @@ def test_an_inversion_travels():
 
 
 # ---- controllers from closed rest
-# -----------------------------------------------------------------------
 def case(kind: str, feed: Any) -> tuple[pam.Plant, str, Any, Any]:
     """A plant, its position, a closed point of rest to start from, and one to reach."""
     strong, pair = pam.muscle("DMSP-20-400N"), pam.muscle("DMSP-20-200N")
@@ -156,7 +155,10 @@ def case(kind: str, feed: Any) -> tuple[pam.Plant, str, Any, Any]:
 
 
 KINDS = ("hanging load", "spring", "slide", "joint")
-FEEDS = [(k, o) for i, k in enumerate(KINDS) for o in (OVERLAPS[i % 3], OVERLAPS[(i + 1) % 3])]
+FEEDS = [(k, OVERLAPS[i % 3]) for i, k in enumerate(KINDS)]
+FEEDS += [
+    pytest.param(k, OVERLAPS[(i + 1) % 3], marks=pytest.mark.slow) for i, k in enumerate(KINDS)
+]
 
 
 def missed(run: pam.Trajectory, name: str, start: Any, goal: Any) -> float:
@@ -304,7 +306,6 @@ def test_an_lqr_of_a_pair_is_stable_in_all_its_motions():
 
 
 # ---- in the C code of a controller
-# -----------------------------------------------------------------------
 def answers(
     path: Any, inputs: list[dict[str, float]], outputs: list[str], folder: Any
 ) -> list[Any]:
@@ -355,7 +356,6 @@ def test_a_pid_moves_openings_by_its_gains():
 
 
 # ---- plants of one's own, and refusals
-# ---------------------------------------------------------------------
 def cart(declared: bool) -> pam.Plant:
     """A cart on a motor whose first 0.4 of 5 do nothing."""
     plant = pam.Plant("cart")
