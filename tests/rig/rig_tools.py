@@ -231,6 +231,14 @@ def child(code, *arguments):
     )
 
 
+def on_twin(model, readings=None, commands=None, true=None, **of_twin):
+    """(rig, twin) on a simulated clock; true : the twin's plant where it differs from the model."""
+    clock = pam.rig.SimulatedClock()
+    twin = pam.rig.Twin(true or model, readings, commands, clock=clock, **of_twin)
+    rig = pam.Rig(pam.rig.driver("twin", twin=twin), readings, commands, plant=model, clock=clock)
+    return rig, twin
+
+
 # ---- twins at random ----------------------------------------------------------------------------
 MUSCLES = ("DMSP-20-200N", "DMSP-20-400N", "DMSP-20-300", "DMSP-20-300-wall", "DMSP-40")
 

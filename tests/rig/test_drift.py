@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from rig_fixtures import plant  # noqa: F401 - a fixture
+from rig_tools import on_twin
 
 import pam_ocp as pam
 from pam_ocp.rig.drift import drifting
@@ -50,9 +51,7 @@ def watched(plant):
     """watched(real, change, **of twin) -> the rig's monitor after a minute."""
 
     def run(real, change=None, span=60.0, **of_twin):
-        clock = pam.rig.SimulatedClock()
-        twin = pam.rig.Twin(real, clock=clock, sensors=NOISE, **of_twin)
-        rig = pam.Rig(pam.rig.driver("twin", twin=twin), plant=plant, clock=clock)
+        rig, twin = on_twin(plant, true=real, sensors=NOISE, **of_twin)
         rig.monitor = pam.rig.Monitor(plant, measured=MEASURED, learn="20 s")
 
         def moving(t):
@@ -100,9 +99,7 @@ def test_a_sound_rig_raises_no_alarm_though_the_model_errs(watched, seed):
 
 @pytest.mark.slow
 def test_a_run_that_was_recorded_can_be_followed_later(plant):
-    clock = pam.rig.SimulatedClock()
-    twin = pam.rig.Twin(plant, clock=clock, sensors=NOISE, scale=1.2)
-    rig = pam.Rig(pam.rig.driver("twin", twin=twin), plant=plant, clock=clock)
+    rig, _ = on_twin(plant, sensors=NOISE, scale=1.2)
     rig.arm()
     run = rig.run(lambda t: {"muscle.command": 3e5 + 1e5 * math.sin(3 * t)}, 15.0)
     monitor = pam.rig.Monitor(plant, measured=MEASURED)

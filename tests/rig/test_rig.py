@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from rig_fixtures import made, plant  # noqa: F401 - fixtures
-from rig_tools import twin_at_random, wanted_sine
+from rig_tools import on_twin, twin_at_random, wanted_sine
 
 import pam_ocp as pam
 from pam_ocp.control.references import sine
@@ -78,14 +78,12 @@ def test_what_a_rig_has_not_is_refused_in_a_sentence(made, plant):
 
 
 def test_calibrations_lead_from_volts_to_si_and_back(plant):
-    clock = pam.rig.SimulatedClock()
     readings = [
         pam.rig.Reading("x", scale="V * 20 mm/V - 50 mm"),
         pam.rig.Reading("muscle.pressure", scale="bar"),
     ]
     commands = [pam.rig.Command("muscle.command", scale="V * 1 bar/V - 0.5 bar")]
-    twin = pam.rig.Twin(plant, readings, commands, clock=clock)
-    rig = pam.Rig(pam.rig.driver("twin", twin=twin), readings, commands, plant=plant, clock=clock)
+    rig, twin = on_twin(plant, readings, commands)
     raw = twin.read()
     true = twin.values
     assert raw["x"] == pytest.approx((true["x"] + 0.05) / 0.02)
@@ -131,13 +129,11 @@ def test_homing_finds_zeros_noise_slack_and_range(made, plant):
         pam.rig.Reading("x", low="-20 mm", high="60 mm"),
         pam.rig.Reading("muscle.pressure", low="-0.3 bar", high="6 bar"),
     ]
-    clock = pam.rig.SimulatedClock()
     sensors = {
         "x": pam.simulation.Instrument(noise=2e-5, bias=1e-3),
         "muscle.pressure": pam.simulation.Instrument(noise=300.0, bias=4e3),
     }
-    twin = pam.rig.Twin(plant, readings, clock=clock, sensors=sensors)
-    rig = pam.Rig(pam.rig.driver("twin", twin=twin), readings, plant=plant, clock=clock)
+    rig, _ = on_twin(plant, readings, sensors=sensors)
     rig.arm()
     found = rig.home(level="5 bar")
     assert found.ok, found.report()
@@ -149,7 +145,7 @@ def test_homing_finds_zeros_noise_slack_and_range(made, plant):
     assert found.ranges["x"][1] > 0.04
     rest = plant.equilibrium(muscle_pressure=found.slack["muscle.command"])
     assert abs(rest["x"]) < 5e-3
-    clock.wait(clock.now() + 2.0)
+    rig.clock.wait(rig.clock.now() + 2.0)
     assert abs(rig.read()["muscle.pressure"]) < 1500.0
     assert "no warnings" in found.report()
 
@@ -167,7 +163,6 @@ def test_homing_doubts_a_valve_that_does_nothing(made):
 
 @pytest.mark.slow
 def test_identification_finds_what_the_twin_has(plant):
-    clock = pam.rig.SimulatedClock()
     readings = [
         pam.rig.Reading("x", low="-20 mm", high="80 mm"),
         pam.rig.Reading("muscle.pressure", low="-0.3 bar", high="6.5 bar"),
@@ -177,8 +172,7 @@ def test_identification_finds_what_the_twin_has(plant):
         "muscle.pressure": pam.simulation.Instrument(noise=300.0),
     }
     true = plant.with_values({"mass": 12.0, "muscle.lag": 0.07})
-    twin = pam.rig.Twin(true, readings, clock=clock, sensors=sensors)
-    rig = pam.Rig(pam.rig.driver("twin", twin=twin), readings, plant=plant, clock=clock)
+    rig, twin = on_twin(plant, readings, true=true, sensors=sensors)
     rig.arm()
     found = rig.identify(["mass", "muscle.lag"], duration=1.0, rounds=2, width=0.02)
     assert found.reached, found.report()
