@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from .rig.tuning import tune as tune
 
 _HOMES: dict[str, str] = {
-    "block": "control.blocks.making",
+    "block": "control.blocks.running",
     "closed_loop": "control.loop",
     "equilibrium": "operating.resting_point",
     "plot_fit_surface": "figures.surface",
