@@ -292,7 +292,8 @@ class Planner:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Symbols do not travel: another process builds the problem anew, once."""
-        stops, keywords = self._said
+        stops, said = self._said
+        keywords: dict[str, Any] = said
         return functools.partial(Planner, self.plant, stops, **keywords), ()
 
     @verb
