@@ -23,8 +23,6 @@ from .rig_room import RigRoom
 from .session import Session, safe_name, saved_sessions
 from .work import JobStopped, Workshop
 
-__all__ = ["application"]
-
 KEPT = 600.0
 """Seconds that a session without a browser stays open, with its work."""
 MOST_SHOWN = 12

@@ -26,31 +26,6 @@ from ..core.quantities import quantity
 from ..core.units import display_unit
 from ..core.units import unit as unit_of
 
-__all__ = [
-    "Buttons",
-    "Form",
-    "Menu",
-    "Number",
-    "Part",
-    "Row",
-    "Slide",
-    "Text",
-    "Tick",
-    "button",
-    "buttons",
-    "fields",
-    "note",
-    "plots",
-    "section",
-    "side",
-    "split",
-    "table",
-    "tag",
-    "units_like",
-    "upload",
-    "words",
-]
-
 STATIC = Path(__file__).with_name("static")
 Row = tuple[Any, Any, Any]
 """Description, value, what another value does."""

@@ -18,8 +18,6 @@ from ..core.units import display_unit
 from ..core.units import unit as unit_of
 from .elements import Menu, Number, Part, Row, Text, Tick, buttons
 
-__all__ = ["argument_rows"]
-
 Change = Callable[[str, Any], None]
 SEVERAL = ("losses", "loads")
 """Arguments that take several components."""

@@ -22,8 +22,6 @@ from .tabs.plant import PlantTab
 from .tabs.rig import RigTab
 from .work import Job, Workshop
 
-__all__ = ["TABS", "Bench"]
-
 TABS: tuple[type[Tab], ...] = (Data, MuscleTab, PlantTab, Motion, Control, Export)
 
 

@@ -35,8 +35,6 @@ from starlette.requests import cookie_parser
 from starlette.responses import Response
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
-__all__ = ["HEADERS", "MOST_UPLOAD", "Guard", "Patient", "allowed_hosts"]
-
 Scope: TypeAlias = MutableMapping[str, Any]
 Message: TypeAlias = MutableMapping[str, Any]
 Receive: TypeAlias = Callable[[], Awaitable[Message]]

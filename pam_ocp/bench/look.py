@@ -13,26 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..core.units import quantity_of
-from ..figures.canvas import COLOURS
-
-__all__ = [
-    "ABOVE",
-    "COLOURS",
-    "FAINT",
-    "SCALE",
-    "SYMBOLS",
-    "axis",
-    "band",
-    "blank",
-    "described",
-    "figure",
-    "line",
-    "numbers",
-    "panels",
-    "points",
-    "quantity",
-    "rgba",
-]
+from ..figures.canvas import COLOURS as COLOURS
 
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 """Beside the colours, so that points are told apart by shape, too."""

@@ -25,24 +25,10 @@ from ..muscles.catalogue import muscle as catalogued
 from ..muscles.laws.user_defined import law_named
 from ..muscles.muscle_file import load_muscle
 from ..muscles.pneumatic_muscle import Muscle
-from ..operating.linear import OperatingPoint, equilibrium
+from ..operating.resting_point import OperatingPoint, equilibrium
 from ..plants.plant import Plant
 from ..plants.plant_file import plant_of as described
 from .session import EMPTY, safe_name, stored_file
-
-__all__ = [
-    "World",
-    "chosen_item",
-    "kept",
-    "muscle_of",
-    "own_plants",
-    "plant_of",
-    "point_of",
-    "preview_of",
-    "records_of",
-    "source_of",
-    "table_of",
-]
 
 State = Mapping[str, Any]
 Made = TypeVar("Made")

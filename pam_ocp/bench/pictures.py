@@ -16,8 +16,6 @@ from nicegui.element import Element
 from . import look
 from .elements import tag
 
-__all__ = ["Plot", "Scene", "Stops", "Strip"]
-
 STATIC = Path(__file__).with_name("static")
 _ids = itertools.count()
 

@@ -18,8 +18,6 @@ from typing import Any
 
 from ..core.errors import InputError
 
-__all__ = ["RigRoom"]
-
 KEPT = 600
 """Rows that are shown: half a minute."""
 PATIENCE = 10.0

@@ -24,8 +24,6 @@ from ..core.errors import PamError
 from ..rig.rig import Rig, load_rig
 from ..rig.running import Running
 
-__all__ = ["Pressed", "Worker", "main"]
-
 OFTEN = 0.05
 """Between two rows that are shown [s]."""
 BEHIND = 200

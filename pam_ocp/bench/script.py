@@ -19,20 +19,6 @@ from ..muscles.laws.user_defined import law_named
 from ..planning.transcription.mesh import Collocation, Method, Shooting
 from ..plants.kinds import PLANTS
 
-__all__ = [
-    "METHODS",
-    "PLATFORMS",
-    "PUSH",
-    "TIME_LIMIT",
-    "arguments",
-    "can_be_pushed",
-    "figures_said",
-    "is_followed",
-    "platforms_of",
-    "pushed",
-    "script_of",
-]
-
 HEAD = '''"""Repeats a session of pam-ocp bench; run it in the folder that holds "files"."""
 
 import dataclasses

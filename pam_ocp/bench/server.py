@@ -17,8 +17,6 @@ from ..core.errors import InputError, require_count
 from ..core.files import make_folder, read_toml
 from ..export.cache import home_folder
 
-__all__ = ["require_framework", "serve", "sessions_folder"]
-
 NEEDED = "nicegui"
 """It brings Plotly's JavaScript; Python's package of that name is not needed."""
 LOCAL = "127.0.0.1"

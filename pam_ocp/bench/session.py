@@ -38,17 +38,6 @@ from typing import Any
 from ..core.errors import InputError, UnknownNameError
 from ..core.files import atomic_path, make_folder, read_json, write_json
 
-__all__ = [
-    "EMPTY",
-    "PARTS",
-    "FolderLock",
-    "Session",
-    "SessionInUse",
-    "safe_name",
-    "saved_sessions",
-    "stored_file",
-]
-
 if sys.platform == "win32":
     import msvcrt
 else:

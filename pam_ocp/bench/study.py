@@ -16,8 +16,6 @@ from .jobs.export import STEPS, TOLERANCE
 from .made import World, muscle_of, plant_of, point_of
 from .script import METHODS, PUSH, arguments, can_be_pushed, is_followed, platforms_of, pushed
 
-__all__ = ["study_of"]
-
 MUSCLE_FILE = "muscle.toml"
 """Beside the study, where no step makes the muscle."""
 READ = [k for k in TableStep.keys if k not in ("file", "without")]

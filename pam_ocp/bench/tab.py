@@ -42,8 +42,6 @@ from .session import Session
 from .words import page_words
 from .work import Job, JobFailed, JobStopped, Workshop, manner_of
 
-__all__ = ["Members", "Page", "Tab"]
-
 log = logging.getLogger(__name__)
 
 

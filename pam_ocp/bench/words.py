@@ -12,8 +12,6 @@ from pathlib import Path
 
 from .session import DIGITS
 
-__all__ = ["ASKED", "page_words"]
-
 ASKED = {
     "sheet": "Sheet",
     "pick": "Table or topic",

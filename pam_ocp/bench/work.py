@@ -42,8 +42,6 @@ from typing import Any, TypeVar
 from ..core.errors import PamError
 from ..core.stop import limited
 
-__all__ = ["Job", "JobFailed", "JobStopped", "Say", "Workshop", "job", "manner_of"]
-
 Say = Callable[..., None]
 GRACE = 5.0
 """Seconds that a job has, beyond its time limit, to end by itself."""

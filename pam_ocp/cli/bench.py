@@ -10,8 +10,6 @@ from typing import Any
 
 from .options import add_allow_code, whole
 
-__all__ = ["add_bench"]
-
 PASSWORD = "PAM_OCP_BENCH_PASSWORD"
 
 

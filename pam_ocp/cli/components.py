@@ -12,12 +12,6 @@ from typing import Any
 from ..core.registry import Argument, Registry
 from .output import add_json, tell
 
-__all__ = [
-    "add_completion",
-    "add_components",
-    "page",
-]
-
 
 def add_components(commands: Any) -> None:
     """Add the command to the parser's commands."""

@@ -34,11 +34,6 @@ if TYPE_CHECKING:
     from ..plants.plant import Plant
     from ..simulation.compare import RecordComparison
 
-__all__ = [
-    "add_fit_plant",
-    "add_ladder",
-]
-
 EPILOG = """\
 Records: CSV (also TSV, XLSX, NPZ, MAT, Parquet) with a column for the time, for every input of the
 plant and for at least one state or output, named as the plant's variables ('_' for '.'), with

@@ -16,8 +16,6 @@ from .output import add_json, tell, wrote
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
 
-__all__ = ["EPILOG", "add_check", "add_export", "is_system", "write_system"]
-
 EPILOG = """\
 A system file (TOML) with a table [connections] is written as SSP:
 

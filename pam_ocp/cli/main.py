@@ -34,8 +34,6 @@ from .simulate import add_compare, add_linearize, add_simulate
 from .static import add_campaign, add_fit, add_fit_forces, add_fit_holds
 from .study import add_quick, add_report, add_study, add_tour
 
-__all__ = ["main"]
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code (0 done, 1 checked and found wanting, 2 bad input)."""

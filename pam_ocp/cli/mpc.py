@@ -23,8 +23,6 @@ from .options import (
 )
 from .output import add_json, tell, wrote
 
-__all__ = ["add_mpc"]
-
 EPILOG = """\
 A problem file (TOML), every key optional. Values are numbers in SI, or texts with a unit; plain
 keys come first:

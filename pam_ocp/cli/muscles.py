@@ -11,8 +11,6 @@ from ..core.errors import InputError
 from .options import add_out, add_plot, add_rest_length, length_of, muscle_named
 from .output import add_json, tell, wrote
 
-__all__ = ["add_loads", "add_muscles", "muscle_text"]
-
 
 def add_loads(commands: Any) -> None:
     """Add ``loads`` to the parser's commands."""

@@ -20,31 +20,6 @@ if TYPE_CHECKING:
     from ..muscles.pneumatic_muscle import Muscle
     from ..plants.plant import Plant
 
-__all__ = [
-    "MOTIONS",
-    "PLANT",
-    "add_allow_code",
-    "add_diameter",
-    "add_out",
-    "add_plant",
-    "add_plant_options",
-    "add_plot",
-    "add_rest",
-    "add_rest_length",
-    "length_of",
-    "muscle_named",
-    "number",
-    "pairs",
-    "plant_named",
-    "plant_said",
-    "require_motion_ending",
-    "require_outputs",
-    "require_places",
-    "seconds",
-    "whole",
-    "written",
-]
-
 
 def add_allow_code(command: argparse.ArgumentParser) -> None:
     """The consent to run code that a file names."""

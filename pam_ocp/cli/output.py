@@ -17,19 +17,6 @@ from typing import Any
 from ..core.files import spelled
 from ..core.progress import Bar, listening
 
-__all__ = [
-    "add_json",
-    "bars",
-    "coefficients",
-    "command_of",
-    "command_words",
-    "escaping",
-    "finish",
-    "logged",
-    "tell",
-    "wrote",
-]
-
 
 def add_json(command: argparse.ArgumentParser) -> None:
     """--json, of every command that has something to tell."""

@@ -16,8 +16,6 @@ from .output import add_json, tell, wrote
 if TYPE_CHECKING:
     from ..planning.result import Plan
 
-__all__ = ["add_plan"]
-
 EPILOG = """\
 A problem file (TOML). Values are numbers in SI, or texts with a unit; plain keys come first:
 

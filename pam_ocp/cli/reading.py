@@ -14,8 +14,6 @@ from .output import add_json, tell
 if TYPE_CHECKING:
     from ..studies.file_kinds import FileKind
 
-__all__ = ["add_floor", "add_look", "add_reading", "reading_options"]
-
 EPILOG = """\
   pam-ocp look rig.csv --rest-length "300 mm"
   pam-ocp look rig.txt --columns "length [mm]" "pressure [bar]" "force [N]"

@@ -25,8 +25,6 @@ from .output import add_json, tell, wrote
 if TYPE_CHECKING:
     from ..rig.rig import Rig
 
-__all__ = ["add_rig", "add_twin"]
-
 RIG = """\
   pam-ocp rig check bench.toml                     # read for a second; nothing moves
   pam-ocp rig home bench.toml --arm                # zeros, range, slack, leaks

@@ -28,12 +28,6 @@ if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
     from ..plants.plant import Plant
 
-__all__ = [
-    "add_compare",
-    "add_linearize",
-    "add_simulate",
-]
-
 
 def add_simulate(commands: Any) -> None:
     """The command ``simulate``."""

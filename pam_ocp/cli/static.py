@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
     from ..fitting.tables.force_table import ForceTable
 
-__all__ = ["add_campaign", "add_fit", "add_fit_forces", "add_fit_holds"]
-
 LOSSES = "squares (default); bisquare, where some cells are measured wrong; huber; l1"
 
 

@@ -20,13 +20,6 @@ from .options import (
 from .output import add_json, tell, wrote
 from .reading import add_floor, add_reading, reading_options
 
-__all__ = [
-    "add_quick",
-    "add_report",
-    "add_study",
-    "add_tour",
-]
-
 PATIENCE = 10.0
 """For a scheduler to answer [s]."""
 EPILOG = """\

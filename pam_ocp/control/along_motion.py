@@ -31,8 +31,6 @@ from .kinds import BLOCKS
 from .linear_quadratic import Weighting, require_quick, stationary
 from .state_feedback import feedback_law
 
-__all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 LONGEST = 2**24

@@ -10,32 +10,19 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.cases import Place, results_of
+from ..core.cases import results_of
 from ..core.errors import InputError, kind_of, require_count, require_ends, require_positive
+from ..core.executors import Place
 from ..core.shown import shown
 from ..core.stop import verb
 from ..operating.linear import linearize, modes
 from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.several import equilibrium_path
 from ..plants.plant import Plant, Values
-from .linear_quadratic import StateFeedback
+from .state_feedback import StateFeedback
 
 if TYPE_CHECKING:
     import control
-
-__all__ = [
-    "BodeCloud",
-    "Margins",
-    "ModeMap",
-    "Stroke",
-    "along_stroke",
-    "bode_cloud",
-    "frequency_response",
-    "gramian",
-    "margins",
-    "margins_over",
-    "mode_map",
-]
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -30,8 +30,6 @@ from .kinds import BLOCKS, CONTROLLERS, law_of
 from .pid import PID, PressureLoop, pid_law, saturating
 from .references import Source, source
 
-__all__ = ["HysteresisCompensation"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)

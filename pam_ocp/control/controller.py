@@ -9,8 +9,6 @@ from typing import Protocol, TypeAlias, runtime_checkable
 from ..plants.plant import Plant
 from .references import Source
 
-__all__ = ["Controller", "Estimate", "Measured", "Observer", "Tracking"]
-
 Measured: TypeAlias = Mapping[str, float]
 
 

@@ -15,9 +15,7 @@ from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
 from .blocks.draft import clipped, sent_by
-from .linear_quadratic import StateFeedback
-
-__all__ = ["pid_controller", "state_feedback_controller"]
+from .state_feedback import StateFeedback
 
 
 @verb

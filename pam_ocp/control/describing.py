@@ -21,8 +21,6 @@ from ..operating.linear import chosen_signals, point_of
 from ..operating.resting_point import OperatingPoint
 from ..plants.plant import Plant, Values, require_plant
 
-__all__ = ["DescribingFunction", "describing_function", "muscle_characteristic"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 STEADY = 1e-9

@@ -18,8 +18,6 @@ from ..export.worlds.jax_world import JaxPlant, jax_plant
 from ..planning.planner import plan
 from ..plants.plant import Plant, Values, require_plant
 
-__all__ = ["Task", "env"]
-
 Array: TypeAlias = NDArray[np.float64]
 Target: TypeAlias = "Mapping[str, float | tuple[float, float]]"
 Kind = Literal["reach", "track", "stiffness"]

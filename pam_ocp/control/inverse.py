@@ -20,15 +20,6 @@ from ..plants.plant import Plant, require_plant
 from .blocks.draft import Draft, Symbol, as_output, per
 from .kinds import BLOCKS
 
-__all__ = [
-    "InverseDynamics",
-    "at_an_end",
-    "pressures_of",
-    "stiffness_of",
-    "wanted_motion",
-    "wanted_stiffness",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 STEPS = 16

@@ -28,20 +28,6 @@ from ..core.block import Block
 from ..core.errors import InputError, UnknownNameError, kind_of
 from ..core.registry import Registry
 
-__all__ = [
-    "ACTIVE",
-    "BEFORE",
-    "BLOCKS",
-    "CONTROLLERS",
-    "ESTIMATORS",
-    "HELD_BACK",
-    "LARGEST",
-    "LIMITED",
-    "SENT",
-    "TOLD",
-    "law_of",
-]
-
 CONTROLLERS: Registry[Callable[..., Any]] = Registry("controller", __package__)
 ESTIMATORS: Registry[Callable[..., Any]] = Registry("estimator", f"{__package__}.estimators")
 BLOCKS: Registry[Callable[..., Block]] = Registry("block", __package__)

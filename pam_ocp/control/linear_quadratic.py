@@ -24,16 +24,6 @@ from .blocks.running import SampledLaw
 from .kinds import BLOCKS, CONTROLLERS
 from .state_feedback import Setpoint, StateFeedback, feedback_law
 
-__all__ = [
-    "ScheduledFeedback",
-    "StateFeedback",
-    "Weighting",
-    "effort_units",
-    "lqr",
-    "require_quick",
-    "scheduled_lqr",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 HALVINGS = 6

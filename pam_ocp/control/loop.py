@@ -39,8 +39,6 @@ from .sides import Actuators, HasSide, PlantSide, Sensors, Side, side_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["ClosedLoop", "Controller", "Measured", "closed_loop"]
-
 Array: TypeAlias = NDArray[np.float64]
 Law: TypeAlias = "Controller | Tracking | Callable[[float, Measured], Mapping[str, float]]"
 

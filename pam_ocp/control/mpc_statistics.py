@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from ..core.shown import shown
 
-__all__ = ["MpcStatistics", "MpcStep", "record", "steps_of"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wa
 from .kinds import BLOCKS
 from .references import Reference
 
-__all__ = ["PID", "PositionController", "PressureLoop", "pid_law", "saturating"]
-
 Array: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = Mapping[str, Any]
 """Numbers or symbols by name."""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError, kind_of, require_finite, require_positive
-from ..operating.linear import OperatingPoint, inside, linearize, no_influence
+from ..operating.linear import inside, linearize, no_influence
+from ..operating.resting_point import OperatingPoint
 from ..plants.plant import Plant, Values, require_plant
 from .blocks.draft import Draft, clipped
 from .blocks.running import SampledLaw
@@ -24,8 +25,6 @@ from .state_feedback import acting, at_rest
 
 if TYPE_CHECKING:
     import control
-
-__all__ = ["PointPid"]
 
 Array: TypeAlias = NDArray[np.float64]
 

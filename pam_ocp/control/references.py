@@ -11,8 +11,6 @@ import numpy as np
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.quantities import known_keys, quantity
 
-__all__ = ["Reference", "Source", "hold", "moves", "sine", "source", "visits"]
-
 Reference: TypeAlias = Callable[[float], tuple[float, float, float]]
 """t [s] -> (position, velocity, acceleration)."""
 Source: TypeAlias = Callable[[float], float]

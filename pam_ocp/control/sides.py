@@ -35,17 +35,6 @@ from ..simulation.simulator import evaluated
 from .controller import Observer
 from .references import Source, source
 
-__all__ = [
-    "Actuators",
-    "FmuSide",
-    "HasSide",
-    "PlantSide",
-    "Sensors",
-    "Side",
-    "side_of",
-    "start_values",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 ASTRAY = 10.0

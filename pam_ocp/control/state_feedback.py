@@ -28,14 +28,6 @@ from .references import Source
 if TYPE_CHECKING:
     import control
 
-__all__ = [
-    "OffsetFree",
-    "StateFeedback",
-    "acting",
-    "at_rest",
-    "feedback_law",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
 

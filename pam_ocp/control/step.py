@@ -23,8 +23,6 @@ from ..numerics.runge_kutta import rk4
 from ..plants.plant import Plant, Values
 from ..simulation.sampled import StepMethod, stepped
 
-__all__ = ["Givens", "Step", "StepMethod", "open_range"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 LEAST, MOST = 2, 64

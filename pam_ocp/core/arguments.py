@@ -21,8 +21,6 @@ import numpy as np
 from .errors import with_article
 from .exceptions import InputError, PamError, nearest
 
-__all__ = ["blamed", "require_known_keywords", "with_kinds"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 RAW = (TypeError, ValueError, AttributeError, LookupError, RuntimeError)
 """What Python and its libraries raise of a value that is of the wrong kind."""

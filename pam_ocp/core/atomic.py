@@ -18,16 +18,6 @@ from .interrupts import interruptible
 if sys.platform != "win32":
     import fcntl
 
-__all__ = [
-    "atomic_path",
-    "in_use",
-    "is_url",
-    "make_folder",
-    "require_local",
-    "require_place",
-    "spelled",
-]
-
 _MARK = "pam-part"
 """In the names of temporary files, so that those left behind by a killed process are known."""
 _LOCK = ".in-use"

@@ -18,8 +18,6 @@ from .. import courtesy
 from .errors import InputError, UnknownNameError, require_count, require_positive
 from .variables import Causality, Variable
 
-__all__ = ["Block"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from .exceptions import InputError, UnknownNameError
 from .units import Unit, unit
 
-__all__ = ["AMBIENT", "SPELLINGS", "Scale", "scale_of", "spelled"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 AMBIENT = 101325.0

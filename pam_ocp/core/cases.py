@@ -36,8 +36,6 @@ from .workers import (
     usual_size,
 )
 
-__all__ = ["Loop", "Place", "each", "ending", "results_of"]
-
 PAYS = 1.0
 """Seconds of work left from which on processes are started unasked."""
 TRIED = 0.2

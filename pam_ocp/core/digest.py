@@ -38,18 +38,6 @@ import numpy as np
 from .. import __version__
 from .errors import kind_of
 
-__all__ = [
-    "Digest",
-    "built_with",
-    "digest_of",
-    "file_digest",
-    "is_installed",
-    "named_file",
-    "own_digest",
-    "sha",
-    "unseen",
-]
-
 DEEPEST = 200
 """Objects within objects."""
 DERIVED = frozenset({"__firstlineno__", "__static_attributes__", "__doc__"})

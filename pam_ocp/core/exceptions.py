@@ -10,21 +10,6 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-__all__ = [
-    "ExportError",
-    "FitError",
-    "InputError",
-    "OutOfTime",
-    "PamError",
-    "PlanError",
-    "PlanWarning",
-    "SimulationError",
-    "UnknownNameError",
-    "VibrationError",
-    "WriteError",
-]
-
-
 _LONG_TEXT = re.compile(r"(?<!\w)('[^'\n]{60})[^'\n]{140,}'(?!\w)")
 """A value between quotes that is too long for a sentence."""
 

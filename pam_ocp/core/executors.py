@@ -25,8 +25,6 @@ from .errors import InputError, kind_of, require_count
 from .stop import ask, check, yielded
 from .workers import GIVEN_UP, LOOK, TRIES, Answer, Errand, Task, in_workers, packed, remote
 
-__all__ = ["Client", "Place", "end_pool", "on_executor", "placed"]
-
 WAITING = 4
 """Tasks per worker that are handed to an executor at once."""
 UNKNOWN_WORKERS = 16

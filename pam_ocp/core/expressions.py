@@ -13,17 +13,6 @@ import casadi as ca
 
 from .errors import InputError, kind_of
 
-__all__ = [
-    "SYMBOLIC",
-    "Step",
-    "carried_out",
-    "expression_of",
-    "operations_of",
-    "results_of",
-    "scalar_expression",
-    "steps_of",
-]
-
 _NAMES: dict[int, str] = {
     value: name[3:].lower()
     for name, value in vars(ca).items()

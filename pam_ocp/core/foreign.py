@@ -33,19 +33,6 @@ from .interrupts import interruptible
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "frame",
-    "library",
-    "matrices_of",
-    "read_array",
-    "read_arrays",
-    "read_frame",
-    "read_hdf5",
-    "read_mat",
-    "read_sheets",
-    "sheets_named",
-]
-
 Array: TypeAlias = NDArray[Any]
 
 _HEADER = 128

@@ -21,8 +21,6 @@ from contextlib import ContextDecorator, suppress
 from types import CodeType, FrameType, TracebackType
 from typing import Any, TypeVar
 
-__all__ = ["INTERRUPTS", "Interrupts", "boundary", "in_main", "interruptible", "undisturbed"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 SIGNALS = tuple(

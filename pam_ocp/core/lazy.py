@@ -13,8 +13,6 @@ from typing import Any
 
 from .interrupts import interruptible
 
-__all__ = ["from_stub", "lazily", "library", "load"]
-
 
 def _hint(name: str, known: Iterable[str]) -> str:
     if name.startswith("_"):

@@ -17,8 +17,6 @@ from .digest import file_digest, is_installed, named_file, sha, unseen
 from .errors import InputError
 from .files import read_toml
 
-__all__ = ["Behind", "as_written", "behind", "content_digest", "module_of"]
-
 
 @dataclass
 class Behind:

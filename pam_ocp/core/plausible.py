@@ -18,20 +18,6 @@ import numpy as np
 
 from .units import unit as unit_of
 
-__all__ = [
-    "FORCE_PER_PRESSURE",
-    "MEASURED",
-    "UnitWarning",
-    "Usual",
-    "doubt",
-    "inside_by",
-    "largest_usual",
-    "meant",
-    "meant_within",
-    "outside",
-    "units_of",
-]
-
 FAR = 100.0
 """What a variable calls its nominal size says what is usual for it: only so many times more is
 doubted.

@@ -17,8 +17,6 @@ from typing import Any
 
 from .interrupts import undisturbed
 
-__all__ = ["Processes", "end", "start"]
-
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 PATIENCE = 10.0
 """For a supervisor to end what it looks after [s]."""

@@ -10,8 +10,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
-__all__ = ["Bar", "counted", "heard", "listening", "working"]
-
 T = TypeVar("T")
 
 

@@ -12,8 +12,6 @@ from .exceptions import InputError, UnknownNameError
 from .units import Unit
 from .units import unit as unit_of
 
-__all__ = ["TOO_LARGE", "is_quantity", "known_keys", "pair", "quantity", "table"]
-
 TOO_LARGE = "is larger than any float (1.8e308)"
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 

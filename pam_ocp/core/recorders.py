@@ -18,8 +18,6 @@ from .exceptions import InputError
 from .files import MOST_ROWS, MOST_SHEET_CELLS, most_unpacked, require_file, require_size
 from .foreign import library, sheets_named
 
-__all__ = ["is_bag", "read_bag", "read_calamine", "read_mcap", "read_tdms"]
-
 Flat = Callable[[Mapping[Any, Any]], Iterable[tuple[str, Any]]]
 
 

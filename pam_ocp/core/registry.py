@@ -21,8 +21,6 @@ from .errors import InputError, UnknownNameError
 from .lazy import load
 from .quantities import is_quantity, quantity
 
-__all__ = ["Argument", "Registry", "Units", "registries", "registry_of"]
-
 Kind = TypeVar("Kind")
 Made = TypeVar("Made")
 Units: TypeAlias = "Mapping[str, str | tuple[str, ...]]"

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["brief", "shown"]
-
 C = TypeVar("C", bound=type)
 LONGEST = 100
 """Of a repr [characters]."""

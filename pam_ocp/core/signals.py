@@ -20,8 +20,6 @@ from .quantities import is_quantity
 from .system import HasInputs
 from .variables import Causality
 
-__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "joined", "merged", "signals"]
-
 Array: TypeAlias = NDArray[np.float64]
 Interpolation: TypeAlias = Literal["previous", "linear"]
 Inputs: TypeAlias = "Mapping[str, Any] | Sampled | PiecewisePolynomial | None"

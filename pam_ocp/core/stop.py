@@ -25,23 +25,6 @@ from .arguments import require_known_keywords, with_kinds
 from .errors import OutOfTime, require_positive
 from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
 
-__all__ = [
-    "LOCK",
-    "Deadline",
-    "TimeIsUp",
-    "ask",
-    "check",
-    "deadline",
-    "limited",
-    "locked",
-    "native",
-    "spared",
-    "turns",
-    "unlimited",
-    "verb",
-    "yielded",
-]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 C = TypeVar("C", bound=type)

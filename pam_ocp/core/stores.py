@@ -19,8 +19,6 @@ from .atomic import atomic_path, is_url, spelled
 from .errors import InputError, kind_of
 from .exceptions import WriteError
 
-__all__ = ["Folder", "Remote", "Store", "folder_of", "opened", "write_bytes"]
-
 OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"})
 """Where what is put is seen as a whole or not at all; elsewhere a file is written beside its place
 and renamed."""

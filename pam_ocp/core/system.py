@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from .variables import Causality, Variable
 
-__all__ = ["Declares", "HasInputs", "PathOf", "System", "Way"]
-
 Way = Literal["filling", "venting"]
 """The part of an opening above zero, and that below."""
 PathOf: TypeAlias = "Callable[[ca.SX], ca.SX] | Way"

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-__all__ = ["HELD", "Comparison", "Event", "Trajectory", "interpolation_of"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -11,18 +11,6 @@ from functools import cache
 
 from .exceptions import UnknownNameError
 
-__all__ = [
-    "BASE",
-    "DIGITS",
-    "Unit",
-    "display_unit",
-    "per_second",
-    "quantity_of",
-    "si_unit",
-    "significant",
-    "unit",
-]
-
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units in the order of FMI's BaseUnit element."""
 

@@ -17,15 +17,6 @@ from .quantities import is_quantity, quantity
 from .shown import shown
 from .units import DIGITS, significant
 
-__all__ = [
-    "Causality",
-    "Memory",
-    "Variable",
-    "data_of_variable",
-    "require_causality",
-    "variable_of",
-]
-
 Causality = Literal["state", "input", "parameter", "output", "constraint"]
 Memory = Literal["", "held", "settling"]
 

@@ -26,27 +26,6 @@ from typing import Any, TypeAlias
 from .errors import PamError, kind_of
 from .stop import LOCK, check, unlimited, yielded
 
-__all__ = [
-    "GIVEN_UP",
-    "LOOK",
-    "TRIES",
-    "Answer",
-    "Errand",
-    "Finish",
-    "Task",
-    "Work",
-    "end_with_parent",
-    "forks",
-    "in_workers",
-    "nested",
-    "packed",
-    "processors",
-    "remote",
-    "sendable",
-    "split",
-    "usual_size",
-]
-
 Work: TypeAlias = Callable[[Any], Any]
 """What is done with one case."""
 Finish: TypeAlias = "Callable[[Task, list[Any]], Any]"

@@ -12,8 +12,6 @@ from xml.parsers import expat
 from ..core.errors import InputError
 from ..core.files import members_of
 
-__all__ = ["UnsafeFileError", "printable", "require_safe"]
-
 MOST_FILES = 10_000
 MOST_BYTES = 1 << 30
 """Of all files unpacked."""

@@ -23,18 +23,6 @@ from .runtime import c_text
 from .settings import Settings
 from .source import MAIN_SOURCE
 
-__all__ = [
-    "SIGNAL_ICON",
-    "Content",
-    "build_description",
-    "experiments",
-    "model_identifier",
-    "references",
-    "terminals",
-    "write_archive",
-    "write_fmu",
-]
-
 _DATE = (2000, 1, 1, 0, 0, 0)
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
 

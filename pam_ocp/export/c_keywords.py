@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["C_KEYWORDS"]
-
 _WORDS = """
     auto break case char const continue default do double else enum extern float for goto if
     inline int long register restrict return short signed sizeof static struct switch typedef

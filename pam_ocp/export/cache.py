@@ -14,8 +14,6 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-__all__ = ["cache_folder", "digest", "home_folder", "keep", "kept", "usable_folder", "write_whole"]
-
 
 def home_folder() -> Path | None:
     """The user's home; None where there is none: a user whom this machine does not know and who has

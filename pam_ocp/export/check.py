@@ -29,8 +29,6 @@ from ..core.trajectory import Trajectory
 from .archive import printable
 from .isolation import run_alone
 
-__all__ = ["FmuCheck", "check_fmu", "check_fmus"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -10,8 +10,6 @@ from . import quantities
 from .layout import Dependency, Entry, Layout
 from .source import MAIN_SOURCE
 
-__all__ = ["GENERATED", "model_description", "to_text"]
-
 GENERATED = "2000-01-01T00:00:00Z"
 """The date of an FMU that is given none, so that the same plant gives the same bytes."""
 

@@ -16,8 +16,6 @@ from ..core.variables import Variable
 from ..plants.plant import Plant
 from .layout import Layout
 
-__all__ = ["equations", "icon_png", "icon_svg", "page", "picture", "reference_table", "signal_png"]
-
 
 def equations(plant: Plant) -> list[tuple[str, str]]:
     """(left side, right side) of every equation as text; shared parts first, named w0, w1, ..."""

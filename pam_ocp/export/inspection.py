@@ -21,8 +21,6 @@ from .replay import replay
 from .runner import Kind, Runner, UnpackedFmu, note_calls, pointer
 from .symbols import exported_symbols
 
-__all__ = ["inspect", "inspect_each"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _LINKER_MARKS = ("__dso_handle", "_mh_dylib_header")

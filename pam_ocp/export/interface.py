@@ -15,8 +15,6 @@ from ..operating.linear import chosen_signals
 from ..plants.plant import Plant
 from ..plants.undelayed import attributes_of
 
-__all__ = ["check_reference", "shown_outputs", "with_inputs", "with_shared"]
-
 
 def with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
     """The plant with these inputs only; the others become tunable parameters at their start values.

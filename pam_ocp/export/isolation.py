@@ -33,8 +33,6 @@ from ..core.processes import end, start
 from ..numerics.blas import environment
 from .archive import printable
 
-__all__ = ["Ended", "Tell", "run_alone"]
-
 Tell: TypeAlias = Callable[..., None]
 """Called with keywords, JSON each; what they mean is between the worker and its caller."""
 

@@ -23,8 +23,6 @@ from ..plants.plant import Plant
 from .runtime import c_text
 from .source import number
 
-__all__ = ["LaneCases", "lane_sources", "lanes_here"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 MAIN = "lanes.c"

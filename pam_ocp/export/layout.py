@@ -20,8 +20,6 @@ from ..core.variables import Variable
 if TYPE_CHECKING:
     from ..plants.plant import Plant
 
-__all__ = ["Dependency", "Entry", "Layout", "PlantLayout", "Role"]
-
 Role = Literal["time", "state", "derivative", "input", "parameter", "output"]
 Dependency = tuple[int, str]
 """Value reference of a known, and how an unknown depends on it (FMI's dependenciesKind)."""

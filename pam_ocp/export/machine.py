@@ -30,8 +30,6 @@ from .lanes import LaneCases, lane_sources, lanes_here
 from .runtime import c_text
 from .source import plant_code, work_of
 
-__all__ = ["MachinePlant", "machine_function", "machine_plant", "quick"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 NAME = "pam_ocp_plant"

@@ -25,8 +25,6 @@ from .layout import PlantLayout
 from .runtime import c_text
 from .settings import FmiVersion, checked
 
-__all__ = ["export_motion", "player", "save_input_table"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _JUMP = 1e-9

@@ -24,8 +24,6 @@ from .layout import PlantLayout
 from .sampled import as_block
 from .settings import FmiVersion, Settings, checked, checked_about
 
-__all__ = ["export_fmu", "export_muscle", "write_block"]
-
 
 @renamed("0.3", plant="system")
 @verb

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from ..core import units
 from ..core.variables import Variable
 
-__all__ = ["Type", "add_types", "add_units", "declared", "type_names"]
-
 _NAMES = {
     "1": "Number",
     "Pa": "Pressure",

@@ -14,8 +14,6 @@ from ..core.errors import PamError
 from ..core.trajectory import Trajectory
 from .runner import Kind, Runner, UnpackedFmu
 
-__all__ = ["replay"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _EXCHANGE_TOLERANCE = 1e-11

@@ -19,8 +19,6 @@ from .archive import UnsafeFileError, require_safe
 if TYPE_CHECKING:
     from fmpy.sundials import CVodeSolver
 
-__all__ = ["Kind", "Runner", "UnpackedFmu", "note_calls"]
-
 Kind: TypeAlias = Literal["CoSimulation", "ModelExchange"]
 Array: TypeAlias = NDArray[np.float64]
 

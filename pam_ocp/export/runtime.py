@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from importlib.abc import Traversable
 
-__all__ = ["c_sources", "c_text"]
-
 _FOLDERS = ("src", "include")
 
 

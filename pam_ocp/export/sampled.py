@@ -18,8 +18,6 @@ from ..plants.plant import Plant
 from . import source
 from .layout import Dependency, Layout
 
-__all__ = ["BlockLayout", "as_block", "as_booleans", "block_data", "block_notes", "block_sources"]
-
 LEAST_SAMPLE_TIME = 1e-6
 """[s] Times of importers are sums of doubles: below, a day of samples cannot be told apart."""
 _FORBIDDEN = re.compile(r"\b(malloc|calloc|realloc|fopen|dlopen|printf)\s*\(|#include <(?!math)")

@@ -9,8 +9,6 @@ from typing import Literal
 
 from ..core.errors import InputError, UnknownNameError, require_positive
 
-__all__ = ["FmiVersion", "Settings", "checked", "checked_about"]
-
 FmiVersion = Literal["2.0", "3.0"]
 
 

@@ -16,18 +16,6 @@ from ..plants.plant import Plant
 from .layout import Layout, Role
 from .runtime import c_text
 
-__all__ = [
-    "MAIN_SOURCE",
-    "STEP_FRACTION",
-    "ModelCode",
-    "hand_written",
-    "model_data",
-    "number",
-    "plant_sources",
-    "table",
-    "work_of",
-]
-
 MAIN_SOURCE = "fmu.c"
 """The one file to compile; it includes all the others."""
 

@@ -24,8 +24,6 @@ from .sampled import as_block
 from .settings import FmiVersion, checked
 from .structure import Part, Wire, system_structure
 
-__all__ = ["export_ssp"]
-
 LATE = 0.1
 """Sample times: commands that act so much later than designed for lose little."""
 

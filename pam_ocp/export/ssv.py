@@ -17,8 +17,6 @@ from ..plants.plant import Plant, by_name, require_plant
 from .description import to_text
 from .structure import parameter_set
 
-__all__ = ["save_ssv", "write_muscle_ssv", "write_ssv"]
-
 
 @with_kinds
 def save_ssv(

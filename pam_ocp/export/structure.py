@@ -14,8 +14,6 @@ from typing import TypeAlias
 from ..core.variables import Variable
 from . import quantities
 
-__all__ = ["Part", "Wire", "parameter_set", "system_structure"]
-
 Wire: TypeAlias = tuple[str, str, str, str]
 """Component and variable of the output, component and variable of the input."""
 

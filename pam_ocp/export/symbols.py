@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import struct
 
-__all__ = ["exported_symbols"]
-
 
 def exported_symbols(library: bytes) -> list[str]:
     """Names of the exported symbols of a shared library, sorted. ELF and PE also of 32 bits.

@@ -23,21 +23,6 @@ if TYPE_CHECKING:
 
     from .picture import Picture
 
-__all__ = [
-    "COLOURS",
-    "MARKS",
-    "STROKES",
-    "axis_label",
-    "colour_scale",
-    "draw",
-    "layered",
-    "legible",
-    "name_beside",
-    "new_figure",
-    "over_time",
-    "plotly",
-]
-
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Told apart by eyes that lack one kind of cone, too (after M. Okabe, K. Ito, 2008)."""
 STROKES = ("-", "--", "-.", ":")

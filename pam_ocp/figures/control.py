@@ -23,16 +23,6 @@ if TYPE_CHECKING:
     from ..control.loop import ClosedLoop
     from ..control.mpc_statistics import MpcStatistics
 
-__all__ = [
-    "plot_bode_cloud",
-    "plot_closed_loop",
-    "plot_durations",
-    "plot_loop",
-    "plot_mode_map",
-    "plot_stroke",
-    "plot_tracking",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

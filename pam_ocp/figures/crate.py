@@ -22,8 +22,6 @@ from ..export.assembly import write_archive
 from .report import versions, write_report
 from .tables import save_result
 
-__all__ = ["save_crate"]
-
 CRATE = "https://w3id.org/ro/crate/1.1"
 METADATA = "ro-crate-metadata.json"
 DIGEST = {"sha256": "https://schema.org/sha256"}

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
     from ..plants.plant import Plant
 
-__all__ = ["animate_plan", "scene_of"]
-
 Array: TypeAlias = NDArray[np.float64]
 Frame: TypeAlias = Callable[[int], None]
 

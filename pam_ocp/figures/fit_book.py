@@ -19,8 +19,6 @@ from .workbook import Book, address, column_name
 if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
 
-__all__ = ["LONGEST", "Formula", "formula_of", "write_fit_book"]
-
 LONGEST = 8000
 """Characters of a formula that every spreadsheet takes (Excel: 8192)."""
 SHARED = 24

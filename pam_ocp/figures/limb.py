@@ -21,8 +21,6 @@ from .saved import film_of, save_film
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["animate_limb", "plot_limb"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 COLOURED = {"force": (1.0, "force [N]"), "pressure": (1e-5, "pressure [bar]")}

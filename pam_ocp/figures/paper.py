@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.legend import Legend
 
-__all__ = ["VECTORS", "adapt", "for_paper", "paper_size", "paper_width"]
-
 WIDTHS = {"column": 0.088, "page": 0.180}
 """[m]"""
 RANGE = (0.05, 0.5)

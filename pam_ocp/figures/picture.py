@@ -12,8 +12,6 @@ from matplotlib.figure import Figure
 from ..core.errors import InputError
 from .paper import VECTORS, adapt, paper_width
 
-__all__ = ["Picture"]
-
 _NUMBERS = itertools.count(1001)
 """Of windows: beyond those that pyplot counts from one."""
 

@@ -26,9 +26,7 @@ if TYPE_CHECKING:
 
     from ..planning.active import Limit
     from ..planning.studies.front import Pareto
-    from ..planning.studies.robust import RobustPlan
-
-__all__ = ["colours_of", "panels_of", "plot_costates", "plot_pareto", "plot_plan", "plot_robust"]
+    from ..planning.studies.robust_result import RobustPlan
 
 _COPY = re.compile(r"\.(draw|deviation)\d+$")
 _EFFORTS = {"N", "N.m", "N/m", "N.m/rad"}

@@ -19,8 +19,6 @@ from ..core.files import require_ending
 from ..core.stop import verb
 from .sheets import Grid, html_of
 
-__all__ = ["versions", "write_report"]
-
 PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib")
 
 PRINTED = 110

@@ -15,8 +15,6 @@ from ..core.interrupts import interruptible
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["drawn", "film_of", "save_figure", "save_film"]
-
 
 @interruptible()
 def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float = 130) -> Path:

@@ -31,17 +31,6 @@ if TYPE_CHECKING:
     from ..planning.result import Plan
     from ..plants.plant import Plant
 
-__all__ = [
-    "DPI",
-    "SHEETS",
-    "Grid",
-    "Sheet",
-    "cell_text",
-    "html_of",
-    "number_in",
-    "sheet_of",
-]
-
 DPI = 60
 """Of pictures, which are there for a glance: ``.plot()`` gives the whole one."""
 MOST_ROWS, SHORT = 60, 10

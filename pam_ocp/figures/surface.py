@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
     from ..muscles.pneumatic_muscle import Muscle
 
-__all__ = ["plot_fit_surface", "plot_surface"]
-
 Array: TypeAlias = NDArray[np.float64]
 Quantity: TypeAlias = Literal["force", "stiffness"]
 

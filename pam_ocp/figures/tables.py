@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["frame_of", "plot_table", "report_of", "save_result", "table_of"]
-
 ENDINGS = (".csv", ".html", ".json", ".txt", ".xlsx")
 MOST_PANELS, MOST_ROWS, WIDEST = 6, 40, 60
 _BY_COLUMN = {"ForceTable"}

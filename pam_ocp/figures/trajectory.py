@@ -29,20 +29,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..fitting.static.static import ForceFit
+    from ..fitting.static.force_fit import ForceFit
     from ..muscles.pneumatic_muscle import Muscle
     from ..simulation.compare import RecordComparison
-
-__all__ = [
-    "plot_bode",
-    "plot_comparison",
-    "plot_fit",
-    "plot_load_study",
-    "plot_muscle",
-    "plot_record",
-    "plot_records",
-    "plot_trajectory",
-]
 
 DASHES = ("solid", "dash", "dashdot", "dot")
 """Strokes as plotly calls them."""

@@ -27,19 +27,6 @@ if TYPE_CHECKING:
     from ..vibration.hopf_bifurcation import HopfBorder
     from ..vibration.maps import AmplitudeMap, HopfMap
 
-__all__ = [
-    "plot_amplitude_map",
-    "plot_backbone",
-    "plot_border",
-    "plot_branch",
-    "plot_energy",
-    "plot_envelope",
-    "plot_hopf_map",
-    "plot_multipliers",
-    "plot_phase",
-    "plot_stability",
-]
-
 
 def plot_phase(
     trajectories: Sequence[Trajectory],

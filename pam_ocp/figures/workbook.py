@@ -32,17 +32,6 @@ if TYPE_CHECKING:
     from ..fitting.dynamic.plant_fit import PlantFit
     from ..planning.result import Plan
 
-__all__ = [
-    "MOST_ROWS",
-    "Book",
-    "address",
-    "column_name",
-    "require_writer",
-    "write_motion_book",
-    "write_plan_book",
-    "write_plant_fit_book",
-]
-
 MOST_ROWS = 1_048_000
 """Of a sheet (Excel: 1 048 576)."""
 A4 = 9

@@ -19,15 +19,6 @@ from .statistics import Array, Coefficient, Linearisation, coefficient_frame
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "Estimates",
-    "Tabled",
-    "at_edge",
-    "coefficient_line",
-    "correlation_lines",
-    "following",
-]
-
 ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 ESCAPES |= {sign: f"\\{sign}" for sign in "&%$#_{}"}
 PLAIN = range(-3, 4)

@@ -22,8 +22,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.cases import Place, results_of
+from ..core.cases import results_of
 from ..core.errors import FitError, InputError, UnknownNameError, require_instance, require_numbers
+from ..core.executors import Place
 from ..core.shown import shown
 from ..core.stop import verb
 from ..core.units import significant
@@ -34,8 +35,6 @@ from .static.static import cell_weights, fit_force, held_coefficients, law_class
 from .statistics import Array, Coefficient, Prediction, elementwise, inverse, student_t
 from .tables.force_table import joined_tables
 from .tables.record_catalogue import Catalogue, Record, require_catalogue
-
-__all__ = ["FleetFit", "FleetMuscle", "Population", "fit_fleet"]
 
 Key: TypeAlias = "tuple[str, str]"
 """Kind and muscle."""

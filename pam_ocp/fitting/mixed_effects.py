@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from .statistics import Array, inverse, student_t
 
-__all__ = ["Scatter", "between", "effects", "marginal", "shrunken_variances", "summed"]
-
 STEPS = 400
 SETTLED = 1e-5
 """Change of B in a step, in parts of what units scatter by in all."""

@@ -25,25 +25,6 @@ from ..numerics.elementwise import Elementwise
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "Coefficient",
-    "Linearisation",
-    "Prediction",
-    "SerialErrors",
-    "SolverStatistics",
-    "coefficient_frame",
-    "elementwise",
-    "even",
-    "f_test",
-    "forces",
-    "forces_and_slopes",
-    "in_blocks",
-    "inverse",
-    "second_places",
-    "spanned",
-    "student_t",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-9

@@ -31,8 +31,6 @@ from .statement import (
     times_seconds,
 )
 
-__all__ = ["Asked", "Goal", "Limit", "Point", "Span", "Sum", "asked", "unit_of_sum"]
-
 INF = math.inf
 End: TypeAlias = "float | Profile"
 _FORM = re.compile(r"(integral|square|final|peak)\((.+)\)$")

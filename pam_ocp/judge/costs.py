@@ -22,8 +22,6 @@ from ..core.registry import Registry
 from ..core.variables import Variable
 from ..plants.plant import Plant
 
-__all__ = ["COSTS", "RunningCost", "Symbols", "mechanical_power", "muscles_of", "running_cost"]
-
 POWER = 10.0
 """A typical power of a muscle [W]."""
 

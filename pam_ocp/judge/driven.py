@@ -20,8 +20,6 @@ from ..simulation.integrate import Integration
 from ..simulation.simulator import evaluated, simulate
 from .statement import TIME
 
-__all__ = ["Driven", "driven", "roughly"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-11

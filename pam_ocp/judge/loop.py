@@ -14,8 +14,6 @@ from ..core.errors import require_names
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
 
-__all__ = ["LoopVerdict", "judge_loop"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 LATE = 0.1

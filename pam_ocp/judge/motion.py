@@ -23,8 +23,6 @@ from .driven import Driven, driven, roughly
 from .rest import begun, rest_at, rows_of
 from .statement import Profile, Statement
 
-__all__ = ["Finding", "Judgement", "Motion", "judge"]
-
 Array: TypeAlias = NDArray[np.float64]
 ROUNDING = 1e-9
 """A smaller violation, scaled by nominals, is nothing to tell people."""

@@ -24,8 +24,6 @@ from .asked import Limit, Point
 from .driven import Driven
 from .statement import TIME, Profile, subject
 
-__all__ = ["Row", "begun", "rest_at", "rows_of"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 LONG = 300.0

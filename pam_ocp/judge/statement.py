@@ -18,21 +18,6 @@ from ..core.variables import Variable
 from ..operating.held import Memory
 from ..plants.plant import Plant
 
-__all__ = [
-    "TIME",
-    "Avoid",
-    "Constraint",
-    "Cyclic",
-    "Phase",
-    "Profile",
-    "Statement",
-    "StatementKeywords",
-    "Stop",
-    "require_expression",
-    "subject",
-    "times_seconds",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 TIME = ca.SX.sym("time")

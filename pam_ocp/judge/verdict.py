@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from ..core.shown import shown
 
-__all__ = ["TOLERANCE", "Verdict"]
-
 TOLERANCE = 1e-3
 """What a plan is judged by where nothing else is asked for, scaled by nominals."""
 

@@ -19,17 +19,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
-__all__ = [
-    "Attribution",
-    "attribution",
-    "attribution_table",
-    "catalogue_entry",
-    "muscle",
-    "muscle_names",
-    "summary",
-    "transfer_note",
-]
-
 
 @cache
 def _catalogue() -> dict[str, Any]:

@@ -8,16 +8,6 @@ import casadi as ca
 
 from .law import clamp
 
-__all__ = [
-    "LEAST_OVERLAP",
-    "ROUNDING",
-    "beyond_dead_zone",
-    "dead_zone",
-    "dead_zone_inverse",
-    "smooth_step",
-    "two_ways",
-]
-
 LEAST_OVERLAP = 1e-4
 """A dead zone is at least so wide (in the command's unit): a critically lapped valve is rounded so.
 """

@@ -29,8 +29,6 @@ from ..core.stop import locked
 from ..core.variables import Variable
 from .validity import Validity
 
-__all__ = ["LAWS", "FloatOrSX", "ForceLaw", "SixParameterLaw", "clamp", "coefficient", "register"]
-
 FloatOrSX: TypeAlias = "float | ca.SX"
 Array: TypeAlias = NDArray[np.float64]
 Law = TypeVar("Law", bound="ForceLaw")

@@ -25,8 +25,6 @@ from ..core.quantities import table
 from .laws.user_defined import law_named
 from .pneumatic_muscle import Muscle
 
-__all__ = ["ENDINGS", "ending_of", "load_muscle", "save_muscle"]
-
 FORMAT = "pam_ocp muscle 1"
 _PLAIN = tuple(f.name for f in fields(Muscle) if f.name != "law")
 

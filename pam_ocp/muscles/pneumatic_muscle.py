@@ -30,11 +30,6 @@ from .validity import Validity, warn_beyond
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "Muscle",
-    "in_parallel",
-]
-
 
 @shown
 @locked

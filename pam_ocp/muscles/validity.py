@@ -12,8 +12,6 @@ import numpy as np
 from ..core.plausible import outside
 from ..core.variables import Variable
 
-__all__ = ["Validity", "ValidityWarning", "forget_warnings", "warn_beyond"]
-
 Range = tuple[float, float]
 UNLIMITED: Range = (-math.inf, math.inf)
 ROUNDING = 1e-9

@@ -14,8 +14,6 @@ from pathlib import Path
 
 import casadi as ca
 
-__all__ = ["environment", "one_thread"]
-
 SAID = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 """Variables of the environment by which a user says how many: then it stays at that."""
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import casadi as ca
 
-__all__ = ["inlined", "repeated"]
-
 FLAT = 20
 """Calls in a row that are written one after another."""
 

@@ -8,8 +8,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Buffered"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -14,8 +14,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HIGHEST_DEGREE", "PointKind", "collocation_matrices", "collocation_points", "lagrange"]
-
 Array: TypeAlias = NDArray[np.float64]
 PointKind: TypeAlias = Literal["radau", "gauss"]
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from .newton import NewtonError, iterate, least_squares
 
-__all__ = ["Curve", "ImplicitCurve", "Walk"]
-
 Array: TypeAlias = NDArray[np.float64]
 P = TypeVar("P")
 """A place on a curve."""

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from ..core.expressions import steps_of
 
-__all__ = ["COMMON", "NAMED", "Columns", "Elementwise", "array_table", "named"]
-
 Array: TypeAlias = NDArray[np.float64]
 Operation: TypeAlias = Callable[..., Any]
 

@@ -13,16 +13,6 @@ from numpy.typing import NDArray
 from ..core.errors import PamError
 from ..core.stop import check
 
-__all__ = [
-    "Equations",
-    "NewtonError",
-    "Root",
-    "casadi_equations",
-    "iterate",
-    "least_squares",
-    "newton",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Equations: TypeAlias = Callable[[Array], tuple[Array, Callable[[Array], Array]]]
 """w -> (residual, solver): solver(right) is the step with Jacobian . step = right."""

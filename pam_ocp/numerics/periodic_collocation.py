@@ -21,8 +21,6 @@ from ..core.system import System
 from .collocation import collocation_matrices, collocation_points, lagrange
 from .newton import Array, NewtonError, newton
 
-__all__ = ["Orbit", "Periodic", "Row"]
-
 S = TypeVar("S", bound=System)
 
 COLLAPSED = 1e-5

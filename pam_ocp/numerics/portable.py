@@ -15,8 +15,6 @@ import casadi as ca
 
 from ..core.expressions import SYMBOLIC, carried_out, steps_of
 
-__all__ = ["portable", "written_out"]
-
 LN2_HIGH, LN2_LOW = float.fromhex("0x1.62e42fee00000p-1"), float.fromhex("0x1.a39ef35793c76p-33")
 """ln(2) in two parts; the first has so few digits that its multiples by whole numbers are exact."""
 TERMS = 13

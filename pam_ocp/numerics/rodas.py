@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from ..core.stop import check
 from .buffered import Buffered
 
-__all__ = ["LEAST", "Rodas", "written_out"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 GAMMA = 0.21193756319429014

@@ -11,8 +11,6 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-__all__ = ["Slopes", "rodas3", "ros2", "ros2_with_slopes"]
-
 Slopes: TypeAlias = Callable[[ca.SX], tuple[ca.SX, ca.SX]]
 """x -> (x', its Jacobian over x)."""
 

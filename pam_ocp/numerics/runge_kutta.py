@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-__all__ = ["rk4"]
-
 X = TypeVar("X")
 """What is integrated: a CasADi expression (SX, MX, DM) or a NumPy array."""
 

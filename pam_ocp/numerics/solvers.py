@@ -15,8 +15,6 @@ from ..core.errors import InputError
 from ..core.stop import ask, native
 from .blas import one_thread
 
-__all__ = ["Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ipopt", "stoppable"]
-
 
 class Native:
     """A CasADi function whose calls may take long; see :func:`pam_ocp.core.stop.native`."""

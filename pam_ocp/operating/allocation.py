@@ -14,8 +14,6 @@ from ..core.stop import locked, verb
 from ..numerics.newton import iterate
 from ..plants.plant import Plant
 
-__all__ = ["Allocation", "AllocationError", "common_and_difference", "pressures_of"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 ITERATIONS = 50

@@ -21,8 +21,6 @@ from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["StabilityPath", "stability_path"]
-
 
 @dataclass(frozen=True)
 class StabilityPath:

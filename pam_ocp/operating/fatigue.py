@@ -38,8 +38,6 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant, require_plant
 
-__all__ = ["FatigueDamage", "SNCurve", "cycles", "damage", "with_damage"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 ROUNDING = 1e-2

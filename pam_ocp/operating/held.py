@@ -16,8 +16,6 @@ from ..plants.plant import Plant
 from ..plants.stillness import settled_names, store_names
 from ..simulation.simulator import simulate
 
-__all__ = ["Memory", "at_rest", "carried", "driven_names", "held", "held_names", "surroundings"]
-
 Array: TypeAlias = NDArray[np.float64]
 Memory: TypeAlias = 'Literal["virgin", "above", "below"] | Mapping[str, float]'
 

@@ -32,18 +32,6 @@ from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 if TYPE_CHECKING:
     import control
 
-__all__ = [
-    "LinearAlong",
-    "LinearGrid",
-    "OperatingPoint",
-    "equilibrium",
-    "linear_model",
-    "linearize",
-    "linearize_along",
-    "linearize_grid",
-    "modes",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 NO_SLOPE = 1e-12
 """In units of nominal: smaller slopes move nothing."""

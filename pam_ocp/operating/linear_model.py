@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     import control
 
-__all__ = ["LinearModel"]
-
 Array: TypeAlias = NDArray[np.float64]
 Complex: TypeAlias = NDArray[np.complex128]
 

@@ -16,8 +16,6 @@ from ..numerics.solvers import nlpsol, quiet_ipopt
 from ..plants.components import as_muscle
 from ..plants.limbs import Limb
 
-__all__ = ["StaticOptimisation", "static_optimisation"]
-
 Array: TypeAlias = NDArray[np.float64]
 Given: TypeAlias = "Mapping[str, ArrayLike] | None"
 

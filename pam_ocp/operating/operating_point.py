@@ -17,13 +17,6 @@ from ..core.units import significant
 from ..plants.plant import Plant
 from .held import held_names
 
-__all__ = [
-    "OperatingPoint",
-    "Stuck",
-    "pole_texts",
-    "require_point_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 MARGIN = 1e-8

@@ -21,11 +21,6 @@ from ..simulation.simulator import simulate
 from .linear import chosen_signals, point_of
 from .resting_point import OperatingPoint
 
-__all__ = [
-    "PlantSystem",
-    "as_nlsys",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

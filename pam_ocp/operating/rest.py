@@ -23,8 +23,6 @@ from ..plants.plant import Plant, Values, require_plant
 from .held import Memory, at_rest, held
 from .operating_point import OperatingPoint
 
-__all__ = ["ROUGH", "TOLERANCE", "Expressions", "Rest", "VariedRest", "posed"]
-
 Array: TypeAlias = NDArray[np.float64]
 Expressions: TypeAlias = Mapping[str, tuple[ca.SX, float]]
 

@@ -21,15 +21,6 @@ from .held import Memory, held
 from .rest import TOLERANCE, Rest, posed
 from .resting_point import EquilibriumError, OperatingPoint, equilibrium, why_not
 
-__all__ = [
-    "Band",
-    "Equilibria",
-    "EquilibriumPath",
-    "equilibria",
-    "equilibrium_branch",
-    "equilibrium_path",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 NEWTON = 8

@@ -18,8 +18,6 @@ from .transcription.mesh import INTERIOR, Arc
 if TYPE_CHECKING:
     from .result import Plan
 
-__all__ = ["ACTIVE", "Limit", "arcs_along", "limits_along"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 ACTIVE = 1e-4

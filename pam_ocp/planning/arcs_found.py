@@ -24,8 +24,6 @@ from .transcription.stage import nominals
 if TYPE_CHECKING:
     from .result import Solved
 
-__all__ = ["Chain", "Chains", "Section", "Touch", "limits_of", "sections"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 NEAR = 1e-4

@@ -21,8 +21,6 @@ from .problem.problem import Condition, Leg, Problem
 from .transcription.mesh import FORM, Interval, Mesh
 from .transcription.solution import Solution
 
-__all__ = ["LONGEST", "SHORTEST", "Divided", "by_sections", "centred"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 SHORTEST, LONGEST = 0.02, 50.0

@@ -28,8 +28,6 @@ from .transcription.mesh import BY_ARCS, FORM, Interval, Mesh, watched
 from .transcription.solution import pack
 from .transcription.transcription import Program, later, transcribe
 
-__all__ = ["ArcSearch"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 STRUCTURES = 4

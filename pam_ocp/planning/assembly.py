@@ -18,8 +18,6 @@ from .search import Search
 from .solvers.diagnosis import Conflict
 from .transcription.mesh import Mesh
 
-__all__ = ["assembled", "trust"]
-
 HELD = "polynomial inputs did not meet the tolerance, so inputs are held constant on each interval"
 BETWEEN = "costs are counted at the points of the mesh, so plan on a finer one"
 

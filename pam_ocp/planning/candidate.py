@@ -22,26 +22,15 @@ from .problem.problem import Budget, Condition, Problem
 from .replay import Replay, chosen_plant, explained, interval_errors, replayed
 from .result import Solved
 from .settings import SETTINGS, Settings
-from .solvers.backend import Backend, Solver
+from .solvers.backend import Backend
 from .solvers.ipopt_options import Start
-from .solvers.solver import SETTLED, STUCK, Outcome
+from .solvers.solver import SETTLED, STUCK, Outcome, Solver
 from .stages import Stage, stage
 from .transcription.guess import from_solution
 from .transcription.mesh import Form, Mesh
 from .transcription.solution import Places, pack, unpack
 from .transcription.stage import between_points
 from .transcription.transcription import Program, Row, smoothed_at, transcribe
-
-__all__ = [
-    "Candidate",
-    "Checked",
-    "Engine",
-    "checked",
-    "gains",
-    "on_mesh",
-    "renewed",
-    "same_form",
-]
 
 
 @dataclass(frozen=True)

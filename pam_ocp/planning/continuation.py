@@ -38,11 +38,6 @@ from .transcription.mesh import Mesh
 from .transcription.solution import Solution, pack
 from .transcription.transcription import Program, is_nonsmooth
 
-__all__ = [
-    "Continuation",
-    "ValveOpenings",
-]
-
 
 class Continuation:
     """Leads candidates to the end; ``taken`` is called with each that solves the user's own

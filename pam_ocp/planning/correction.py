@@ -25,8 +25,6 @@ from .transcription.solution import Solution, pack
 from .transcription.stage import nominals
 from .transcription.transcription import Program
 
-__all__ = ["Corrected", "corrected", "integrated", "left_as"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -34,8 +34,6 @@ from .transcription.mesh import (
 )
 from .transcription.transcription import is_nonsmooth
 
-__all__ = ["MeshSequence", "scale"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 RATIO = 0.8

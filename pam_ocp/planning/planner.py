@@ -16,7 +16,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.cases import Place
 from ..core.errors import (
     InputError,
     PlanError,
@@ -25,6 +24,7 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
+from ..core.executors import Place
 from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, StatementKeywords, Stop
@@ -49,8 +49,6 @@ from .transcription.transcription import Program, transcribe
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-__all__ = ["SEARCH", "PlanKeywords", "Planner", "SolveKeywords", "plan", "require_known"]
 
 SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progress": "progress"}
 """Keywords that say how a solution is searched, and the fields of Backend that hold them."""

@@ -25,17 +25,6 @@ from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.stage import nominals
 
-__all__ = [
-    "PlantColumns",
-    "Replay",
-    "chosen_plant",
-    "explained",
-    "interval_errors",
-    "moved",
-    "replayed",
-    "values_along",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 KEPT = 8

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Plan", "Solved", "motion_of"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -32,8 +32,6 @@ from .transcription.mesh import Form, Interval, Mesh
 from .transcription.solution import Solution, pack
 from .transcription.transcription import Program, transcribe
 
-__all__ = ["load_plan", "save_plan"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 FORMAT = "pam_ocp plan 3"

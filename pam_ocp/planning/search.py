@@ -34,8 +34,6 @@ from .transcription.mesh import BY_ARCS, Mesh, guarded, merged
 from .transcription.solution import unpack
 from .transcription.transcription import Program, has_relaxed, is_nonsmooth, transcribe
 
-__all__ = ["Found", "Search"]
-
 Array: TypeAlias = NDArray[np.float64]
 Guess: TypeAlias = tuple[str, Callable[[], Array | None], Start]
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import inf
 
-__all__ = ["SETTINGS", "UNBOUNDED", "Settings"]
-
 
 @dataclass(frozen=True)
 class Settings:

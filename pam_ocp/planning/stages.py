@@ -22,18 +22,6 @@ if TYPE_CHECKING:
     from .solvers.ipopt_options import Start
     from .transcription.transcription import Program
 
-__all__ = [
-    "Stage",
-    "WorkIsSpent",
-    "as_data",
-    "limited",
-    "recorded",
-    "require_work",
-    "stage",
-    "table",
-    "written",
-]
-
 LOG = logging.getLogger(__name__)
 
 

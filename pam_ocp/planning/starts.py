@@ -18,8 +18,6 @@ from .solvers.solver import Outcome
 from .transcription.guess import by_stops, wants_balance
 from .transcription.mesh import Mesh
 
-__all__ = ["MOST", "Task", "figures_of", "number_of_starts", "tasks"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 STARTS: tuple[tuple[bool, float, Start], ...] = (

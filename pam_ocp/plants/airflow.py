@@ -25,21 +25,6 @@ from ..muscles.gas import (
 )
 from ..muscles.heat import Rubber
 
-__all__ = [
-    "Air",
-    "Place",
-    "Stream",
-    "Warmth",
-    "air_temperature",
-    "balance",
-    "between",
-    "boundless",
-    "declaring",
-    "holding",
-    "show",
-    "through",
-]
-
 ROUNDING = 1e-5
 """Flows in tubes [kg/s] below this carry air of both temperatures: some 1 % of a usual flow."""
 

@@ -14,8 +14,6 @@ from .damping import Loss
 from .feeds import AttachedMuscle, Feed, IdealPressure
 from .plant import Plant
 
-__all__ = ["attached_alone", "muscle_alone"]
-
 
 @verb
 def muscle_alone(

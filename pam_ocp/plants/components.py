@@ -15,8 +15,6 @@ from ..muscles.catalogue import muscle as catalogued
 from ..muscles.pneumatic_muscle import Muscle
 from .damping import ConstantDamping, Damping, Loss
 
-__all__ = ["as_damping", "as_losses", "as_muscle", "component", "components"]
-
 
 def as_muscle(value: Any, argument: str = "muscle") -> Muscle:
     """A Muscle, or the muscle of the catalogue that a name stands for."""

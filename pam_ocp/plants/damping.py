@@ -19,16 +19,6 @@ from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import DAMPINGS, LOSSES
 
-__all__ = [
-    "ConstantDamping",
-    "CoulombFriction",
-    "Damping",
-    "DirectionalDamping",
-    "Loss",
-    "Motion",
-    "StiffnessDamping",
-]
-
 WIDEST_SPEED = 0.1
 """Speed [m/s] below which dry friction is smoothed where planning a motion begins."""
 STIFFNESS_FLOOR = 1.0

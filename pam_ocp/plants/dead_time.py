@@ -26,8 +26,6 @@ from ..core.variables import Variable
 from ..numerics.collocation import HIGHEST_DEGREE, collocation_matrices, collocation_points
 from .kinds import DEAD_TIMES
 
-__all__ = ["DeadTime", "DelayLine", "as_dead_time", "delay_line"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -24,13 +24,6 @@ from .feeds import AttachedMuscle, Feed, attach
 from .opening import Asked, FlowPath, Lead, Opening, checked_commands, flow_path, path_of
 from .sensors import Sensor, as_sensor
 
-__all__ = [
-    "CHANGEABLE",
-    "DEFINED",
-    "Declaration",
-    "Equations",
-]
-
 Part = TypeVar("Part")
 
 

@@ -16,8 +16,6 @@ from .loads import Coordinate, Load, applied
 from .plant import Plant
 from .sketch import Sketch
 
-__all__ = ["SeriesLoad", "SpringOverMuscle"]
-
 
 @PLANTS.register(
     units={"mass": "kg", "spring_stiffness": "N/m", "preload": "N", "inclination": "rad"}

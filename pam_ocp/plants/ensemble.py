@@ -12,8 +12,6 @@ import casadi as ca
 from .plant import Plant
 from .stillness import Position
 
-__all__ = ["Ensemble"]
-
 Draw = Mapping[str, float]
 
 _COPY = re.compile(r"\.draw\d+$")

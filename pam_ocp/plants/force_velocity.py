@@ -11,8 +11,6 @@ from ..core.system import Declares
 from .damping import Motion
 from .kinds import LOSSES
 
-__all__ = ["ForceVelocity"]
-
 
 @LOSSES.register(
     units={

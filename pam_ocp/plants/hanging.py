@@ -16,8 +16,6 @@ from .loads import Coordinate, Load, applied
 from .plant import Plant
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
-__all__ = ["GRAVITY", "HangingLoad", "hanging_sketch", "moved_mass", "weight"]
-
 GRAVITY = 9.80665
 """Standard gravity [m/s2]."""
 

@@ -29,8 +29,6 @@ from .plant import Plant, Values
 if TYPE_CHECKING:
     from ..courtesy import OperatingPoint
 
-__all__ = ["Inversion", "in_dead_zone"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from .plant import Plant
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box
 from .slide import mirrored_pair, reach
 
-__all__ = ["AntagonisticJoint", "MomentArm"]
-
 MomentArm: TypeAlias = "float | Callable[[ca.SX], ca.SX]"
 
 QUADRATURE = 16

@@ -10,21 +10,6 @@ from typing import Any
 
 from ..core.registry import Registry
 
-__all__ = [
-    "DAMPINGS",
-    "DEAD_TIMES",
-    "FEEDS",
-    "LOADS",
-    "LOSSES",
-    "PLANTS",
-    "QUICK_EXHAUSTS",
-    "SENSORS",
-    "SOURCES",
-    "SPOOLS",
-    "SUPPLIES",
-    "TUBES",
-]
-
 PLANTS: Registry[Callable[..., Any]] = Registry("plant", __package__)
 """Plants of the library: called with a muscle, and their own arguments by name."""
 FEEDS: Registry[Callable[..., Any]] = Registry("feed", __package__, argument="feed")

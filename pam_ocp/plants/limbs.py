@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
     from ..courtesy import StaticOptimisation
 
-__all__ = ["Limb", "LimbMuscle", "limb"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 ATMOSPHERE = 101325.0

@@ -22,13 +22,6 @@ from .damping import Motion
 from .kinds import LOSSES
 from .slip import Limits, PressureScale, passage, require_scale, rounded_speed
 
-__all__ = [
-    "BoucWen",
-    "Creep",
-    "LoadCreep",
-    "MaxwellSlip",
-]
-
 WIDEST_RATE = 0.03
 """Rate [1/s] below which the speed of a Bouc-Wen state is smoothed where planning a motion
 begins. At rates below it the state follows them as (rate / it)^(1/n): with wider roundings a whole

@@ -13,19 +13,6 @@ from ..core.system import PathOf, Way
 from ..core.variables import Variable
 from ..muscles.dead_zone import two_ways
 
-__all__ = [
-    "WAYS",
-    "Asked",
-    "Carried",
-    "FlowPath",
-    "Instead",
-    "Lead",
-    "Opening",
-    "checked_commands",
-    "flow_path",
-    "path_of",
-]
-
 WAYS: tuple[Way, ...] = get_args(Way)
 NEAR = 1e-3
 """Of the travel: a play is taken up as long as a spool is farther than this from its place."""

@@ -15,8 +15,6 @@ from .dead_time import DeadTime
 from .kinds import FEEDS
 from .regulator import REGULATOR_UNITS, Regulator, pressure_attributes, show_set_pressure
 
-__all__ = ["COMMAND", "PairRegulator", "PairSide", "feeds_of_pair"]
-
 COMMAND = "difference"
 """The pair's one input, and what its dead time is named by."""
 

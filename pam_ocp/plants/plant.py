@@ -30,15 +30,6 @@ if TYPE_CHECKING:
 
     from ..courtesy import OperatingPoint
 
-__all__ = [
-    "Given",
-    "Plant",
-    "Travelling",
-    "Values",
-    "by_name",
-    "require_plant",
-]
-
 Values = Mapping[str, Any]
 Given: TypeAlias = "Values | OperatingPoint"
 """Values by name, or those of a point."""

@@ -23,8 +23,6 @@ from .dead_time import DeadTime, DelayLine
 from .kinds import PLANTS
 from .plant import Plant, require_plant
 
-__all__ = ["SYSTEM", "carried", "data_of_plant", "plant_of_data", "save_plant"]
-
 FORMAT = "pam_ocp plant 1"
 SYSTEM = "system"
 """Key under which files carry their plant."""

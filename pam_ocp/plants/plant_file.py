@@ -23,17 +23,6 @@ from .kinds import PLANTS
 from .plant import Plant
 from .plant_data import SYSTEM, plant_of_data
 
-__all__ = [
-    "builder_of",
-    "component_of",
-    "load_plant",
-    "member_of",
-    "muscle_of",
-    "named_plant",
-    "plant_of",
-    "require_allowed",
-]
-
 CARRYING = (".json", ".npz")
 """Endings of files that may carry a plant."""
 OWN = "FILE.py:NAME"

@@ -20,11 +20,6 @@ from .kinds import LOSSES
 from .memory import require_elements
 from .slip import Limits, PressureScale, require_scale, rounded_speed
 
-__all__ = [
-    "PrandtlIshlinskii",
-    "SlipElements",
-]
-
 
 @LOSSES.register(
     units={

@@ -27,14 +27,6 @@ from .airflow import Air, Place, Stream, between, boundless, declaring, holding,
 from .components import component
 from .kinds import SOURCES, SUPPLIES
 
-__all__ = [
-    "Compressor",
-    "PressureRegulator",
-    "Receiver",
-    "Source",
-    "Supply",
-]
-
 
 class Source(Protocol):
     """What brings air into a receiver."""

@@ -17,8 +17,6 @@ from .hanging import HangingLoad
 from .kinds import FEEDS, PLANTS
 from .regulator import pressure_attributes
 
-__all__ = ["PositionFeedback", "RegulatedLoad"]
-
 
 @FEEDS.register(
     units={

@@ -27,8 +27,6 @@ from ..muscles.pneumatic_muscle import Muscle
 from .dead_time import DeadTime, as_dead_time
 from .kinds import FEEDS
 
-__all__ = ["REGULATOR_UNITS", "Regulator", "in_si", "pressure_attributes"]
-
 SWITCH_WIDTH = 1e3
 """Half width [Pa] of the passage from the lag of venting to that of filling."""
 SLEW_ROUNDING = 0.1

@@ -13,8 +13,6 @@ from ..core.system import Declares
 from ..core.variables import Variable
 from .kinds import SENSORS
 
-__all__ = ["Sensor", "as_sensor"]
-
 
 @SENSORS.register(units={"filter": "s", "zero": ("m", "rad", "Pa", "N", "V", "1")})
 @dataclass(frozen=True)

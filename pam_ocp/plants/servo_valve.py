@@ -16,8 +16,6 @@ from .kinds import FEEDS
 from .opening import Asked, path_of
 from .valves import GAS_UNITS, Filling, SpoolValve
 
-__all__ = ["ServoValve"]
-
 
 @FEEDS.register(
     units=GAS_UNITS | {"pressure_gain": "1/Pa", "position_gain": "1/m", "command_lag": "s"}

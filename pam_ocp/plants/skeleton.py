@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, UnknownNameError
 from ..core.lazy import library
 
-__all__ = ["Joint", "Link", "Skeleton", "found_file", "read_skeleton"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 GRAVITY = (0.0, 0.0, -9.80665)

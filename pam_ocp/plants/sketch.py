@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-__all__ = ["Disc", "Line", "Mark", "Point", "Polygon", "Shape", "Sketch", "Spindle", "box"]
-
 Point: TypeAlias = tuple[Any, Any]
 
 

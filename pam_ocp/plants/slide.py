@@ -16,12 +16,6 @@ from .pair_regulator import COMMAND, feeds_of_pair
 from .plant import Plant
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
-__all__ = [
-    "AntagonisticSlide",
-    "mirrored_pair",
-    "reach",
-]
-
 
 @PLANTS.register(units={"mass": "kg", "pre_contraction": "1", "stroke": "m"})
 class AntagonisticSlide(Plant):

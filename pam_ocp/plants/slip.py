@@ -14,8 +14,6 @@ from ..core.errors import InputError, require_finite
 from ..core.system import Declares
 from .damping import Motion
 
-__all__ = ["Limits", "PressureScale", "passage", "require_scale", "rounded_speed"]
-
 REST_RATE = 1e-4
 """Rate of contraction [1/s] at which its absolute value is smoothed.
 

@@ -12,8 +12,6 @@ from .damping import Motion
 from .kinds import LOSSES
 from .slip import rounded_speed
 
-__all__ = ["Preconditioning"]
-
 LARGEST = 0.45
 """Of all contractions."""
 AHEAD = 1e-3

@@ -12,8 +12,6 @@ from ..core.system import Declares
 from .kinds import SPOOLS
 from .slip import Limits
 
-__all__ = ["FirstOrderSpool", "SecondOrderSpool", "Spool"]
-
 FARTHEST = 1.5
 """Bound of a spool's position, as part of its travel: a second-order one may overshoot."""
 OPENING = 0.1

@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 from ..core import units
 from ..core.system import System
 
-__all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "store_names", "totals"]
-
 Array: TypeAlias = NDArray[np.float64]
 Pattern: TypeAlias = NDArray[np.bool_]
 

@@ -12,8 +12,6 @@ from ..core.system import Declares
 from .damping import WIDEST_SPEED, Motion
 from .kinds import LOSSES
 
-__all__ = ["StrandFriction"]
-
 NEAREST = 0.05
 """Of 1 - kappa: no muscle contracts so far; keeps the friction positive."""
 

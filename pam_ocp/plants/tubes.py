@@ -16,14 +16,6 @@ from ..muscles.gas import GAS_CONSTANT, conductance_from_flow
 from .airflow import Air, Place, Stream, between, holding, through
 from .kinds import QUICK_EXHAUSTS, TUBES
 
-__all__ = [
-    "Around",
-    "LumpedTube",
-    "QuickExhaust",
-    "Tube",
-    "TubeComponent",
-]
-
 VISCOSITY = 1.82e-5
 """Of air at 20 degrees Celsius [Pa.s]."""
 MEETING = (64 / 0.3164) ** (4 / 3)

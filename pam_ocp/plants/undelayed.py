@@ -13,8 +13,6 @@ from ..core.errors import InputError
 from ..core.variables import Variable
 from .plant import Plant, require_plant
 
-__all__ = ["Redeclared", "attributes_of", "without_dead_times"]
-
 
 @with_kinds
 def without_dead_times(plant: Plant) -> Plant:

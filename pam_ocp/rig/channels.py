@@ -20,8 +20,6 @@ from ..core.units import per_second, unit
 from ..core.variables import Variable
 from ..plants.plant import Plant
 
-__all__ = ["FORMATS", "Channel", "Command", "Reading", "channels_of", "usual_channels"]
-
 FORMATS = ("float32", "int16", "uint16", "int32", "uint32")
 """What a channel may be on a bus of registers."""
 STRAIGHT = 1e-9

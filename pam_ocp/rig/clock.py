@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-__all__ = ["Clock", "RealClock", "SimulatedClock"]
-
 SPIN = 3e-4
 """The last part of a wait [s] is spent looking at the clock: sleeping is no more exact."""
 

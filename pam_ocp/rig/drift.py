@@ -24,8 +24,6 @@ from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
 from .twin import forces_changed
 
-__all__ = ["Alarm", "Monitor", "drifting"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 UNKNOWN = {"drift.scale": ("scale of force", 1.0), "drift.leak": ("leak", 0.0)}

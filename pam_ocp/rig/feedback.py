@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from ..control.pid import PID
 
-__all__ = ["BLOCK", "Answer", "lines", "placed_by"]
-
 Array: TypeAlias = NDArray[np.float64]
 Response: TypeAlias = NDArray[np.complex128]
 

@@ -19,13 +19,6 @@ from ..core.errors import PamError, require_positive
 from .channels import Command, Reading
 from .drivers.driver import Emergency
 
-__all__ = [
-    "Guard",
-    "RigError",
-    "Watch",
-    "Watchdog",
-]
-
 
 class RigError(PamError):
     """A rig that was vented, or that does not do what it is asked; says why.

@@ -19,8 +19,6 @@ from .running import Running, noise_of
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["Homing", "home"]
-
 CLEAR = 6.0
 """Standard deviations of the noise by which something has moved."""
 NEAR = 0.9

@@ -21,8 +21,6 @@ from .side import play
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["Identified", "identify"]
-
 INSIDE = 0.9
 """Part of the guard's limits, from their middle, that an excitation may go to by the model."""
 

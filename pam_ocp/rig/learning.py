@@ -27,8 +27,6 @@ from .side import play, start_of
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["Learned", "learn"]
-
 Array: TypeAlias = NDArray[np.float64]
 POINTS = 100
 """Of the motion, at which inputs are changed."""

@@ -44,8 +44,6 @@ if TYPE_CHECKING:
 
     from .rig import Rig
 
-__all__ = ["Histogram", "RealTimeError", "RealTimeRun", "run_in_c"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 SERVER = Path(__file__).with_name("real_time_server.py")

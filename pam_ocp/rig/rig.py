@@ -28,14 +28,6 @@ if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
     from ..courtesy import Homing, Identified, Learned, RealTimeRun, RigSide, Tuned
 
-__all__ = [
-    "KEYS",
-    "Rig",
-    "driver",
-    "load_rig",
-    "rig_of",
-]
-
 PAST = 4000
 """Samples of the past that are kept."""
 PATIENCE, PAUSE = 0.25, 0.005

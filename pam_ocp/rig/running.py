@@ -27,14 +27,6 @@ from .guard import RigError, Watch
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = [
-    "RecordWriter",
-    "Running",
-    "Watch",
-    "noise_of",
-    "read_run",
-]
-
 STEP = 1e-6
 """[s], by which rows differ at least."""
 SETTLED = 0.3

@@ -19,8 +19,6 @@ from .drivers.lines import LONGEST, Cut, LineServer, framed, unframed
 from .drivers.modbus import check_of, layout
 from .twin import Twin
 
-__all__ = ["Served", "serve"]
-
 TIME_ADDRESS, VENT_COIL = 0, 0
 """Of twins behind Modbus."""
 LOOK = 0.05

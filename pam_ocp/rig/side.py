@@ -20,8 +20,6 @@ from .running import STEP, Running
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["RigSide", "play", "player", "run_on", "side_of_rig", "start_of"]
-
 WITHIN = 16
 """Moments of a sample at which the inputs of a motion are averaged."""
 RESTING = 0.05

@@ -24,8 +24,6 @@ from ..control.pid import PID
 from ..control.references import Source
 from ..core.errors import InputError
 
-__all__ = ["LearnedInverse", "Memory", "Residual"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 STOPS = np.geomspace(0.01, 0.8, 7)

@@ -26,8 +26,6 @@ from .tracking import PACE, LearnedInverse, LearnedTracking, Memory, Residual
 if TYPE_CHECKING:
     from .rig import Rig
 
-__all__ = ["Tuned", "tune"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 SHIFTS = np.arange(-0.02, 0.041, 0.0025)

@@ -27,13 +27,6 @@ from ..simulation.sampled import stepped
 from .channels import Command, Reading, channels_of, usual_channels
 from .clock import Clock, RealClock
 
-__all__ = [
-    "FAULTS",
-    "Fault",
-    "Twin",
-    "faults_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 KEPT = 500_000
 """Moments of the past that a twin remembers."""

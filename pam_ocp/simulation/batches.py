@@ -23,20 +23,6 @@ from .integrate import COMPILED_PART, Integration
 from .reducers import GRAMMAR, Reduction, parsed
 from .simulator import evaluated, simulate, start_of, times_of
 
-__all__ = [
-    "BATCH",
-    "CASE_KEYS",
-    "Batch",
-    "Case",
-    "Keep",
-    "Numbers",
-    "Result",
-    "Rows",
-    "Simulation",
-    "batches",
-    "keep_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Keep: TypeAlias = "Mapping[str, str | Callable[[Trajectory], float]]"
 Case: TypeAlias = Mapping[str, Any]

@@ -18,8 +18,6 @@ from ..core.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Agreement", "RecordComparison", "compare_with_record"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

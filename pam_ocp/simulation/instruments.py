@@ -27,8 +27,6 @@ from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 
-__all__ = ["Instrument", "Reader", "measured", "readers_of"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 SAME = 1e-9

@@ -21,8 +21,6 @@ from ..plants.plant import Plant
 if TYPE_CHECKING:
     from ..courtesy import MachinePlant
 
-__all__ = ["METHODS", "Integration", "Method"]
-
 Array: TypeAlias = NDArray[np.float64]
 Method: TypeAlias = Literal["rosenbrock", "cvodes", "rk4"]
 METHODS = ("rosenbrock", "cvodes", "rk4")

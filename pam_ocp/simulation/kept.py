@@ -49,8 +49,6 @@ from .stored import (
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["KeptNumbers", "keep_numbers"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 FORMAT = "pam_ocp kept numbers 1"

@@ -12,9 +12,9 @@ from typing import Any, overload
 import numpy as np
 
 from ..core.arguments import require_known_keywords, with_kinds
-from ..core.cases import Loop, Place, ending
+from ..core.cases import Loop, ending
 from ..core.errors import InputError, SimulationError, kind_of, require_count
-from ..core.executors import placed
+from ..core.executors import Place, placed
 from ..core.files import MOST_ROWS
 from ..core.interrupts import interruptible
 from ..core.shown import shown
@@ -27,8 +27,6 @@ from .kept import KeptNumbers, keep_numbers
 from .simulator import simulate
 from .statistics import SobolCases
 from .stored import StoredSimulations, store
-
-__all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
 
 COMPILED = 500
 """From so many cases on the plant is compiled beforehand: it takes seconds, and saves them."""

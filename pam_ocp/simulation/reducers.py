@@ -19,8 +19,6 @@ from ..core.errors import InputError, UnknownNameError
 from ..core.quantities import quantity
 from ..core.variables import Variable
 
-__all__ = ["REDUCERS", "Reduction", "parsed"]
-
 Array: TypeAlias = NDArray[np.float64]
 Signals: TypeAlias = "Callable[[str], Array]"
 """name -> samples (cases, times) of a signal, or values (cases, 1) of a parameter."""

@@ -16,8 +16,6 @@ from ..numerics.runge_kutta import rk4
 from ..numerics.solvers import Native, integrator, stoppable
 from ..plants.plant import Plant
 
-__all__ = ["SampledPlant", "StepMethod", "stepped"]
-
 Array: TypeAlias = NDArray[np.float64]
 StepMethod: TypeAlias = Literal["rk4", "rosenbrock"]
 

@@ -27,16 +27,6 @@ from ..plants.plant import Given, Plant, Values, by_name, require_plant
 from ..plants.undelayed import without_dead_times
 from .integrate import Integration, Method
 
-__all__ = [
-    "evaluated",
-    "exactly_delayed",
-    "integrate_with_events",
-    "line_states",
-    "simulate",
-    "start_of",
-    "times_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 LEVEL = 1e-6
 """States along a line differ by at most this part of their nominal where it begins at one value."""

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_count, require_finite
 from ..core.shown import shown
 
-__all__ = ["SobolCases", "SobolIndices", "Statistic"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 NORMAL = 1.959963984540054

@@ -36,28 +36,6 @@ from .batches import Case, Result, Simulation
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "FILES",
-    "StoredSimulations",
-    "about_file",
-    "arrow",
-    "digest_held",
-    "file_of",
-    "files_of",
-    "frame_of",
-    "opened_folder",
-    "pandas",
-    "part_of",
-    "parts_of",
-    "read_table",
-    "revived",
-    "said",
-    "store",
-    "study_of",
-    "warn_of_doubts",
-    "write_study",
-]
-
 FORMAT = "pam_ocp simulations 1"
 CHUNK = 100
 """Cases per file."""

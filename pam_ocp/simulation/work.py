@@ -14,8 +14,6 @@ from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 
-__all__ = ["StrokeWork", "stroke_work"]
-
 FINER = 8
 """Points between two samples, on a monotone cubic through them."""
 

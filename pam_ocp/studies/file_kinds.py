@@ -24,17 +24,6 @@ from ..plants.plant import Plant
 from ..plants.plant_data import SYSTEM
 from ..plants.plant_file import CARRYING, load_plant, named_plant
 
-__all__ = [
-    "FileKind",
-    "SavedFacts",
-    "kind_of",
-    "load",
-    "motion_in",
-    "muscle_in",
-    "plant_called",
-    "require_role",
-]
-
 Role: TypeAlias = Literal["plant", "motion", "muscle", "table", "FMU"]
 
 TAKEN_BY: dict[Role, str] = {

@@ -33,8 +33,6 @@ from ..plants.hanging import HangingLoad
 from ..plants.plant import Plant
 from ..plants.slide import AntagonisticSlide
 
-__all__ = ["Quick", "quick"]
-
 Counterforce: TypeAlias = Literal["pair", "load"]
 
 GRAVITY = 9.81

@@ -19,8 +19,6 @@ from ..core.atomic import make_folder
 from ..core.digest import built_with
 from ..export.cache import usable_folder
 
-__all__ = ["PACKAGES", "Kept", "key_of", "versions"]
-
 PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib")
 """Whose versions go into every digest, and stand in the report."""
 MOST_KEPT = 2 * 2**30

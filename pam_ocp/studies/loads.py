@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.cases import Place, results_of
+from ..core.cases import results_of
 from ..core.errors import InputError, require_positive
+from ..core.executors import Place
 from ..core.files import atomic_path
 from ..core.plausible import doubt
 from ..core.shown import shown
@@ -33,8 +34,6 @@ from ..simulation.simulator import simulate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = ["LoadCase", "LoadStudy", "load_study"]
 
 Array: TypeAlias = NDArray[np.float64]
 

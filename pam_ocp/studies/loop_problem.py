@@ -18,21 +18,7 @@ from .plant_fit_problem import values
 if TYPE_CHECKING:
     from ..control.estimators.extended_kalman import Estimator
     from ..control.loop import ClosedLoop
-    from ..operating.linear import OperatingPoint
-
-__all__ = [
-    "DEFAULTS",
-    "controller_of",
-    "guarded",
-    "loop_settings",
-    "loop_text",
-    "loop_title",
-    "require_spans",
-    "run_loop",
-    "sensors_of",
-    "set_up",
-    "window_of",
-]
+    from ..operating.resting_point import OperatingPoint
 
 DEFAULTS: dict[str, Any] = {
     "plant": "antagonistic_slide",

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
     from ..plants.plant import Plant
 
-__all__ = ["FITTING", "READING", "bounds_of", "fit_arguments", "listed", "records_of", "values"]
-
 READING = (
     *("columns", "units", "time", "interpolation", "max_gap", "split", "clock", "sample_time"),
     *("ambient_pressure", "sheet", "skip", "pick", "delimiter", "decimal", "empty"),

@@ -21,8 +21,6 @@ from ..core.errors import InputError
 from ..core.files import read_json, write_json
 from .study_file import Entry
 
-__all__ = ["Shard", "ShardRecord", "merged_cache", "shard_of"]
-
 FORMAT = "pam_ocp shard 1"
 FOLDER = "shards"
 MOST = 100_000

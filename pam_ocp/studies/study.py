@@ -39,8 +39,6 @@ from .study_file import HELP, Entry, Study, read_study
 from .study_result import StudyResult, StudyStep
 from .working import digest_of_files, rehearse, work
 
-__all__ = ["run_study"]
-
 LOG = logging.getLogger(__name__)
 MANIFEST = "study.json"
 FORMAT = "pam_ocp study 1"

@@ -16,8 +16,6 @@ from ..core.quantities import known_keys, table
 from .steps.step import STEPS, Step
 from .steps.sweep import cases_of
 
-__all__ = ["Entry", "Study", "read_study"]
-
 _KEYS = ("title", "author", "text", "steps")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
 HELP = "'pam-ocp components study-step' lists its keys"

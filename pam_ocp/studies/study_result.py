@@ -21,13 +21,6 @@ from .study_file import Entry, Study
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "StudyResult",
-    "StudyStep",
-    "study_report",
-    "summary",
-]
-
 
 @dataclass(frozen=True)
 class StudyStep:

@@ -13,8 +13,6 @@ import numpy as np
 from ..core.files import atomic_path, make_folder
 from ..figures.saved import save_figure
 
-__all__ = ["tour"]
-
 TABLE = "DMSP-20-300_static.csv"
 REST_LENGTH, DIAMETER = 0.300, 0.020
 MASS, PRE_CONTRACTION, REACH = 2.0, 0.10, 0.015

@@ -16,8 +16,6 @@ from ..core.own_code import as_written
 from .steps.step import Job, Made
 from .study_file import Entry, Study
 
-__all__ = ["digest_of_files", "rehearse", "work"]
-
 
 def work(
     entry: Entry,

@@ -26,8 +26,6 @@ from .hopf_bifurcation import HopfPoint
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["LimitCycle", "limit_cycle"]
-
 SAMPLES = 400
 """Samples of a cycle's trajectory."""
 

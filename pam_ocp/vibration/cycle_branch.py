@@ -25,8 +25,6 @@ from .cycle import LimitCycle, Settings, converged, finished, pin
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["CycleBranch", "Direction", "continue_cycle"]
-
 Direction: TypeAlias = Literal["larger", "smaller", "up", "down"]
 
 SMALLEST_STEP = 1e-4

@@ -33,8 +33,6 @@ from ..plants.plant import Plant
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Energy", "energy"]
-
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 

@@ -31,15 +31,6 @@ from ..simulation.simulator import simulate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Backbone",
-    "FreeVibration",
-    "Smooth",
-    "backbone",
-    "free_vibration",
-    "smooth",
-]
-
 
 @shown
 @dataclass(frozen=True)

@@ -28,8 +28,6 @@ from ..plants.plant import Plant, Values
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["BorderWalk", "HopfBorder", "HopfPoint", "hopf", "hopf_border"]
-
 
 WIDE = 30.0
 """Ratio of a bracket's ends from which it is searched in equal ratios."""

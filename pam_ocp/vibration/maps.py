@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
-from ..core.cases import Place, ending
+from ..core.cases import ending
 from ..core.errors import InputError, PamError, VibrationError, require_count
+from ..core.executors import Place
 from ..core.shown import shown
 from ..core.stop import TimeIsUp, deadline, verb
 from ..numerics.newton import Array
@@ -25,8 +26,6 @@ from .hopf_bifurcation import BorderWalk, HopfPoint
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-__all__ = ["AmplitudeMap", "HopfMap", "amplitude_map", "hopf_map"]
 
 PUSH = 0.05
 """Of the rest along its least damped mode, scaled by nominals, where the caller gives none."""

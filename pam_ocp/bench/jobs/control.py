@@ -19,34 +19,21 @@ from typing import Any
 import numpy as np
 
 from ...control.analysis import frequency_response, margins
-from ...control.linear_quadratic import StateFeedback, lqr
+from ...control.linear_quadratic import lqr
 from ...control.loop import ClosedLoop, closed_loop
 from ...control.mpc.mpc import Mpc
 from ...control.point_pid import PointPid
 from ...control.sides import Actuators, PlantSide, Side, side_of
+from ...control.state_feedback import StateFeedback
 from ...core.errors import InputError
 from ...export.package import export_fmu
 from ...figures.film import scene_of
-from ...operating.linear import OperatingPoint
+from ...operating.resting_point import OperatingPoint
 from ...plants.plant import Plant
 from ..look import numbers
 from ..made import World, kept, plant_of, point_of
 from ..script import PUSH, is_followed, pushed
 from ..work import Say, job
-
-__all__ = [
-    "GAINS",
-    "closed",
-    "controller_of",
-    "designed",
-    "first_controller",
-    "first_point",
-    "live",
-    "loop_figures",
-    "loop_of",
-    "lqr_arguments",
-    "mpc_arguments",
-]
 
 FRESH = 4000
 """Samples after which a live side begins anew where it is: what it recorded is dropped."""

@@ -12,8 +12,6 @@ from ...fitting.tables.force_table import ForceTable
 from ..made import World, preview_of
 from ..work import Say, job
 
-__all__ = ["look_at"]
-
 MOST_SAMPLES = 1500
 """Of each curve of a record that is drawn."""
 MOST_RECORDS = 4

@@ -36,18 +36,6 @@ from .control import controller_of, loop_figures, loop_of
 from .motion import motion_figures, plan_of
 from .muscle import fit_of
 
-__all__ = [
-    "AGREES",
-    "c_code",
-    "fmu",
-    "fresh_figures",
-    "one_page",
-    "report",
-    "same",
-    "script_checked",
-    "ssp",
-]
-
 AGREES = 1e-9
 """Relative difference to which the script's figures are the page's."""
 TOLERANCE = 1e-3

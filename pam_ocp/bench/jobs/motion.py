@@ -35,17 +35,6 @@ from ..made import World, kept, plant_of, records_of
 from ..script import METHODS, TIME_LIMIT, arguments
 from ..work import Say, job
 
-__all__ = [
-    "dragged",
-    "film_of",
-    "first_motion",
-    "motion_figures",
-    "plan_of",
-    "planned",
-    "replayed",
-    "terms_of",
-]
-
 DRAGGED = Collocation(20, 3)
 """The mesh while a hand drags."""
 FRAMES = 80

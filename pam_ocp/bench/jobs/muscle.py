@@ -20,19 +20,6 @@ from ..made import World, kept, muscle_of, table_of
 from ..session import stored_file
 from ..work import Say, job
 
-__all__ = [
-    "CURVE",
-    "design",
-    "fit_law",
-    "fit_of",
-    "fitted_kappa",
-    "levels_of",
-    "muscle_file",
-    "rank_laws",
-    "read_muscle",
-    "workbook",
-]
-
 CURVE = 61
 """Points of a drawn curve."""
 MOST_LEVELS = 6

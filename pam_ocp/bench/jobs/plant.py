@@ -20,8 +20,6 @@ from ...vibration.free import free_vibration
 from ..made import World, muscle_of, plant_of
 from ..work import Say, job
 
-__all__ = ["equilibrium_map", "loads", "outline_of", "pressures_of", "rest", "stroke", "vibration"]
-
 ALONG = 41
 """Pressures of a map of a plant with one muscle."""
 ACROSS = 13

@@ -26,8 +26,6 @@ from ..pictures import Plot, Scene, Strip
 from ..script import PUSH, can_be_pushed
 from ..tab import Members
 
-__all__ = ["Control"]
-
 Said = dict[str, Any]
 KINDS = {"pid": "PID on position", "lqr": "LQR, with an integral", "mpc": "model predictive"}
 SAMPLE_TIME = Number("Sample time", "s", 1e-4, 0.1, shown="ms")

@@ -23,8 +23,6 @@ from ..pictures import Plot
 from ..tab import Tab
 from ..words import ASKED
 
-__all__ = ["Data"]
-
 BUNDLED = {"DMSP-20-300_static.csv": 0.300, "DMSP-10-250_static.csv": 0.250}
 """Tables at hand, and the rest length of each muscle [m]."""
 UNITS = {

@@ -16,8 +16,6 @@ from ..elements import Menu, Number
 from ..jobs import export as jobs
 from ..tab import Tab
 
-__all__ = ["Export"]
-
 Said = dict[str, Any]
 STANDARD = Menu("Standard", {"2.0": "FMI 2.0", "3.0": "FMI 3.0"})
 STEP = Number("Step", "s", 1e-5, 1.0, shown="ms")

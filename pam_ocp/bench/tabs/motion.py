@@ -23,8 +23,6 @@ from ..pictures import Plot, Scene, Stops
 from ..script import METHODS
 from .motion_beside import Beside, Said, also, conflict, curves
 
-__all__ = ["Motion"]
-
 DWELL = Number("Stays for", "s", 0, 60)
 REST = Tick("At rest", "no velocity there")
 MESH = Menu("Mesh", {key: words for key, (words, _) in METHODS.items()})

@@ -18,8 +18,6 @@ from ..jobs.data import look_at
 from ..made import plant_of
 from ..tab import Members, Page
 
-__all__ = ["Beside", "Said", "also", "conflict", "curves"]
-
 DASHES = ("", "7 4", "2 3", "9 3 2 3")
 Said = dict[str, Any]
 

@@ -27,8 +27,6 @@ from ..made import World, chosen_item, muscle_of
 from ..pictures import Plot
 from ..tab import Tab
 
-__all__ = ["MuscleTab"]
-
 MOST_FILE = 2**20
 """Bytes of a muscle file."""
 SIZE = 36

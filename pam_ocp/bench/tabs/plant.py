@@ -23,8 +23,6 @@ from ..made import muscle_of, own_plants
 from ..pictures import Plot, Scene
 from ..tab import Tab
 
-__all__ = ["PlantTab"]
-
 MOST_FILE = 2**20
 """Bytes of a file with a plant of one's own."""
 CYCLES = Number("Cycles", low=2, high=200, shown="1")

@@ -17,8 +17,6 @@ from ..pictures import Plot
 from ..rig_room import RigRoom
 from ..tab import Tab
 
-__all__ = ["RigTab"]
-
 LEGEND: dict[str, Any] = {"legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0.0}}
 SOON = 0.25
 """Between two looks at the rig [s]."""

@@ -18,8 +18,6 @@ from ...core.variables import Variable
 from ..kinds import BEFORE, SENT, law_of
 from .draft import about, column_of
 
-__all__ = ["chain", "with_delay"]
-
 _ENDS = ["memory", "inputs", "parameters"], ["memory_next", "outputs"]
 """Names of a step's arguments and results."""
 

@@ -17,8 +17,6 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant
 from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
-__all__ = ["Draft", "about", "as_output", "clipped", "compensated", "least_norm", "per", "sent_by"]
-
 Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
 """SX or MX."""

@@ -26,8 +26,6 @@ from ...core.variables import Causality, Variable
 from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 from .draft import column_of, per
 
-__all__ = ["STATUS", "Guard", "guarded"]
-
 Symbols: TypeAlias = "dict[str, ca.SX]"
 
 STATUS = {

@@ -20,8 +20,6 @@ from ..sides import start_values
 from .draft import Draft, about
 from .running import block as block_of
 
-__all__ = ["plant_block"]
-
 Array: TypeAlias = NDArray[np.float64]
 MOST = 1024
 """Substeps in a sample."""

@@ -23,14 +23,6 @@ from ..references import Source
 from .chain import with_delay
 from .guard import Guard, guarded
 
-__all__ = [
-    "BlockController",
-    "ByBlock",
-    "Running",
-    "SampledLaw",
-    "block",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

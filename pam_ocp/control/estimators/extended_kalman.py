@@ -24,12 +24,11 @@ from ...core.variables import Variable
 from ...export.machine import quick
 from ...numerics.buffered import Buffered
 from ...plants.plant import Plant, Values, require_plant
+from ...simulation.sampled import StepMethod
 from ..blocks.draft import Draft, Symbol, clipped
 from ..controller import Estimate
 from ..kinds import BLOCKS, ESTIMATORS, LARGEST
-from ..step import Givens, Step, StepMethod
-
-__all__ = ["Estimate", "Estimator", "KalmanFilter", "estimated_variables"]
+from ..step import Givens, Step
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -30,14 +30,13 @@ from ...export.machine import quick
 from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
 from ...plants.plant import Plant, Values
+from ...simulation.sampled import StepMethod
 from ..blocks.draft import Draft
 from ..controller import Estimate
 from ..kinds import BLOCKS, ESTIMATORS, LARGEST
-from ..step import StepMethod, open_range
+from ..step import open_range
 from .extended_kalman import Estimator, estimated_variables
 from .smoother import PASSES, Smoother
-
-__all__ = ["MovingHorizonEstimator"]
 
 Array: TypeAlias = NDArray[np.float64]
 

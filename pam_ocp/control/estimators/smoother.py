@@ -19,8 +19,6 @@ from ...numerics.bounded_loop import inlined, repeated
 from ..kinds import LARGEST
 from .extended_kalman import Estimator, mirrored, taken_in
 
-__all__ = ["Smoother"]
-
 TOLERANCE = 1e-9
 """Change of the window's trajectory, scaled by nominals, that ends the Gauss-Newton steps."""
 PASSES = 25

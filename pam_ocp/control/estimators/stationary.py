@@ -27,8 +27,6 @@ from ..blocks.running import Running
 from ..controller import Controller, Estimate, Measured
 from ..kinds import BLOCKS, LARGEST, law_of
 
-__all__ = ["StationaryFilter", "WithEstimate", "kalman"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

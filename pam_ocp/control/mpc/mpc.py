@@ -32,19 +32,18 @@ from ...numerics.buffered import Buffered
 from ...planning.transcription.transcription import smoothed
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
+from ...simulation.sampled import StepMethod
 from ...simulation.simulator import evaluated
 from ..kinds import CONTROLLERS
 from ..mpc_statistics import MpcStatistics, MpcStep, record, steps_of
 from ..references import Source
-from ..step import Givens, Step, StepMethod, open_range
+from ..step import Givens, Step, open_range
 from .real_time import PATIENCE, RealTimeCalls, RealTimeIteration
 from .shooting import NodeLimit, Penalty, TrackingProgram
 from .sqp import QpSolver, Sqp, SqpOutcome, TrackingIpopt
 
 if TYPE_CHECKING:
     from ...courtesy import ClosedLoop
-
-__all__ = ["Mpc", "MpcStatistics", "MpcStep"]
 
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]

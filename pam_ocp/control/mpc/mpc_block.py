@@ -18,8 +18,6 @@ from ..kinds import BLOCKS
 from .mpc import Mpc
 from .real_time import FACTS, PATIENCE, RealTimeIteration
 
-__all__ = ["mpc_block"]
-
 _TOLD = {
     "status": "0 solved, 1 unfinished, 2 failed: the plan before is followed, 3 failed for too "
     "long: the fallback is sent",

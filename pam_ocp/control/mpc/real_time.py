@@ -22,8 +22,6 @@ from .riccati import ITERATIONS, RiccatiQp
 from .shooting import TrackingPoint, TrackingProgram, bounds_of, sides_of
 from .sqp import DAMPING, MISS, PROXIMAL, SqpOutcome
 
-__all__ = ["FACTS", "PATIENCE", "RealTimeCalls", "RealTimeIteration"]
-
 Array = NDArray[np.float64]
 
 LARGEST = 1e300

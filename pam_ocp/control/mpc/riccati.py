@@ -18,8 +18,6 @@ from ...numerics.bounded_loop import inlined, repeated
 from ...numerics.portable import portable
 from .shooting import Side, TrackingProgram
 
-__all__ = ["GAP", "ITERATIONS", "RiccatiQp"]
-
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
 GAP = 1e-12

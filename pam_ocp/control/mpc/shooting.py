@@ -20,17 +20,6 @@ from ...core.variables import Variable
 from ...export.machine import quick
 from ..step import Givens, Step
 
-__all__ = [
-    "Bound",
-    "NodeLimit",
-    "Penalty",
-    "Side",
-    "TrackingPoint",
-    "TrackingProgram",
-    "bounds_of",
-    "sides_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 

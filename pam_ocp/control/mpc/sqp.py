@@ -22,8 +22,6 @@ from .riccati import ITERATIONS, RiccatiQp
 from .shooting import UNBOUNDED, TrackingPoint, TrackingProgram, bounds_of, sides_of
 from .stage_qp import StageQp, available
 
-__all__ = ["QP_SOLVERS", "QpSolver", "Sqp", "SqpOutcome", "TrackingIpopt"]
-
 Array: TypeAlias = NDArray[np.float64]
 QpSolver: TypeAlias = 'Literal["hpipm", "piqp"] | str'
 """Of those in ``QP_SOLVERS``; these two come with the library."""

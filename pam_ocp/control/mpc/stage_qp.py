@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 
 from .shooting import UNBOUNDED, TrackingPoint
 
-__all__ = ["StageQp", "available"]
-
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-__all__ = ["Counts", "counted"]
-
 _KINDS: Mapping[str, str] = {
     "additions and subtractions": "ADD SUB NEG",
     "multiplications": "MUL SQ TWICE",

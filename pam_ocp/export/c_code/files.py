@@ -17,8 +17,6 @@ from ..c_keywords import C_KEYWORDS
 from .counts import Counts
 from .generated import Precision, StepCode, inexact, library_functions, portable_functions
 
-__all__ = ["CExport", "Vectors"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 _KEYWORDS = C_KEYWORDS | {"real", "memory", "scratch"}

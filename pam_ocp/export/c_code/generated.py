@@ -18,16 +18,6 @@ from ...core.block import Block
 from ...core.errors import ExportError
 from ..runtime import c_text
 
-__all__ = [
-    "PRECISIONS",
-    "Precision",
-    "StepCode",
-    "inexact",
-    "library_functions",
-    "portable_functions",
-    "step_code",
-]
-
 STEP = "block_step"
 LARGEST_SINGLE, SMALLEST_SINGLE = 3.4028235e38, 1.1754944e-38
 

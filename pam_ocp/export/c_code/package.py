@@ -23,8 +23,6 @@ from .files import CExport, Vectors
 from .generated import LARGEST_SINGLE, PRECISIONS, Precision, step_code
 from .vectors import inputs_of, outputs_of, sensitivity
 
-__all__ = ["export_c"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 MARK = "pam_ocp_export.json"

@@ -18,8 +18,6 @@ from ...numerics.elementwise import array_table
 from ...numerics.portable import written_out
 from .counts import counted
 
-__all__ = ["inputs_of", "outputs_of", "sensitivity", "single_outputs"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 BUDGET = 1_000_000

@@ -17,8 +17,6 @@ from ...core.expressions import Step, carried_out, steps_of
 from ...numerics.elementwise import COMMON, NAMED
 from ...numerics.portable import written_out
 
-__all__ = ["OPERATIONS", "Instructions", "Operation", "Table", "instructions"]
-
 Operation: TypeAlias = Callable[..., Any]
 Table: TypeAlias = Mapping[str, Operation]
 """{name of an operation, as CasADi has it without OP_ and in small letters: what it is}."""

@@ -22,8 +22,6 @@ from .instructions import Instructions
 from .registry import WORLDS
 from .signature import Signature, block_program, plant_programs, signature
 
-__all__ = ["JaxBlock", "JaxPlant", "JaxStepper", "jax_plant", "to_jax"]
-
 Array: TypeAlias = Any
 """A jax.Array, or what becomes one."""
 Parameters: TypeAlias = "Mapping[str, Any] | Any | None"

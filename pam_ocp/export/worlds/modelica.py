@@ -25,14 +25,6 @@ from ...plants.plant import Plant, require_plant
 from .instructions import OPERATIONS, Instructions, instructions
 from .registry import ENDINGS, WORLDS
 
-__all__ = [
-    "FUNCTIONS",
-    "Language",
-    "export_modelica",
-    "formulas",
-    "identifiers",
-]
-
 ATOM, POWER, PRODUCT, SUM, LOGIC = 4, 3, 2, 1, 0
 """How firmly a text holds together."""
 LONG = 60

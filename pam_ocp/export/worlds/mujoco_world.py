@@ -32,8 +32,6 @@ from ...plants.limbs import Limb
 from ...plants.plant import Plant
 from .registry import ENDINGS, WORLDS
 
-__all__ = ["MujocoMuscle", "MujocoMuscles", "export_mjcf", "mujoco_limb", "to_mujoco"]
-
 Way: TypeAlias = "Sequence[str] | Mapping[str, float]"
 
 REACH = 2.5

@@ -21,8 +21,6 @@ from .instructions import Instructions, Table
 from .registry import ENDINGS, WORLDS
 from .signature import Signature, block_program, plant_programs, signature
 
-__all__ = ["to_onnx"]
-
 Precision = Literal["double", "single"]
 OPSET, IR = 18, 10
 PLAIN = {

@@ -10,8 +10,6 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.registry import Registry
 
-__all__ = ["ENDINGS", "WORLDS", "export"]
-
 WORLDS: Registry[Callable[..., Any]] = Registry("world", "pam_ocp.export.worlds")
 """name -> what exports to it: (system, path, ...) -> Path for files, (system, ...) otherwise."""
 

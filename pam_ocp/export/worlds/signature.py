@@ -16,8 +16,6 @@ from ...core.variables import Variable
 from ...plants.plant import Plant
 from .instructions import Instructions, instructions
 
-__all__ = ["Signature", "block_program", "plant_programs", "signature"]
-
 
 @dataclass(frozen=True)
 class Signature:

@@ -17,8 +17,6 @@ from .instructions import Instructions
 from .registry import WORLDS
 from .signature import Signature, block_program, plant_programs, signature
 
-__all__ = ["to_torch"]
-
 Tensor: TypeAlias = Any
 """A torch.Tensor."""
 

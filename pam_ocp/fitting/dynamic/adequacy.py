@@ -23,8 +23,6 @@ from ..statistics import Array, even, f_test, inverse
 from .evidence import Evidence, Motion, projected, roots, solved
 from .suspects import CAUSES, Suspect, sensor_suspects
 
-__all__ = ["Adequacy", "AdequacyTest", "Noise", "adequacy_of", "noise_of", "residual_adequacy"]
-
 LEVEL = 0.01
 """Probability that an adequate model is called inadequate."""
 ORDERS = (2, 3, 4, 5)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.arguments import with_kinds
-from ...core.cases import Place, ending
+from ...core.cases import ending
 from ...core.errors import (
     FitError,
     InputError,
@@ -33,22 +33,10 @@ from ...core.errors import (
     require_count,
     require_instance,
 )
-from ...core.executors import Client
+from ...core.executors import Client, Place
 from ...core.stop import limited
 from ...core.trajectory import Trajectory
 from ..statistics import Array, student_t
-
-__all__ = [
-    "Choice",
-    "Ratios",
-    "Rule",
-    "Structure",
-    "Tried",
-    "choose",
-    "mean_loss",
-    "paired",
-    "rmse_ratios",
-]
 
 
 def mean_loss(losses: Array) -> Array:

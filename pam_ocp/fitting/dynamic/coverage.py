@@ -34,8 +34,6 @@ from ..estimates import Tabled
 from ..statistics import Array, Coefficient, student_t
 from .experiment import with_columns
 
-__all__ = ["Band", "Coverage", "FittedPlant", "Reach", "coverage", "visited"]
-
 BEYOND = 0.05
 """Part of a range by which it may be left without a word."""
 LOUDER = 1.25

@@ -51,8 +51,6 @@ from .plant_fit import ACCURATE, PlantFit
 from .rig import delay_range
 from .transcribe import FitMethod
 
-__all__ = ["PlantFit", "fit_plant"]
-
 RINGING = 3.0
 """Angle [rad] by which an oscillation may turn between samples for polynomials to follow it."""
 ASTRAY = 0.5

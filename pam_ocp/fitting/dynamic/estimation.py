@@ -31,18 +31,6 @@ from .transcribe import (
     usual,
 )
 
-__all__ = [
-    "ORDERS",
-    "Asked",
-    "FitTask",
-    "NoInfluence",
-    "PlantEstimate",
-    "estimate",
-    "outcome",
-    "require_influence",
-    "validate",
-]
-
 SCANNED_DELAYS = 5
 """Delays from which the best is sought, evenly over the range."""
 SCAN_ITERATIONS = 30

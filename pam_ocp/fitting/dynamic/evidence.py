@@ -24,8 +24,6 @@ from .rollout import Rollout, gaps
 from .runs import LEAST_STEPS, MOST_STEPS, Runs, runs_of, settled_starts
 from .suspects import Suspect, Suspected, sensor_suspects, suspected
 
-__all__ = ["Evidence", "Motion", "evidence_of", "projected", "roots", "solved"]
-
 STEEP = 1e3
 """What a start may change, in spreads per nominal, for a motion to be followed."""
 SHORTEST = 24

@@ -32,23 +32,6 @@ from ...plants.plant import Plant
 from ...simulation.simulator import simulate
 from ..statistics import Array
 
-__all__ = [
-    "Experiment",
-    "InputErrors",
-    "ParameterGroup",
-    "bounds_of",
-    "decided",
-    "deviance",
-    "groups",
-    "measured_names",
-    "named",
-    "prepare",
-    "recorded",
-    "running",
-    "with_columns",
-    "with_inputs",
-]
-
 
 @dataclass(frozen=True)
 class ParameterGroup:

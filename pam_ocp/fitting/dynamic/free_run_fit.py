@@ -38,8 +38,6 @@ from .rig import (
 from .rollout import Rollout, followed, require_followed
 from .runs import LEAST_STEPS, MOST_STEPS, FreeRun, hidden_states, runs_of, settled_starts
 
-__all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
-
 ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
 POOR = 1e-3

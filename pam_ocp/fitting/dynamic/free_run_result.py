@@ -38,22 +38,6 @@ from .rig import Rig, RunUnknowns, unknowns_of
 from .rollout import Rollout, gaps, spreads
 from .runs import FreeRun, Runs, runs_of, settled_starts
 
-__all__ = [
-    "BLOCKS",
-    "Fineness",
-    "FreeRunFit",
-    "Spread",
-    "asked_like",
-    "begun",
-    "fine_runs",
-    "fineness",
-    "runs_like",
-    "spread_of",
-    "told",
-    "unknowns_like",
-    "widened",
-]
-
 BLOCKS = 24
 ENOUGH = 3
 """Blocks to an unknown from which each direction has a width of its own."""

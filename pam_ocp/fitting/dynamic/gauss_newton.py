@@ -23,21 +23,6 @@ from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..statistics import Array
 from .transcribe import FitProgram, Program
 
-__all__ = [
-    "DONE",
-    "GRACE",
-    "TIMED",
-    "Descent",
-    "GaussNewtonResult",
-    "Normal",
-    "Progress",
-    "Report",
-    "descend",
-    "from_fewer",
-    "reporter",
-    "solve",
-]
-
 Result = TypeVar("Result")
 
 GRACE = 20.0

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arguments import with_kinds
-from ...core.cases import Place
 from ...core.errors import (
     FitError,
     InputError,
@@ -28,6 +27,7 @@ from ...core.errors import (
     require_count,
     require_instance,
 )
+from ...core.executors import Place
 from ...core.interrupts import interruptible
 from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared
@@ -45,8 +45,6 @@ from .experiment import bounds_of, groups, measured_names, recorded
 from .free_run_result import BLOCKS
 from .rig import Rig, unknowns_of
 from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
-
-__all__ = ["LADDER", "Builder", "Ladder", "fit_ladder"]
 
 LADDER = (
     *("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory"),

@@ -34,12 +34,6 @@ from .structures import (
     run_losses,
 )
 
-__all__ = [
-    "GruStructure",
-    "NarxStructure",
-    "NetworkModel",
-]
-
 Weights: TypeAlias = dict[str, Any]
 Single: TypeAlias = NDArray[np.float32]
 FARTHEST = 50.0

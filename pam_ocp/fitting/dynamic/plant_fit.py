@@ -37,8 +37,6 @@ from .transcribe import FitMethod
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PlantFit", "load_plant_fit"]
-
 ACCURATE = 0.02
 """Largest error of the integration that a fit is content with, in standard deviations of the noise.
 """

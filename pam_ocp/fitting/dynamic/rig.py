@@ -21,18 +21,6 @@ from ...plants.undelayed import Redeclared
 from ..statistics import Array
 from .experiment import ParameterGroup, named
 
-__all__ = [
-    "Delay",
-    "Rig",
-    "RunUnknowns",
-    "Unknown",
-    "delay_range",
-    "disturbed",
-    "given_starts",
-    "known_rig",
-    "unknowns_of",
-]
-
 Delay: TypeAlias = "float | tuple[float, float] | Mapping[str, float | tuple[float, float]]"
 """[s] of all inputs, or by input (a name or a pattern: those have one delay in common); a pair is
 the range in which it is estimated.

@@ -19,8 +19,6 @@ from ..statistics import Array
 from .rig import Rig, RunUnknowns
 from .runs import Runs, RunSteps
 
-__all__ = ["Rollout", "followed", "gaps", "require_followed", "spreads"]
-
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
 sample's row is damped.

@@ -15,8 +15,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.cases import Place, results_of
+from ...core.cases import results_of
 from ...core.errors import FitError
+from ...core.executors import Place
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
 from ...plants.dead_time import DelayLine
@@ -29,19 +30,6 @@ from .gauss_newton import Descent, descend
 from .rig import Rig, RunUnknowns, Unknown, unknowns_of
 from .rollout import Rollout, require_followed
 from .runs import Runs, runs_of, settled_starts
-
-__all__ = [
-    "FIRST_RATE",
-    "HISTORY",
-    "Part",
-    "Rung",
-    "RungFit",
-    "RungModel",
-    "Task",
-    "climbed",
-    "model_of",
-    "usual_steps",
-]
 
 Part: TypeAlias = "tuple[int, int, int]"
 """(record, first sample, last sample + 1)."""

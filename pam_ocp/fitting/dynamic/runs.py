@@ -25,18 +25,6 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import measured_names, recorded
 
-__all__ = [
-    "LEAST_STEPS",
-    "MOST_STEPS",
-    "FreeRun",
-    "RunInputs",
-    "RunSteps",
-    "Runs",
-    "hidden_states",
-    "runs_of",
-    "settled_starts",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class RunSteps:

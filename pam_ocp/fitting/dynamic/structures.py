@@ -28,24 +28,6 @@ from .free_run_fit import fit_free_run
 from .free_run_result import FreeRunFit
 from .plant_fit import PlantFit
 
-__all__ = [
-    "ArxModel",
-    "ArxStructure",
-    "Data",
-    "FreeRunStructure",
-    "JudgedRuns",
-    "PlantStructure",
-    "Scales",
-    "SubspaceModel",
-    "SubspaceStructure",
-    "data_of",
-    "levels_of",
-    "measured",
-    "one_length",
-    "require_structure",
-    "run_losses",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class FreeRunStructure:

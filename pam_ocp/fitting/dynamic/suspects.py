@@ -22,8 +22,6 @@ from ...plants.undelayed import Redeclared
 from ..statistics import Array
 from .experiment import ParameterGroup, with_columns
 
-__all__ = ["CAUSES", "Suspect", "Suspected", "sensor_suspects", "suspected"]
-
 CAUSES = ("drift", "friction or hysteresis", "scale", "lag", "floor", "law")
 """What is looked for, besides noise that is not white. ``law``: a force that depends on position or
 speed in another way than the model's."""

@@ -31,19 +31,6 @@ from ..statistics import Array
 from .experiment import Experiment, ParameterGroup
 from .rig import Rig, RunUnknowns, unknowns_of
 
-__all__ = [
-    "METHODS",
-    "FitMethod",
-    "FitProblem",
-    "FitProgram",
-    "Program",
-    "SimulatedProgram",
-    "sensed",
-    "transcribe",
-    "unknowns_with_starts",
-    "usual",
-]
-
 FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting", "simulation"]
 METHODS = get_args(FitMethod)
 

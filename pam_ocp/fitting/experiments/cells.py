@@ -15,7 +15,6 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.cases import Place
 from ...core.errors import (
     InputError,
     UnknownNameError,
@@ -25,6 +24,7 @@ from ...core.errors import (
     require_finite,
     require_positive,
 )
+from ...core.executors import Place
 from ...core.files import atomic_path
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
@@ -33,8 +33,6 @@ from ..static.optimum import sensitivity
 from ..statistics import Array, Linearisation, student_t
 from ..tables.force_table import ForceTable
 from .optimal import Criterion, chosen, exchange, refine
-
-__all__ = ["CellDesign", "design_cells"]
 
 DesignCriterion: TypeAlias = Literal["D", "A", "I"]
 GRID = 25

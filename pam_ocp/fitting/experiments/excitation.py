@@ -33,19 +33,6 @@ from ..dynamic.coverage import Band, Coverage, Reach
 from ..dynamic.experiment import ParameterGroup
 from ..statistics import Array
 
-__all__ = [
-    "RANDOM",
-    "Excitation",
-    "Family",
-    "GapSignal",
-    "close_gap",
-    "criterion_of",
-    "excitation",
-    "random_signals",
-    "ranges_of",
-    "span",
-]
-
 FAINT = 1e-6
 """Information on each initial state [1/nominal^2] that is always there: some are seen by nothing.
 """

@@ -15,11 +15,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.cases import Place, results_of
+from ...core.cases import results_of
 from ...core.errors import InputError, UnknownNameError
+from ...core.executors import Place
 from ..statistics import Array
-
-__all__ = ["Criterion", "Selection", "chosen", "exchange", "refine"]
 
 RIDGE = 1e-9
 """Information added in every direction while a design is sought from nothing, times that of the

@@ -48,8 +48,6 @@ from .excitation import (
 from .excitation import excitation as excitation_of
 from .optimal import chosen
 
-__all__ = ["CellDesign", "SignalDesign", "design_cells", "design_experiment", "design_signal"]
-
 ACCURATE = 2e-3
 """Error of the integration, of the spread of each measured variable, that a design is content with.
 """

@@ -43,8 +43,6 @@ from ..dynamic.structures import FreeRunStructure
 from ..statistics import Array
 from .residual import Attached, Residual, Visited, attached
 
-__all__ = ["Band", "LearnedFit", "LearnedStructure", "Strength", "fit_residual"]
-
 STRENGTHS = (1e-2, 1e-3, 1e-4, 1e-5)
 """Of the penalty, in parts of the measured variables' variance, from strong to weak."""
 PIECES = 3

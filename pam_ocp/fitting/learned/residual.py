@@ -33,18 +33,6 @@ from ...core.errors import (
 from ...plants.plant import Plant
 from ..statistics import Array
 
-__all__ = [
-    "Attached",
-    "Form",
-    "GaussianProcess",
-    "Network",
-    "Residual",
-    "Shape",
-    "Splines",
-    "Visited",
-    "attached",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Form:

@@ -15,15 +15,6 @@ from ..statistics import Array, f_test
 from ..tables.force_table import ForceTable, require_table
 from .optimum import Optimum
 
-__all__ = [
-    "Hysteresis",
-    "LackOfFit",
-    "branch_lines",
-    "hysteresis",
-    "lack_of_fit",
-    "repeats",
-]
-
 SAME_PRESSURE = 0.005
 """Cells whose pressures differ by less than this part of the largest count as repeats."""
 SAME_CONTRACTION = 0.001

@@ -17,9 +17,9 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.cases import Place, results_of
+from ...core.cases import results_of
 from ...core.errors import FitError, InputError, PamError, kind_of, require_positive
-from ...core.executors import placed
+from ...core.executors import Place, placed
 from ...core.files import require_local
 from ...core.plausible import outside
 from ...core.stop import verb
@@ -35,8 +35,6 @@ from .force_fit import ForceFit
 from .least_squares import Loss
 from .shared import JointForceFit, jointly_fitted
 from .static import fit_branches, fit_force, law_class
-
-__all__ = ["CANDIDATES", "Measured", "collected", "fit_campaign", "fit_forces", "joined"]
 
 CANDIDATES = ("six-parameter", "five-parameter", "length-scaled")
 """Laws that a campaign tries on all lengths of one diameter."""

@@ -23,8 +23,6 @@ from .force_fit import ForceFit
 from .ranking import Candidate
 from .shared import JointForceFit
 
-__all__ = ["Campaign", "LengthLaw", "LengthStudy", "MuscleStudy", "RunStudy"]
-
 
 @dataclass(frozen=True)
 class RunStudy:

@@ -21,17 +21,6 @@ from numpy.typing import NDArray
 from ..statistics import Array, SerialErrors, inverse, spanned
 from ..tables.force_table import ForceTable
 
-__all__ = [
-    "Order",
-    "drawn_errors",
-    "neighbours",
-    "scaled_errors",
-    "sequences",
-    "serial_errors",
-    "surprise",
-    "widening",
-]
-
 NEGLECTED = 0.15
 """Probability of a correlation below which errors count as independent.
 

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ... import courtesy
 from ...core.calibration import AMBIENT
-from ...core.cases import Place, ending
+from ...core.cases import ending
 from ...core.errors import FitError, InputError, UnknownNameError, require_count, require_numbers
-from ...core.executors import placed
+from ...core.executors import Place, placed
 from ...core.files import read_json, reading, write_json
 from ...core.plausible import meant_within, outside
 from ...core.shown import shown
@@ -41,8 +41,6 @@ from .search import NEAR, minimise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["Bootstrap", "ForceFit", "Resampling"]
 
 STRAIGHT = 0.2
 """By this part of its half width the profile interval of a coefficient may differ from value ± t

@@ -26,8 +26,6 @@ from ..statistics import Array
 from .least_squares import BISQUARE, HUBER, Sums, Terms, spread
 from .local_optimum import descend
 
-__all__ = ["HoldModel", "Holds", "settled"]
-
 CREEP, SHARP = 1e-9, 1e-11
 """Speed [m/s, rad/s] at which a position creeps into rest, and below which friction is rounded off:
 far below all damping, so that friction is what it is on the way.

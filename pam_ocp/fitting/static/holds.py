@@ -33,8 +33,6 @@ from .hold_model import HoldModel, Holds, settled
 from .least_squares import Terms, robust_scale
 from .static import independent
 
-__all__ = ["HoldsFit", "fit_holds"]
-
 DECIDING = 0.45
 """Leverage from which a hold nearly decides alone; half of it where there are two alike."""
 HANGING = 2.0

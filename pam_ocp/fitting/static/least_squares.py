@@ -23,22 +23,6 @@ from ...muscles.law import ForceLaw
 from ..statistics import Array, forces, forces_and_slopes, in_blocks, second_places
 from ..tables.force_table import ForceTable
 
-__all__ = [
-    "BISQUARE",
-    "HUBER",
-    "PLAIN",
-    "LeastSquares",
-    "Loss",
-    "Sums",
-    "Terms",
-    "least_squares",
-    "nonlinear_coefficients",
-    "projected",
-    "robust_scale",
-    "sizes",
-    "spread",
-]
-
 DECADES = (-2.0, 1.5)
 """A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
 POINTS_PER_DECADE = 12

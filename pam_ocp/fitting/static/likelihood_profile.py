@@ -15,9 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from ...core.cases import Place, results_of
+from ...core.cases import results_of
 from ...core.errors import FitError
-from ...core.executors import placed
+from ...core.executors import Place, placed
 from ...core.plausible import UnitWarning
 from ..statistics import Array
 from ..tables.force_table import ForceTable
@@ -25,8 +25,6 @@ from .least_squares import DECADES, LeastSquares, projected, sizes
 from .local_optimum import Bounded, descend
 from .optimum import Optimum
 from .search import minimise
-
-__all__ = ["Ends", "Sweep", "profile_end", "profile_ends", "refitted", "walked"]
 
 SAME_COST = 1e-9
 """Relative fall of the cost at which the others count as fitted, where one of them walks."""

@@ -27,20 +27,6 @@ from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, Loss, Sums, Terms
 
-__all__ = [
-    "STATIONARY",
-    "Bounded",
-    "Descended",
-    "Minimum",
-    "Problem",
-    "Squares",
-    "by_ipopt",
-    "by_newton",
-    "cosine",
-    "descend",
-    "local_optima",
-]
-
 ITERATIONS = 150
 """Evaluations of all starts that are still on their way."""
 FIRST_DAMPING = 1e-6

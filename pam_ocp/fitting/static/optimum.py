@@ -22,8 +22,6 @@ from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
 from .least_squares import BISQUARE, HUBER, PLAIN, LeastSquares, Terms, robust_scale, spread
 
-__all__ = ["Optimum", "sensitivity"]
-
 
 def sensitivity(law: ForceLaw, free: Sequence[str], p: Array, kappa: Array) -> tuple[Array, Array]:
     """Tension (n,) [N] and its derivatives with respect to the ``free`` coefficients (n, k)."""

@@ -14,8 +14,9 @@ from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from ...core.cases import Place, ending
+from ...core.cases import ending
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.executors import Place
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
@@ -26,9 +27,6 @@ from .force_fit import ForceFit
 from .search import NEAR, minimise
 from .shared import JointForceFit
 from .static import fit_force, independent, law_class
-
-__all__ = ["Candidate", "ComparedLaw", "LawComparison", "compare_laws"]
-
 
 Fit = TypeVar("Fit", ForceFit, JointForceFit)
 

@@ -15,8 +15,6 @@ from .branches import branch_lines
 from .correlation import FEWEST
 from .optimum import Optimum
 
-__all__ = ["floor_doubts", "force_report", "force_warnings", "unseen"]
-
 MOST_SHOWN = 3
 """Combinations that are spelled out."""
 SURE = 3.0

@@ -24,8 +24,6 @@ from ..statistics import Array
 from .least_squares import BISQUARE, LeastSquares, least_squares
 from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, descend, local_optima
 
-__all__ = ["NEAR", "SUBSETS", "WIDE", "Effort", "minimise", "robust_start", "trimmed_start"]
-
 TRIMMED = 0.15
 """Part of the cells that may be wrong."""
 SUBSETS = 400

@@ -17,9 +17,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.cases import Place, results_of
+from ...core.cases import results_of
 from ...core.errors import FitError, InputError, UnknownNameError
-from ...core.executors import placed
+from ...core.executors import Place, placed
 from ...core.variables import Variable
 from ...muscles.law import ForceLaw
 from ..estimates import Estimates, at_edge, correlation_lines
@@ -33,8 +33,6 @@ from .local_optimum import STATIONARY, Minimum, by_newton
 from .report import floor_doubts, unseen
 from .search import Effort, minimise
 from .static import cell_weights, checked_pairs, held_coefficients, independent
-
-__all__ = ["JointForceFit", "JointProblem", "MemberFit", "jointly_fitted"]
 
 JOINT = Effort(600, 12)
 """Of the scan."""

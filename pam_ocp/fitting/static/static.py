@@ -22,16 +22,6 @@ from .force_fit import ForceFit
 from .least_squares import HUBER, LeastSquares, Loss, Terms, sizes, spread
 from .search import minimise, robust_start
 
-__all__ = [
-    "ForceFit",
-    "cell_weights",
-    "checked_pairs",
-    "fit_force",
-    "held_coefficients",
-    "independent",
-    "law_class",
-]
-
 LOG = logging.getLogger(__name__)
 SMALLEST_ERROR = 0.3
 """Of a cell, in parts of the usual one: below that it is luck of few rows, and counts as this."""

@@ -32,17 +32,6 @@ from .clock import GAP, find_clock, read_clock, usual_step
 from .dialect import Grid, Unsaid
 from .raw import Doubt, RawTable
 
-__all__ = [
-    "clocked",
-    "looks_pivoted",
-    "merged",
-    "periods",
-    "pivoted",
-    "side_by_side",
-    "stacked",
-    "with_unit",
-]
-
 _WITH_UNIT = re.compile(
     r"(?P<words>[^\d.,+-]*?)[\s=:@(_]*(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>[^\W\d]+|%)\)?$"
 )

@@ -18,31 +18,6 @@ from ...core.calibration import COUNTS, SPELLINGS, spelled
 from ...core.errors import InputError, UnknownNameError
 from ...core.units import unit
 
-__all__ = [
-    "COMMANDS",
-    "LABELS",
-    "MEASURED",
-    "NAMES",
-    "PLACES",
-    "QUANTITIES",
-    "TIME_NAMES",
-    "branch_of",
-    "decimal_of",
-    "is_empty",
-    "is_number",
-    "is_stamp",
-    "is_unit",
-    "matching",
-    "named_branch",
-    "number",
-    "numbers_of",
-    "parse_header",
-    "parted",
-    "plain",
-    "without_units",
-    "words_of",
-]
-
 
 def words_of(text: str) -> frozenset[str]:
     """Names between commas, on any number of lines."""

@@ -26,21 +26,6 @@ from .cells import TIME_NAMES, is_empty, is_stamp, parse_header
 from .columns import column_scale
 from .raw import Doubt, RawTable
 
-__all__ = [
-    "DAYS",
-    "clock_words",
-    "doubts_of_clock",
-    "find_clock",
-    "in_days",
-    "in_round_days",
-    "joined",
-    "mended",
-    "parts_of",
-    "read_clock",
-    "seconds_of_numbers",
-    "seconds_of_stamps",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 DAY = 86400.0

@@ -39,21 +39,6 @@ if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
-__all__ = [
-    "Series",
-    "assigned",
-    "check_force",
-    "check_mixed_pressure",
-    "check_pressure",
-    "check_size",
-    "column_scale",
-    "contraction_of",
-    "display_of",
-    "read_labels",
-    "record_variables",
-    "require_columns",
-]
-
 BEYOND = 20.0
 """A value this many times beyond a variable's bounds was read in a wrong unit."""
 LEAST_PRESSURE = 1e3

@@ -27,17 +27,6 @@ from ...core.errors import InputError
 from ...core.files import MOST_COLUMNS, MOST_LINE, MOST_SHEET_CELLS, require_size
 from .cells import decimal_of, is_empty, is_number, is_stamp, number, parted
 
-__all__ = [
-    "Grid",
-    "Unsaid",
-    "grid_of_text",
-    "is_lvm",
-    "is_markup",
-    "nothing_in",
-    "segments_of",
-    "tables_of",
-]
-
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
 _OF_UNITS = re.compile(r"\s*%\s*[;,|\t]")

@@ -22,16 +22,6 @@ from .cells import MEASURED as SAID_MEASURED
 from .cells import NAMES, PLACES, is_empty, is_number, number, numbers_of
 from .raw import Doubt, RawTable
 
-__all__ = [
-    "Column",
-    "Understood",
-    "above_ambient",
-    "checked_cells",
-    "doubts_of",
-    "doubts_of_table",
-    "kind_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 FEW_ROWS = 20

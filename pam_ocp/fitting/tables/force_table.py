@@ -42,16 +42,6 @@ from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, Reading, complete, say
 from .sources import is_source, load, naming, sources_of
 
-__all__ = [
-    "ForceTable",
-    "TableArguments",
-    "joined_floor",
-    "joined_tables",
-    "read_table",
-    "require_table",
-    "table_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 MEASURES = ("pressure", "contraction", "force", "scatter", "error")

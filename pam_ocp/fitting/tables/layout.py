@@ -18,8 +18,6 @@ from .cells import is_empty, is_number, is_stamp, is_unit, parted, without_units
 from .dialect import Grid, Unsaid, nothing_in
 from .raw import RawTable
 
-__all__ = ["given_names", "has_table", "require_distinct", "tabulated"]
-
 LOOKED_AT = 400
 """Rows at the end of a grid whose cells say what its columns hold."""
 MOST_TURNED = 50

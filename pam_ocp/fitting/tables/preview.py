@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from ...core.trajectory import Trajectory
     from ...plants.plant import Plant
 
-__all__ = ["ColumnView", "FileRead", "FolderRead", "Preview", "Previews", "look", "read_folder"]
-
 LONG = 200
 """Rows from which on what holds less than a force table, and no clock, is probably a record."""
 WIDEST = 40

@@ -35,20 +35,6 @@ from .cells import (
     parse_header,
 )
 
-__all__ = [
-    "Doubt",
-    "RawTable",
-    "Reading",
-    "ReadingWarning",
-    "checked_constants",
-    "complete",
-    "glob_of",
-    "labels_of",
-    "require_pattern",
-    "say",
-    "with_constants",
-]
-
 
 class ReadingWarning(UserWarning):
     r"""Not all of a file was taken as it stands: what was left out or mended, and where.

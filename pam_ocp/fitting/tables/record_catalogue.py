@@ -20,8 +20,6 @@ from ...core.shown import shown
 from ...core.stores import Folder, Store, folder_of, opened, write_bytes
 from .force_table import ForceTable, require_table
 
-__all__ = ["Catalogue", "Record"]
-
 TEXTS = ("name", "muscle", "kind", "who", "when", "calibration", "licence")
 CELLS = ("pressure", "contraction", "force")
 

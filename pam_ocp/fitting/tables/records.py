@@ -43,14 +43,6 @@ if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
-__all__ = [
-    "RecordArguments",
-    "loaded",
-    "read_record",
-    "read_records",
-    "record_parts",
-]
-
 
 @dataclass(frozen=True)
 class RecordArguments(Reading):

@@ -61,8 +61,6 @@ from .layout import given_names, has_table, require_distinct, tabulated
 from .raw import RawTable, Reading, labels_of, with_constants
 from .trees import chosen_table, flat, left_out
 
-__all__ = ["ENDINGS", "is_source", "load", "naming", "sources_of"]
-
 
 def load(source: Any, how: Reading | None = None) -> RawTable:
     """Columns of a file, DataFrame or mapping; bundled tables too. Constants are columns, too."""

@@ -21,8 +21,6 @@ from .cells import TIME_NAMES, decimal_of, is_number, is_unit, plain
 from .dialect import Grid, Unsaid
 from .raw import RawTable
 
-__all__ = ["Found", "chosen_table", "flat", "left_out", "rewritten"]
-
 Found = Mapping[str, Sequence[Any]] | Grid
 """Columns by name, or cells that a layout must be found in."""
 TIME_OF = {*TIME_NAMES, *(f"{name} [s]" for name in TIME_NAMES)}

@@ -15,12 +15,6 @@ from ...core.errors import UnknownNameError
 from ..law import FloatOrSX, ForceLaw, coefficient, register
 from ..validity import Validity
 
-__all__ = [
-    "CorrectedLaw",
-    "GeometricLaw",
-    "ThickWallLaw",
-]
-
 
 def _angle() -> Any:
     """alpha0; outside its range a braid is no muscle: from 54.7 degrees on it pushes."""

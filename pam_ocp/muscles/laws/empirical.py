@@ -13,14 +13,6 @@ from ...core.errors import UnknownNameError
 from ..law import FloatOrSX, ForceLaw, clamp, coefficient, register
 from ..validity import Validity
 
-__all__ = [
-    "FiveParameterLaw",
-    "HildebrandtLaw",
-    "LengthScaledLaw",
-    "ThreeElementLaw",
-    "TwoSlopeThreeElementLaw",
-]
-
 
 @register
 @dataclass(frozen=True)

@@ -24,17 +24,6 @@ from ...core.stop import turns
 from ..law import LAWS, ForceLaw, clamp, coefficient
 from ..validity import Validity
 
-__all__ = [
-    "bladder_law",
-    "ends_law",
-    "law_named",
-    "own_law",
-    "polynomial_law",
-    "spline_law",
-    "with_bladder",
-    "with_ends",
-]
-
 _TYPICAL = {"g": ("N/Pa", 3e-3, "gain G"), "h": ("N", 300.0, "force at zero pressure H")}
 
 

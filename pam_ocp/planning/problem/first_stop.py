@@ -22,9 +22,6 @@ from ..transcription.guess import Point, rest_point
 from .limits import range_of
 from .problem import Condition, Problem, Range
 
-__all__ = ["left_by_the_past", "settled_before", "with_draught", "with_given_pressures"]
-
-
 ROUNDS, SAME = 10, 1e-6
 """From a pressure to memories at their envelopes to the pressure there, at most, and until these
 change by less [nominal].

@@ -21,8 +21,6 @@ from .first_stop import left_by_the_past, settled_before, with_draught, with_giv
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .problem import Condition, Leg, Problem, Range, Symbols, budget, objective
 
-__all__ = ["Holding", "at_rest", "closing_states", "formulate", "not_implied", "resting_positions"]
-
 DURATIONS: Range = (1e-3, 10.0)
 """Bounds of a free duration of one leg [s]."""
 

@@ -23,16 +23,6 @@ from ...judge.statement import (
 from ...plants.plant import Plant
 from .problem import Condition, Range, Symbols
 
-__all__ = [
-    "Limits",
-    "common_limits",
-    "conditions_of",
-    "design_ranges",
-    "key_of",
-    "narrowed",
-    "range_of",
-]
-
 INF = float("inf")
 BEYOND = 0.05
 """By which part of their range held memories may leave it in the discretised motion."""

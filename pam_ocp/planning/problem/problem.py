@@ -17,24 +17,6 @@ from ...judge.costs import COSTS, mechanical_power, muscles_of
 from ...judge.statement import TIME, Profile, require_expression, subject, times_seconds
 from ...plants.plant import Plant
 
-__all__ = [
-    "FORMS",
-    "Auxiliary",
-    "Budget",
-    "Condition",
-    "Leg",
-    "Objective",
-    "Problem",
-    "Range",
-    "Symbols",
-    "budget",
-    "follows_inputs",
-    "is_nonnegative",
-    "limits",
-    "objective",
-    "regularised",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Range: TypeAlias = tuple[float, float]
 

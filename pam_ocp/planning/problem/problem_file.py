@@ -22,8 +22,6 @@ from ...simulation.reducers import LONGEST, OPERATORS
 from ..transcription.mesh import Arcs, Collocation, Shooting
 from .problem import budget
 
-__all__ = ["expression_of", "load_problem", "plan_arguments"]
-
 _METHODS = {kind.__name__: kind for kind in (Collocation, Shooting, Arcs)}
 _STOP = ("rest", "dwell", "within")
 

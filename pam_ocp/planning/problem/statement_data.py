@@ -17,8 +17,6 @@ from ...judge.asked import unit_of_sum
 from ...judge.statement import TIME, Avoid, Constraint, Phase, Profile, Statement, Stop, subject
 from ...plants.plant import Plant
 
-__all__ = ["data_of", "statement_of"]
-
 
 # ---- writing ------------------------------------------------------------------------------------
 class _Writer:

@@ -12,8 +12,6 @@ from ...core.plausible import outside
 from ..transcription.transcription import Program
 from .solver import SOLVERS, Progress, Solver
 
-__all__ = ["Backend", "Solver", "SolverName"]
-
 SolverName: TypeAlias = 'Literal["ipopt"] | str'
 """Of those in ``SOLVERS``; this one comes with the library."""
 

@@ -20,8 +20,6 @@ from ..transcription.derivatives import Block, entries_of, stage_blocks, stored
 from ..transcription.solution import Places
 from ..transcription.transcription import Group, Program
 
-__all__ = ["Condensed", "Interval", "Layout", "Values"]
-
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 

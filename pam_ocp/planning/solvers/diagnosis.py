@@ -18,8 +18,6 @@ from ..transcription.transcription import Program
 from .ipopt_options import DEFAULTS
 from .solver import Outcome, limit
 
-__all__ = ["Conflict", "Elastic", "advice", "elastic", "explanation", "resolving"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 NOTABLE = 1e-6

@@ -15,8 +15,6 @@ from ..transcription.stage import nominals
 from ..transcription.transcription import Group, Program
 from .solver import Outcome
 
-__all__ = ["costates", "sensitivities", "stop_sensitivities"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -4,15 +4,6 @@ from __future__ import annotations
 
 from typing import Any, Literal, TypeAlias
 
-__all__ = [
-    "BARRIER_OF_TIME",
-    "DAMPED",
-    "DEFAULTS",
-    "STARTS",
-    "WANDERING",
-    "Start",
-]
-
 DEFAULTS: dict[str, Any] = {
     "tol": 1e-9,
     "constr_viol_tol": 1e-9,

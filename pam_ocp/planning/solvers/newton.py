@@ -22,8 +22,6 @@ from ..transcription.derivatives import entries_of, stored
 from ..transcription.transcription import Program
 from .condensed import Beside, Condensed, Interval, Values
 
-__all__ = ["GAP", "RESIDUAL", "Newton", "NoMinimum", "Optimality", "Point", "StageProgram", "Step"]
-
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 

@@ -27,9 +27,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.cases import Place, ending
+from ...core.cases import ending
 from ...core.errors import PlanError
-from ...core.executors import placed
+from ...core.executors import Place, placed
 from ...core.stop import TimeIsUp, check
 from ...core.workers import processors
 from ...numerics.blas import environment
@@ -39,8 +39,6 @@ from ..starts import Task
 from ..transcription.transcription import Program
 from .solver import Ipopt, Outcome
 from .solver_server import Solves
-
-__all__ = ["solved_side_by_side", "starts_on"]
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -29,16 +29,6 @@ from .ipopt_options import BARRIER_OF_TIME, DAMPED, DEFAULTS, STARTS, WANDERING,
 if TYPE_CHECKING:  # loaded with the first re-solve
     from .newton import Newton, Optimality
 
-__all__ = [
-    "SETTLED",
-    "SOLVERS",
-    "Ipopt",
-    "Outcome",
-    "Progress",
-    "Solver",
-    "limit",
-]
-
 LOG = logging.getLogger(__name__)
 
 Array: TypeAlias = NDArray[np.float64]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import courtesy
-from ...core.cases import Place, ending
+from ...core.cases import ending
 from ...core.errors import InputError, PlanError, require_count, require_positive
-from ...core.executors import placed
+from ...core.executors import Place, placed
 from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
@@ -32,8 +32,6 @@ from ..transcription.guess import from_solution
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from typing_extensions import Unpack
-
-__all__ = ["Pareto", "pareto"]
 
 Array: TypeAlias = NDArray[np.float64]
 _Point: TypeAlias = tuple[Plan, float, float]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from ...core.cases import Place
 from ...core.errors import (
     InputError,
     PamError,
@@ -20,6 +19,7 @@ from ...core.errors import (
     require_finite,
     require_positive,
 )
+from ...core.executors import Place
 from ...core.plausible import outside
 from ...core.progress import counted
 from ...core.stop import TimeIsUp, verb
@@ -45,8 +45,6 @@ from .spread import Draw, Spread, drawn, ensemble_arguments, ensemble_stop, spre
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-__all__ = ["RobustPlan", "robust_plan"]
 
 ALIKE = {"mumps_pivtol": 1e-4, "mumps_scaling": 0}
 """IPOPT's options for ensembles: with smaller pivots steps are too inexact where copies of a plant

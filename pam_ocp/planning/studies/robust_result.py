@@ -27,18 +27,6 @@ from .spread import Spread, drawn, spread_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Demand",
-    "Judged",
-    "RobustPlan",
-    "RobustVerdict",
-    "Round",
-    "Share",
-    "judged",
-    "missed",
-    "share_of",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 
 SLACK = 1e-3

@@ -12,8 +12,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.cases import Place, ending
+from ...core.cases import ending
 from ...core.errors import InputError, PamError, SimulationError
+from ...core.executors import Place
 from ...core.trajectory import Trajectory
 from ...judge.statement import Avoid, Constraint, Phase, Stop
 from ...numerics.newton import NewtonError, iterate, least_squares, newton
@@ -21,15 +22,6 @@ from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows
 from ...simulation.simulator import simulate
-
-__all__ = [
-    "Draw",
-    "Spread",
-    "drawn",
-    "ensemble_arguments",
-    "ensemble_stop",
-    "spread_of",
-]
 
 Array: TypeAlias = NDArray[np.float64]
 Draw: TypeAlias = Mapping[str, float]

@@ -20,8 +20,6 @@ from .solution import Places
 from .stage import Stage
 from .transcription import Program, with_design
 
-__all__ = ["Block", "derivatives", "entries_of", "iteration_cost", "stage_blocks", "stored"]
-
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 Matrix = TypeVar("Matrix", ca.SX, ca.MX)

@@ -23,19 +23,6 @@ from .solution import Solution, filled
 from .stage import nominals
 from .transcription import has_smoothing
 
-__all__ = [
-    "Path",
-    "Point",
-    "by_leading",
-    "by_rests",
-    "by_stops",
-    "from_solution",
-    "path_of_rests",
-    "rest_point",
-    "sampled_along",
-    "wants_balance",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Point: TypeAlias = tuple[Array, Array]
 Signal: TypeAlias = Callable[[Array], Array]

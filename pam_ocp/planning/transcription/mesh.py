@@ -16,30 +16,6 @@ from ...core.errors import InputError, require_count
 from ...core.shown import shown
 from ...numerics.collocation import HIGHEST_DEGREE, collocation_points, lagrange
 
-__all__ = [
-    "BY_ARCS",
-    "FORM",
-    "INTERIOR",
-    "Arc",
-    "Arcs",
-    "Collocation",
-    "Control",
-    "Form",
-    "Interval",
-    "Mesh",
-    "Method",
-    "Shooting",
-    "coarsened",
-    "doubled",
-    "doubled_at_most",
-    "guarded",
-    "halved",
-    "held",
-    "merged",
-    "refined",
-    "watched",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Control: TypeAlias = Literal["constant", "linear", "polynomial"]
 Scheme: TypeAlias = Literal["radau", "gauss", "shooting"]

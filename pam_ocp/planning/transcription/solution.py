@@ -16,8 +16,6 @@ from ..problem.problem import Problem
 from .mesh import Mesh
 from .stage import nominals
 
-__all__ = ["Places", "Solution", "Unknowns", "filled", "pack", "unpack"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

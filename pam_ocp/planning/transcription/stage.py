@@ -22,8 +22,6 @@ from ...numerics.runge_kutta import rk4
 from ..problem.problem import Condition, Leg, Problem
 from .mesh import Form
 
-__all__ = ["Stage", "between_points", "nominals"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 

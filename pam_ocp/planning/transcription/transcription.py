@@ -22,21 +22,6 @@ from .mesh import Interval, Mesh
 from .solution import Places, Unknowns
 from .stage import Stage, nominals
 
-__all__ = [
-    "Group",
-    "Program",
-    "Row",
-    "has_relaxed",
-    "has_smoothing",
-    "is_nonsmooth",
-    "later",
-    "sampled",
-    "smoothed",
-    "smoothed_at",
-    "transcribe",
-    "with_design",
-]
-
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 Symbol = TypeVar("Symbol", ca.SX, ca.MX)

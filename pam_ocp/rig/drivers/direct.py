@@ -7,8 +7,6 @@ from typing import Any
 
 from .driver import DRIVERS, DriverError
 
-__all__ = ["TwinDriver"]
-
 
 @DRIVERS.register("twin")
 class TwinDriver:

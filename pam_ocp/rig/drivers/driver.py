@@ -16,17 +16,6 @@ from ...core.errors import InputError, PamError
 from ...core.registry import Registry
 from ..channels import Command, Reading
 
-__all__ = [
-    "DRIVERS",
-    "Clocked",
-    "DeviceClock",
-    "Driver",
-    "DriverError",
-    "Emergency",
-    "addressed",
-    "missing",
-]
-
 
 class DriverError(PamError):
     """No valid answer of the device: nothing came, or nothing that is whole.

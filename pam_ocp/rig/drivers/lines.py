@@ -25,15 +25,6 @@ from ...core.errors import InputError, require_count, require_positive
 from ..channels import Command, Reading
 from .driver import DRIVERS, Clocked, DriverError, Emergency, missing
 
-__all__ = [
-    "LineDriver",
-    "LineServer",
-    "SerialLine",
-    "Udp",
-    "framed",
-    "unframed",
-]
-
 LONGEST = 1024
 """Bytes of a line; what is longer is noise."""
 MOD = 1 << 32

@@ -11,8 +11,6 @@ from ...core.errors import InputError, require_count, require_flag, require_posi
 from ..channels import Command, Reading
 from .driver import DRIVERS, Clocked, DriverError, Emergency, addressed, missing
 
-__all__ = ["Modbus", "packed", "unpacked"]
-
 CODES = {"float32": ">f", "int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I"}
 MOST = 120
 """Registers in one request."""

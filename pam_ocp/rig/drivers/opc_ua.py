@@ -13,8 +13,6 @@ from ..channels import Channel, Command, Reading
 from .driver import DRIVERS, Clocked, DriverError, Emergency, missing
 from .lines import framed, unframed
 
-__all__ = ["OpcUa"]
-
 FAILURES = 3
 """In a row, after which the connection is made anew; where it is closed, at once."""
 SLACK = 0.05

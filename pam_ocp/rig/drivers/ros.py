@@ -12,8 +12,6 @@ from ...core.errors import InputError, require_positive
 from ..channels import Channel, Command, Reading
 from .driver import DRIVERS, Clocked, DriverError, Emergency
 
-__all__ = ["Ros"]
-
 FIELDS = ("position", "velocity", "effort")
 KINDS = ("JointState", "Float64MultiArray")
 DEPTH = 1

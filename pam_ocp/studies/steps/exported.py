@@ -14,8 +14,6 @@ from .step import STEPS, Job, Made, Step, seconds, text_of
 if TYPE_CHECKING:
     from ...core.trajectory import Trajectory
 
-__all__ = ["CheckStep", "ExportCStep", "ExportSspStep", "ExportStep"]
-
 _CHOSEN = ("platforms", "inputs", "outputs")
 
 

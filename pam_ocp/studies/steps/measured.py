@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from ...fitting.tables.force_table import ForceTable
     from ...muscles.pneumatic_muscle import Muscle
 
-__all__ = ["FitStep", "MuscleStep", "TableStep"]
-
 _WORDS = (
     *("columns", "units", "sheet", "skip", "pick", "pivot", "delimiter", "decimal", "empty"),
     *("encoding", "bad_lines", "constants", "pattern"),

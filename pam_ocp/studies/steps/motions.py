@@ -24,16 +24,6 @@ from .step import STEPS, Job, Made, Step, csv_text, ends, seconds, values
 if TYPE_CHECKING:
     from ...core.trajectory import Trajectory
 
-__all__ = [
-    "CompareStep",
-    "ControllerStep",
-    "LoopStep",
-    "Moves",
-    "PlanStep",
-    "SimulateStep",
-    "write_motion",
-]
-
 _PLANNING = (
     *("stops", "cyclic", "duration", "minimise", "bounds", "rest", "memory", "phases"),
     *("constraints", "track", "budgets", "design", "integrand", "final", "method", "tolerance"),

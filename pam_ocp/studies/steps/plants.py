@@ -29,15 +29,6 @@ if TYPE_CHECKING:
     from ...fitting.dynamic.plant_fit import PlantFit
     from ...plants.plant import Plant
 
-__all__ = [
-    "FitPlantStep",
-    "LinearizeStep",
-    "LoadsStep",
-    "PlantStep",
-    "copy_plant",
-    "plant_in",
-]
-
 FILE = "plant.toml"
 _MUSCLES = ("muscle", "muscle2")
 

@@ -9,8 +9,6 @@ from ...core.errors import InputError, UnknownNameError
 from ...core.units import display_unit, significant, unit
 from .step import STEPS, Job, Made, Step, csv_text
 
-__all__ = ["SweepStep", "cases_of"]
-
 MOST_CASES = 10_000
 MOST_PANELS = 6
 
