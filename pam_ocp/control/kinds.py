@@ -35,6 +35,8 @@ BLOCKS: Registry[Callable[..., Block]] = Registry("block", __package__)
 
 
 ACTIVE, LIMITED, HELD_BACK, SENT = "active", "limited", "held_back", "sent."
+ESTIMATE = "estimate."
+"""What an estimator's outputs begin with."""
 BEFORE = ".before"
 """``sent.NAME.before1``: memory of a command on its way to act."""
 TOLD = (ACTIVE, LIMITED, HELD_BACK, "sent", "enable", "wanted", "ahead", "place")

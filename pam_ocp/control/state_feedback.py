@@ -22,7 +22,7 @@ from .blocks.draft import Draft, Symbol, about, clipped, compensated, least_norm
 from .blocks.running import ByBlock, Running, SampledLaw
 from .controller import Measured
 from .estimators.stationary import StationaryFilter, stationary_filter
-from .kinds import BLOCKS
+from .kinds import BLOCKS, ESTIMATE
 from .references import Source
 
 if TYPE_CHECKING:
@@ -385,7 +385,8 @@ class OffsetFree(ByBlock):
         """See :class:`Controller`."""
         law, filter = self._law, self.filter
         filter.correct(measured)
-        law.measure({**filter.state, **filter.disturbance})
+        unknown = {ESTIMATE + n: value for n, value in filter.disturbance.items()}
+        law.measure(filter.state | unknown)
         sent = law.commands()
         filter.predict(sent)
         return sent
@@ -412,7 +413,7 @@ def _feedback(controller: OffsetFree) -> Block:
     chosen = [plant.variable(n) for n in feedback.inputs]
     estimate = draft.states(feedback.inversion, plant.states)
     unknown = [plant.variable(n) for n in controller.filter.disturbances]
-    disturbed = [draft.like(v) - float(point[v.name]) for v in unknown]
+    disturbed = [draft.like(v, ESTIMATE) - float(point[v.name]) for v in unknown]
     held = ((plant.variable(n), float(point[n])) for n in controller._held)
     wanted = [draft.wanted(v, controller._goal.get(v.name, at)) - at for v, at in held]
     k = draft.matrix("K", feedback.K, chosen, plant.states)

@@ -80,6 +80,14 @@ def test_offset_free_feedback_as_a_block_gives_the_same_commands(valved):
     same_commands(OffsetFree(feedback, estimator, ["x"], {"x": 0.004}), valved, noise={"x": 1e-5})
 
 
+def test_offsets_of_a_regulators_command_are_estimated_in_a_block_as_in_python(slide):
+    estimator = kalman(
+        slide, REST, measured={"x": 1e-5}, disturbances={"muscle1.command": 1e4}, sample_time=STEP
+    )
+    feedback = lqr(slide, REST, sample_time=STEP)
+    same_commands(OffsetFree(feedback, estimator, ["x"], {"x": 0.002}), slide, noise={"x": 1e-5})
+
+
 def test_lqg_as_a_block_gives_the_same_commands(slide):
     estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=STEP)
     same_commands(WithEstimate(lqr(slide, REST, sample_time=STEP), estimator), slide)

@@ -15,7 +15,7 @@ from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable
-from ..kinds import BEFORE, SENT, law_of
+from ..kinds import BEFORE, ESTIMATE, SENT, law_of
 from .draft import about, column_of
 
 _ENDS = ["memory", "inputs", "parameters"], ["memory_next", "outputs"]
@@ -147,7 +147,7 @@ class _Chain:
         if source is None:
             for j in reversed(range(i)):
                 outputs = [v.name for v in self.blocks[j].outputs]
-                for name in (wanted.name, f"estimate.{wanted.name}"):
+                for name in (wanted.name, ESTIMATE + wanted.name):
                     if name in outputs and source is None:
                         source = j, outputs.index(name)
         if source is not None:

@@ -15,7 +15,7 @@ from ...core.errors import InputError
 from ...core.variables import Variable
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant
-from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
+from ..kinds import ACTIVE, ESTIMATE, HELD_BACK, LARGEST, LIMITED, SENT
 
 Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
@@ -145,7 +145,7 @@ class Draft:
     def estimate(self, variable: Variable, value: Symbol) -> None:
         """The output ``estimate.NAME`` of a variable of a plant."""
         words = about(variable, f"estimated: {variable.description}")
-        self.output(Variable(f"estimate.{variable.name}", "output", **words), value)
+        self.output(Variable(ESTIMATE + variable.name, "output", **words), value)
 
     def deviation(self, variable: Variable, value: Symbol) -> None:
         """The output ``deviation.NAME``, standard deviation of an estimate."""
