@@ -26,7 +26,7 @@ from pam_ocp.numerics.continuation import Walk
 from pam_ocp.operating.rest import Rest
 from pam_ocp.planning import Collocation
 from pam_ocp.plants import RegulatedLoad
-from pam_ocp.vibration import hopf_bifurcation
+from pam_ocp.vibration.hopf_bifurcation import BorderWalk
 
 ROOT = Path(__file__).parents[2]
 posix = pytest.mark.skipif(os.name != "posix", reason="signals are sent to processes")
@@ -320,7 +320,7 @@ def test_a_border_of_vibration_keeps_the_points_that_it_has(monkeypatch):
     plant = RegulatedLoad(pam.muscle("DMSP-20-400N"), mass=20.0, lag=0.1)
     rest = {"x": 0.04, "muscle.reference": 0.04}
     asked = (plant, "muscle.gain", (1e5, 5e7), "muscle.lag", [0.1, 0.11, 0.12], rest)
-    over_at_call(monkeypatch, hopf_bifurcation, "near_hopf", 2)
+    over_at_call(monkeypatch, BorderWalk, "_near", 2)
     found = pam.vibration.hopf_border(*asked, time_limit=1000.0)
     assert found.points[0] is not None
     assert found.points[1] is None
