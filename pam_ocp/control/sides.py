@@ -150,7 +150,7 @@ class PlantSide(Side):
         given = by_name("parameters", parameters)
         wrong = [n for n in given if plant.variable(n).causality != "parameter"]
         if wrong:
-            raise InputError(f"parameters: {wrong[0]} is a {plant.variable(wrong[0]).causality}")
+            raise InputError(f"parameters: {wrong[0]} is {plant.variable(wrong[0]).kind}")
         self.plant = plant.with_values({**given, **start_values(plant, start)})
         self.name = plant.name
         self.variables = (*plant.states, *plant.inputs, *plant.outputs)
@@ -263,9 +263,7 @@ def start_values(plant: Plant, start: Given | None) -> dict[str, Any]:
     for name in given:
         variable = plant.variable(name)
         if variable.name not in own:
-            raise InputError(
-                f"start: {variable.name} is a {variable.causality}; give states and inputs"
-            )
+            raise InputError(f"start: {variable.name} is {variable.kind}; give states and inputs")
     return given
 
 
@@ -324,7 +322,7 @@ class Actuators:
         variable = self.known(name)
         if variable.name not in self._range:
             raise InputError(
-                f"{variable.name} is a {variable.causality} of the plant, not an input; its inputs "
+                f"{variable.name} is {variable.kind} of the plant, not an input; its inputs "
                 f"are {', '.join(self._range)}"
             )
         return variable

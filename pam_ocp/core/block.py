@@ -75,7 +75,7 @@ class Block:
             for variable in getattr(self, argument):
                 if variable.causality != causality:
                     raise InputError(
-                        f"{argument}: {variable.name} is a {variable.causality}, not of "
+                        f"{argument}: {variable.name} is {variable.kind}, not of "
                         f"causality {causality!r}"
                     )
                 if variable.name in seen:

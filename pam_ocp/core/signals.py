@@ -172,7 +172,7 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
         wrong = [n for n in given if plant.variable(n).causality != "input"]
         if wrong:
             raise InputError(
-                f"inputs: {wrong[0]} is a {plant.variable(wrong[0]).causality} of the plant, not "
+                f"inputs: {wrong[0]} is {plant.variable(wrong[0]).kind} of the plant, not "
                 f"an input; its inputs are {', '.join(v.name for v in plant.inputs)}"
             )
         return given

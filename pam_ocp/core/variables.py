@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from . import units
-from .errors import InputError
+from .errors import InputError, with_article
 from .plausible import doubt, meant_within
 from .quantities import is_quantity, quantity
 from .shown import shown
@@ -84,6 +84,11 @@ class Variable:
     widest: float = 0.0
     relaxed: float = 0.0
 
+    @property
+    def kind(self) -> str:
+        """Its causality as a sentence names it: "an input", "a state"."""
+        return with_article(self.causality)
+
     def __post_init__(self) -> None:
         require_causality(self.causality, f"{self.name}: ")
         if not (isinstance(self.name, str) and _NAME.match(self.name)):
@@ -117,7 +122,7 @@ class Variable:
         if self.memory not in ("", "held", "settling"):
             raise InputError(f"{self.name}: memory = {self.memory!r}; choose 'held' or 'settling'")
         if self.memory and self.causality != "state":
-            raise InputError(f"{self.name}: only states have memory, this is a {self.causality}")
+            raise InputError(f"{self.name}: only states have memory, this is {self.kind}")
         if self.memory == "held" and not (math.isfinite(self.min) and math.isfinite(self.max)):
             raise InputError(f"{self.name}: a held memory needs a finite min and max")
         if not (math.isfinite(self.max) and self.doubt(self.max, "max")):

@@ -557,7 +557,7 @@ def chosen_signals(
     for variable in chosen:
         if variable.causality not in allowed:
             raise InputError(
-                f"{argument}: {variable.name} is a {variable.causality}; choose among "
+                f"{argument}: {variable.name} is {variable.kind}; choose among "
                 f"{', '.join(v.name for v in known)}"
             )
     return [v.name for v in chosen]

@@ -361,7 +361,7 @@ def _require_free(plant: Plant, name: str, given: Values) -> None:
     allowed = variable.causality == "parameter" or variable.disturbance or variable.memory == "held"
     if not allowed:
         raise InputError(
-            f"free: {name} is a {variable.causality}; name parameters, disturbances or held "
+            f"free: {name} is {variable.kind}; name parameters, disturbances or held "
             "memories (other states and inputs are unknown anyway)"
         )
     if name in given:

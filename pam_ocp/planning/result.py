@@ -289,7 +289,7 @@ class Plan:
         variable = self.plant.variable(name)
         if variable.name not in self.sensitivities:
             raise InputError(
-                f"{name} is a {variable.causality}"
+                f"{name} is {variable.kind}"
                 + (" that this plan designs" if variable.name in self.design else "")
                 + "; sensitivities are those of the plant's other parameters"
             )

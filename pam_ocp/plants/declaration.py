@@ -331,8 +331,7 @@ class Declaration:
         variable = self.variable(name)
         if variable.causality not in ("state", "output"):
             raise InputError(
-                f"add_sensor: {variable.name} is a {variable.causality}; sensors read states and "
-                "outputs"
+                f"add_sensor: {variable.name} is {variable.kind}; sensors read states and outputs"
             )
         own = variable.name
         value = self._symbols[own] if own in self._symbols else self._expressions[own]

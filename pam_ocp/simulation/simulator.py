@@ -277,7 +277,7 @@ def simulate(
         parameters = by_name("parameters", parameters)
         wrong = [n for n in parameters if plant.variable(n).causality != "parameter"]
         if wrong:
-            raise InputError(f"parameters: {wrong[0]} is a {plant.variable(wrong[0]).causality}")
+            raise InputError(f"parameters: {wrong[0]} is {plant.variable(wrong[0]).kind}")
         plant = plant.with_values(parameters)
     if start is not None and not isinstance(start, Mapping):
         plant = plant.with_values(by_name("start", start, "input"))

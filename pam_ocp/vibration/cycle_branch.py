@@ -218,7 +218,7 @@ def _range(
     variable = cycle.plant.variable(parameter)
     if variable.causality not in ("parameter", "input"):
         raise InputError(
-            f"parameter: {variable.name} is a {variable.causality}; name a parameter or an input"
+            f"parameter: {variable.name} is {variable.kind}; name a parameter or an input"
         )
     low, high = (variable.check(v, "within") for v in within)
     start = variable.start or 0.0

@@ -129,7 +129,7 @@ def energy(
 def _row(plant: Plant, mass: str) -> int:
     variable = plant.variable(mass)
     if variable.causality != "parameter":
-        raise InputError(f"mass: {variable.name} is a {variable.causality}; name a parameter")
+        raise InputError(f"mass: {variable.name} is {variable.kind}; name a parameter")
     return plant.parameters.index(variable)
 
 

@@ -100,7 +100,7 @@ def test_a_measurement_that_is_missing_is_left_out():
         ({"sample_time": 0.0}, "sample_time = 0"),
         ({"measured": {}}, "measured is empty"),
         ({"measured": {"x": -1.0}}, "measured"),
-        ({"measured": {"f": 1.0}}, "f is a input"),
+        ({"measured": {"f": 1.0}}, "f is an input"),
         ({"unknown": {"m": 1.0}}, "initial standard deviation"),
         ({"process": {"x": -1.0}}, "process"),
         ({"uncertainty": {"m": 1.0}}, "m is a parameter"),

@@ -125,7 +125,7 @@ def test_terminals_gather_what_can_be_connected(tmp_path: Path) -> None:
 def test_names_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="inputs: x is a state"):
         chosen(tmp_path, "2.0", inputs=["x"])
-    with pytest.raises(InputError, match=r"outputs: muscle1\.command is a input"):
+    with pytest.raises(InputError, match=r"outputs: muscle1\.command is an input"):
         chosen(tmp_path, "2.0", outputs=[FIRST])
     with pytest.raises(UnknownNameError, match="did you mean 'stiffness'"):
         chosen(tmp_path, "2.0", outputs=["stifness"])

@@ -269,6 +269,10 @@ def test_hysteresis_grows_with_pressure_and_the_force_law_is_freed_on_rungs() ->
     assert len(set(law)) == len(law)
     for name, free in ((n, r.free) for n, r in found.items()):
         assert ("inertia" in free) == (name not in ("force law", "creep"))  # it sets the scale
+    every = [f"muscle{i}.a{k}" for i in (1, 2) for k in range(1, 7)]
+    known = rungs_of(joint, ["inertia", *every], names=["lag", "force law", "creep"])
+    assert [r.name for r in known] == ["lag", "+ creep"]  # nothing is left to free
+    assert "inertia" in known[-1].free
     with pytest.raises(InputError, match='"memory per pressure" without "memory"'):
         rungs_of(joint, names=["lag", "memory per pressure"])
 

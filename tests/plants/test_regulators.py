@@ -343,7 +343,7 @@ def test_a_filter_on_one_muscle_alone_ends_the_symmetry() -> None:
         (lambda: F.Regulator(gain=-1e5), "gain = -100000 Pa/V must be > 0"),
         (lambda: hanging(F.PairRegulator()), "feeds two muscles by one command"),
         (lambda: rig(base=7e5), "base = 700000 Pa must lie below max_pressure"),
-        (lambda: hanging(None).add_sensor("muscle.command", pam.plants.Sensor()), "is a input"),
+        (lambda: hanging(None).add_sensor("muscle.command", pam.plants.Sensor()), "is an input"),
         (lambda: hanging(None).add_sensor("x", 3), "give a Sensor"),
         (lambda: pam.plants.Sensor(gain=0.0), "gain = 0 reads nothing"),
     ],

@@ -109,7 +109,7 @@ def _substeps(plant: Plant, length: float, tolerance: float) -> int:
     ends = [plant.vector("input", attribute=a) for a in ("min", "max")]
     inputs = np.array([start, *(np.where(np.isfinite(e), e, start) for e in ends)])
 
-    exact = SampledPlant(plant, length)
+    exact = SampledPlant(plant, length, min(1e-9, max(0.1 * tolerance, 1e-12)))
     wanted = np.array([exact(x, u)[-1] for u in inputs])
     count = 1
     while count <= MOST:
@@ -132,8 +132,9 @@ class _Sampled:
     ) -> None:
         self.plant, self.law, self.length = plant, law, length
         self.delay, self.substeps = delay, substeps
-        self.commands = law.commands if law else ()
-        known = {v.name: v for v in plant.inputs}
+        controls = tuple(v.name for v in plant.inputs if not v.disturbance)
+        self.commands = law.commands if law else controls
+        known = {v.name for v in plant.inputs}
         foreign = next((c for c in self.commands if c not in known), None)
         if law and (foreign or not self.commands):
             what = f"{foreign} is no input of it" if foreign else f"{law.name} gives no commands"
@@ -161,10 +162,10 @@ class _Sampled:
         made = draft.block()
         if law is None:
             return made
+        shown = {v.name for v in (*made.inputs, *made.outputs)}
         return replace(
             made,
-            flags={k: v for k, v in law.flags.items() if k in {o.name for o in made.outputs}}
-            | {k: v for k, v in law.flags.items() if k in {i.name for i in made.inputs}},
+            flags={k: v for k, v in law.flags.items() if k in shown},
             matrices={f"{law.name}.{k}": n for k, n in law.matrices.items()},
         )
 
@@ -218,8 +219,7 @@ class _Sampled:
 
     def _wait(self, draft: Draft, v: Variable, value: Any) -> None:
         """What acts from this sample on: a command, after the delay; a disturbance, at once."""
-        waits = self.delay if v.name in self.commands or not (self.law or v.disturbance) else 0
-        for k in range(1, waits + 1):
+        for k in range(1, self.delay + 1 if v.name in self.commands else 1):
             name = f"{v.name}{BEFORE}{k}"
             queued = draft.memory(name, v.start or 0.0, **about(v, "sent, acts later"))
             draft.next(name, value)

@@ -72,7 +72,7 @@ class Estimator(ABC):
         for variable in self.measured:
             if variable.causality not in ("state", "output"):
                 raise InputError(
-                    f"measured: {variable.name} is a {variable.causality}; give states or outputs"
+                    f"measured: {variable.name} is {variable.kind}; give states or outputs"
                 )
         self.noise = np.array(
             [require_positive(f"measured[{n!r}]", s) for n, s in measured.items()]
@@ -329,7 +329,7 @@ def _deviations(plant: Plant, given: Mapping[str, float] | None, argument: str) 
     for name, value in (given or {}).items():
         variable = plant.variable(name)
         if variable.causality != "state":
-            raise InputError(f"{argument}: {variable.name} is a {variable.causality}; give states")
+            raise InputError(f"{argument}: {variable.name} is {variable.kind}; give states")
         found[variable.name] = require_positive(f"{argument}[{name!r}]", value, zero=True)
     return found
 

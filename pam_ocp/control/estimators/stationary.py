@@ -290,7 +290,7 @@ def _with_disturbances(plant: Plant, system: Any, disturbances: list[str], x: Ar
     wrong = [n for n in disturbances if n not in inputs]
     if wrong:
         raise InputError(
-            f"disturbances: {wrong[0]} is a {plant.variable(wrong[0]).causality}; name inputs of "
+            f"disturbances: {wrong[0]} is {plant.variable(wrong[0]).kind}; name inputs of "
             f"the plant ({', '.join(inputs)}), such as that of an ExternalForce"
         )
     columns = [inputs.index(n) for n in disturbances]

@@ -653,9 +653,9 @@ def _weights(
     for name, weight in given.items():
         variable = plant.variable(name)
         if variable.causality not in allowed or variable.disturbance:
-            kind = "disturbance" if variable.disturbance else variable.causality
+            kind = "a disturbance" if variable.disturbance else variable.kind
             raise InputError(
-                f"{argument}: {variable.name} is a {kind}; give {' or '.join(allowed)} variables"
+                f"{argument}: {variable.name} is {kind}; give {' or '.join(allowed)} variables"
             )
         label = f"{argument}[{variable.name!r}]"
         weights[variable.name] = require_positive(label, weight, zero=True)

@@ -23,6 +23,7 @@ from ...core.errors import (
     require_ends,
     require_instance,
     require_names,
+    with_article,
 )
 from ...core.signals import Interpolation, merged, signals
 from ...core.stop import TimeIsUp
@@ -171,7 +172,7 @@ def _group(
     for name in names:
         if name not in places:
             raise InputError(
-                f"free: {name} is a {plant.variable(name).causality}; only parameters are "
+                f"free: {name} is {plant.variable(name).kind}; only parameters are "
                 "fitted (initial states are unknown anyway)"
             )
     variables = [plant.variable(n) for n in names]
@@ -216,10 +217,8 @@ def named(argument: str, name: str, plant: Plant, kind: Literal["state", "input"
     """The state or input of the plant that an argument names."""
     variable = plant.variable(name)
     if variable.causality != kind:
-        article = "an" if kind == "input" else "a"
-        raise InputError(
-            f"{argument}: {variable.name} is a {variable.causality}, not {article} {kind}"
-        )
+        wanted = with_article(kind)
+        raise InputError(f"{argument}: {variable.name} is {variable.kind}, not {wanted}")
     return variable
 
 

@@ -290,6 +290,7 @@ def rungs_of(
     parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
     losses: tuple[Any, ...] = ()
     own: tuple[str, ...] = ()
+    law: set[str] = set()
     for name in steps:
         one, static = added[name], name == "static"
         parts |= one.parts
@@ -302,8 +303,11 @@ def rungs_of(
             own = tuple(n for k in own for n in (_tied(plant, k) if k in LAGS else (k,)))
         chosen, starts = _present(plant, free), list(one.starts)
         if name == "force law":
-            own += tuple(sorted(_coefficients(plant) - _members(plant, chosen)))
-        if "force law" in steps[: steps.index(name) + 1]:
+            law = _coefficients(plant) - _members(plant, chosen)
+            if not law:
+                continue
+            own += tuple(sorted(law))
+        if law:  # from here on a mass sets the scale of the forces
             chosen = [e for e in chosen if not MASSES & _members(plant, [e])]
         if one.damps or (not static and all(r.static for r in found)):
             scales = _scaled(plant, free, dynamic)

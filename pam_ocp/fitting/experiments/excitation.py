@@ -323,7 +323,7 @@ def ranges_of(
     for name, ends in inputs.items():
         variable = plant.variable(name)
         if variable.causality != "input":
-            raise InputError(f"inputs: {variable.name} is a {variable.causality}, not an input")
+            raise InputError(f"inputs: {variable.name} is {variable.kind}, not an input")
         low, high = require_ends(f"inputs[{name!r}]", ends, variable.unit)
         low, high = max(low, variable.min), min(high, variable.max)
         if not low < high or not np.isfinite(high - low):

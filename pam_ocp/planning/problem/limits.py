@@ -218,7 +218,7 @@ def design_ranges(plant: Plant, design: Mapping[str, Any]) -> dict[str, Range]:
         variable = plant.variable(name)
         if variable.causality != "parameter":
             raise InputError(
-                f"design: {name} is a {variable.causality}; a plan may choose parameters: "
+                f"design: {name} is {variable.kind}; a plan may choose parameters: "
                 f"{', '.join(v.name for v in plant.parameters)}"
             )
         low, high = range_of(f"design[{name!r}]", value, variable)

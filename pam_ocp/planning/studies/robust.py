@@ -411,9 +411,7 @@ def _allowed(
         for name, width in (widths or {}).items():
             variable = plant.variable(name)
             if variable.causality not in ("state", "output"):
-                raise InputError(
-                    f"spread: {name} is a {variable.causality}; name states or outputs"
-                )
+                raise InputError(f"spread: {name} is {variable.kind}; name states or outputs")
             checked[variable.name] = require_positive(f"spread[{name!r}]", width, variable.unit)
         found.append(checked)
     if not any(found):

@@ -41,7 +41,7 @@ def drawn(plant: Plant, draws: Sequence[Mapping[str, Any]]) -> tuple[dict[str, f
         for name in values:
             variable = plant.variable(name)
             if variable.causality != "parameter":
-                raise InputError(f"draws: {name} is a {variable.causality}, not a parameter")
+                raise InputError(f"draws: {name} is {variable.kind}, not a parameter")
         found.append({plant.variable(n).name: float(v) for n, v in values.items()})
     if not found or not found[0]:
         raise InputError("draws is empty; give a list of {parameter: value}")
