@@ -21,7 +21,7 @@ from ..numerics.collocation import HIGHEST_DEGREE
 from .arcs_found import Chains, Section, Touch, limits_of, merged, sections
 from .arcs_problem import LONGEST, SHORTEST, Divided, by_sections, centred
 from .candidate import Checked, Engine
-from .replay import interval_errors
+from .replay import accuracy, interval_errors, interval_states
 from .result import Solved
 from .transcription.guess import from_solution
 from .transcription.mesh import BY_ARCS, FORM, Interval, Mesh, watched
@@ -197,7 +197,8 @@ class ArcSearch:
         points; None where another structure is wanted.
         """
         found, replay = now.found, now.replay
-        errors = np.array(interval_errors(now.plant, found.program.mesh, found.solution))
+        run = interval_states(now.plant, mesh, found.solution, accuracy(self.tolerance))
+        errors = np.array(interval_errors(now.plant, found.solution, run))
         if not np.isfinite(errors).all() or not np.isfinite(now.miss):
             return None
         beyond: list[dict[str, float]] = []

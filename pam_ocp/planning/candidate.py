@@ -19,7 +19,15 @@ from ..plants.plant import Plant
 from ..simulation.simulator import evaluated
 from .correction import Corrected, corrected, integrated, left_as
 from .problem.problem import Budget, Condition, Problem
-from .replay import Replay, chosen_plant, explained, interval_errors, replayed
+from .replay import (
+    TOLERANCE,
+    Replay,
+    chosen_plant,
+    explained,
+    interval_errors,
+    interval_states,
+    replayed,
+)
 from .result import Solved
 from .settings import SETTINGS, Settings
 from .solvers.backend import Backend
@@ -63,12 +71,12 @@ class Checked:
         return replace(self, replay=replay)
 
 
-def checked(found: Solved) -> Checked:
+def checked(found: Solved, rtol: float) -> Checked:
     """A solution replayed."""
     problem, solution = found.program.problem, found.solution
     plant = chosen_plant(problem, solution)
     samples = evaluated(plant, solution.t, solution.states, solution.inputs)
-    replay = replayed(problem, plant, found.program.mesh, samples, solution)
+    replay = replayed(problem, plant, found.program.mesh, samples, solution, rtol)
     return Checked(found, plant, samples, replay)
 
 
@@ -88,7 +96,7 @@ class Candidate:
     number : of the start that it comes from. coarser : the candidate on the mesh before, for
     estimates of what finer meshes may gain. rounds : of refinement at the end of the path. gap :
     such an estimate, where it is known from the same motion in other inputs. shot : whether it
-    comes from shooting, whose costs a way that goes on may lower.
+    comes from shooting, whose costs a way that goes on may lower. rtol : of what checks it.
     """
 
     solved: Solved
@@ -98,6 +106,7 @@ class Candidate:
     rounds: int = 0
     gap: float | None = None
     shot: bool = False
+    rtol: float = TOLERANCE
 
     @property
     def is_solved(self) -> bool:
@@ -129,15 +138,23 @@ class Candidate:
     @cached_property
     def check(self) -> Checked:
         """Its replay; for candidates of the user's own problem."""
-        return checked(self.solved)
+        return checked(self.solved, self.rtol)
 
     @cached_property
     def errors(self) -> list[float]:
         """Of each interval, in units of nominal: how far a tight integration from its start leaves
         its points.
         """
-        problem, solution = self.solved.program.problem, self.solved.solution
-        return interval_errors(chosen_plant(problem, solution), self.mesh, solution)
+        return interval_errors(self._plant, self.solved.solution, self.exact)
+
+    @cached_property
+    def exact(self) -> list[Array]:
+        """Of each interval, the states to which a tight integration leads from its start."""
+        return interval_states(self._plant, self.mesh, self.solved.solution, self.rtol)
+
+    @property
+    def _plant(self) -> Plant:
+        return chosen_plant(self.solved.program.problem, self.solved.solution)
 
     @cached_property
     def gains(self) -> Array | None:
@@ -259,7 +276,7 @@ class Engine:
         """A candidate whose intervals run as the plant does, from its multipliers: one step of
         defect correction; None where that fails.
         """
-        program = corrected(c.solved.program, c.solved.solution)
+        program = corrected(c.solved.program, c.solved.solution, c.exact)
         if program is None:
             return None
         outcome, why = c.solved.outcome, f"dynamics miss by {c.check.dynamic:.1g}"

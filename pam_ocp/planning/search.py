@@ -22,6 +22,7 @@ from .candidate import Candidate, Checked, Engine, renewed, same_form
 from .continuation import Continuation, ValveOpenings
 from .mesh_sequence import MeshSequence
 from .problem.problem import regularised
+from .replay import accuracy
 from .result import Solved
 from .solvers.diagnosis import Conflict, elastic, resolving
 from .solvers.ipopt_options import Start
@@ -130,7 +131,7 @@ class Search:
         assert before is not None
         self.meshes.aims_at(tolerance)
         try:
-            self.continuation.led(replace(before, rounds=0))
+            self.continuation.led(replace(before, rounds=0, rtol=accuracy(tolerance)))
         except TimeIsUp:
             self.found.cut = True
         best: Candidate = self.found.best or before
@@ -263,6 +264,9 @@ class Search:
         return best is not None and best.check.miss <= self.meshes.tolerance
 
     # ---- candidates -----------------------------------------------------------------------------
+    def _candidate(self, found: Solved, place: float, number: int = 0) -> Candidate:
+        return Candidate(found, place, number, rtol=accuracy(self.meshes.tolerance))
+
     def _sorted(self, candidates: list[Candidate]) -> list[Candidate]:
         least = min((c.objective for c in candidates), default=0.0)
         return sorted(
@@ -319,7 +323,7 @@ class Search:
         ends = [engine.solved(program, outcome) for outcome in outcomes]
         self._stopped += [end for end in ends if not end.outcome.success]
         return [
-            Candidate(end, self.place, i)
+            self._candidate(end, self.place, i)
             for i, end in enumerate(ends, number)
             if end.outcome.success
         ]
@@ -340,7 +344,7 @@ class Search:
         if not found.outcome.success:
             self.found.failure = found
             return None
-        return Candidate(found, place, GIVEN)
+        return self._candidate(found, place, GIVEN)
 
     def _reused(self, near: Solved, finer: Sequence[Program]) -> bool:
         """Whether the finer mesh of a neighbour's plan does for these numbers, too, from its
@@ -355,7 +359,7 @@ class Search:
         found = self.engine.solve(program, 1.0, near.outcome.w, "warm", why, near.outcome)
         if not found.outcome.success:
             return False
-        c = Candidate(found, 1.0, GIVEN)
+        c = self._candidate(found, 1.0, GIVEN)
         if c.check.miss > self.meshes.tolerance:
             return False
         self._take(c)
@@ -424,7 +428,7 @@ class Search:
         for end in sorted(self._stopped, key=lambda end: end.outcome.objective):
             near = self.engine.beside(end, ("other guesses", "where a solver stopped"))
             if near is not None:
-                yield Candidate(near, self.place)
+                yield self._candidate(near, self.place)
         if self.found.best is not None:
             return
         feasible = self.diagnosed()
@@ -454,7 +458,7 @@ class Search:
             program, why = engine.program(mesh), ("other guesses", name)
             found = engine.solve(program, self.place, guess, start, why)
             if found.outcome.success:
-                yield Candidate(found, self.place)
+                yield self._candidate(found, self.place)
                 continue
             self._stopped.append(found)
             if self.found.failure is None:

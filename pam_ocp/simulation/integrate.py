@@ -15,7 +15,7 @@ from ..core.errors import InputError, require_flag
 from ..core.signals import PiecewisePolynomial, merged
 from ..core.stop import native
 from ..numerics.rodas import LEAST, Rodas, written_out
-from ..numerics.solvers import Native, integrator
+from ..numerics.solvers import Native, integrator, stoppable
 from ..plants.plant import Plant
 
 if TYPE_CHECKING:
@@ -132,10 +132,14 @@ class Integration:
         end = self.grid[k]
         breaks = np.append(self.u.breaks[:-1][self.u.breaks[:-1] < end], end)
         size = np.diff(np.searchsorted(self.grid, breaks - 1e-12 * (1 + np.abs(breaks))))
+        return size, self._controls[:, : len(size)]
+
+    @property
+    def _controls(self) -> Array:
+        """A column for each piece of the inputs: where it begins, and its coefficients."""
         pieces = len(self.u.breaks) - 1
         stacked = self.u.coefficients.transpose(1, 2, 0).reshape(-1, pieces)
-        control = np.vstack([self.u.breaks[:-1], stacked])
-        return size, control[:, : len(size)]
+        return np.vstack([self.u.breaks[:-1], stacked])
 
     def _built(
         self, key: tuple[Any, ...], t0: float, times: Array, options: dict[str, Any]
@@ -255,11 +259,28 @@ class Integration:
         run = self if self.method == "rosenbrock" else replace(self, method="rosenbrock", step=None)
         return run._over_unit(taus, start, end - start, x, np.repeat(control, len(taus), axis=1))
 
+    def apart(self, pieces: NDArray[np.intp], starts: Array, taus: tuple[float, ...]) -> Array:
+        """States (m, n, nx) at the rising fractions ``taus`` of m pieces of the inputs, each from a
+        start (m, nx) of its own.
+
+        Raises RuntimeError when the integrator gives up on one of them.
+        """
+        control = np.repeat(self._controls[:, pieces], len(taus), axis=1)
+        begins, lengths = self.u.breaks[pieces], np.diff(self.u.breaks)[pieces]
+        found = self._over_units(taus, begins, lengths, starts, control)
+        return found.reshape(len(pieces), len(taus), -1)
+
     def _over_unit(
         self, taus: tuple[float, ...], start: float, span: float, x: Array, control: Array
     ) -> Array:
-        """States at fractions of a time span; one integrator over a stretched unit interval serves
-        all spans.
+        """States at fractions of a time span."""
+        return self._over_units(taus, np.array([start]), np.array([span]), x[None], control)
+
+    def _over_units(
+        self, taus: tuple[float, ...], begins: Array, spans: Array, starts: Array, control: Array
+    ) -> Array:
+        """States at fractions of several time spans, one below the other; one integrator over a
+        stretched unit interval serves all spans.
         """
         nominal = self._nominal
 
@@ -273,8 +294,11 @@ class Integration:
 
         fixed = (taus, self.u.degree, nominal.tobytes(), self.rtol, self.max_steps)
         motion = self.plant.cached(("leg", self.method, *fixed), build)
-        p = np.append(self.plant.vector("parameter"), [start, span])
-        found = np.asarray(motion(x0=x / nominal, p=p, u=control)["xf"], float)
+        if len(spans) > 1:
+            motion = stoppable(motion.function.map(len(spans)))
+        own = np.tile(self.plant.vector("parameter"), (len(spans), 1))
+        p = np.column_stack([own, begins, spans]).T
+        found = np.asarray(motion(x0=(starts / nominal).T, p=p, u=control)["xf"], float)
         return np.asarray(found.T * nominal)
 
     def _dae(self, nominal: Array) -> dict[str, ca.SX]:
