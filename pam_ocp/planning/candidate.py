@@ -71,7 +71,7 @@ class Checked:
         return replace(self, replay=replay)
 
 
-def checked(found: Solved, rtol: float) -> Checked:
+def checked(found: Solved, rtol: float = TOLERANCE) -> Checked:
     """A solution replayed."""
     problem, solution = found.program.problem, found.solution
     plant = chosen_plant(problem, solution)
