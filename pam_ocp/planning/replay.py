@@ -179,7 +179,7 @@ def interval_errors(plant: Plant, solution: Solution, found: Sequence[Array]) ->
     missed = np.abs(np.concatenate(found) - solution.states[1:]) / nominal
     firsts = np.cumsum([0, *(len(own) for own in found[:-1])])
     worst = np.maximum.reduceat(missed.max(axis=1), firsts)  # NaN is passed on
-    return np.where(np.isfinite(worst), worst, np.inf).tolist()
+    return [float(e) for e in np.where(np.isfinite(worst), worst, np.inf)]
 
 
 def explained(

@@ -25,7 +25,7 @@ from .correction import left_as
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement_data import data_of, statement_of
-from .replay import chosen_plant, explained, interval_errors, replayed
+from .replay import chosen_plant, explained, interval_errors, interval_states, replayed
 from .result import Plan, motion_of
 from .settings import SETTINGS
 from .transcription.mesh import Form, Interval, Mesh
@@ -244,7 +244,8 @@ def _corrected(path: str, program: Program, solution: Solution) -> Program:
     does, its collocation equations hold but for what they leave.
     """
     plant = chosen_plant(program.problem, solution)
-    errors = interval_errors(plant, program.mesh, solution)
+    run = interval_states(plant, program.mesh, solution)
+    errors = interval_errors(plant, solution, run)
     if not max(errors) <= SETTINGS.resolved:
         words = f"its states do not follow from its inputs (by {max(errors):.2g} of nominal)"
         raise _contradiction(path, words)

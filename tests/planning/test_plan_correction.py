@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from searches import by_scipy, engine_of, solved
 
 import pam_ocp as pam
+from pam_ocp.planning.candidate import Candidate
 from pam_ocp.planning.correction import Corrected, corrected, left_as
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.transcription.mesh import Collocation
@@ -33,7 +34,7 @@ def rough():
 
 def test_the_defect_is_what_the_exact_solution_leaves_in_the_equations(rough):
     engine, found = rough
-    shift = corrected(engine.first, found.solution).shift
+    shift = corrected(engine.first, found.solution, Candidate(found).exact).shift
     start = found.solution.states[:-1:2, 0]
     u = found.solution.inputs.coefficients[:, 0, 0]
     expected, nodes = [], np.array([0.0, 1 / 3, 1.0])
@@ -49,7 +50,7 @@ def test_the_defect_is_what_the_exact_solution_leaves_in_the_equations(rough):
 def test_a_corrected_program_has_the_plants_own_motion(rough):
     engine, found = rough
     for _ in range(6):
-        program = corrected(engine.first, found.solution)
+        program = corrected(engine.first, found.solution, Candidate(found).exact)
         outcome = engine.solver(program, found.outcome.w, "near")
         solution = unpack(program.problem, program.mesh, outcome.w)
         found = type(found)(program, outcome, solution)

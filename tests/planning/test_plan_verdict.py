@@ -23,7 +23,7 @@ from pam_ocp import Collocation, InputError, PlanWarning
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.judge.statement import Statement
 from pam_ocp.planning.problem.formulation import formulate
-from pam_ocp.planning.replay import interval_errors, replayed
+from pam_ocp.planning.replay import interval_errors, interval_states, replayed
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh
 from pam_ocp.planning.transcription.solution import Solution
 from pam_ocp.simulation.simulator import evaluated
@@ -198,7 +198,8 @@ def test_a_motion_that_runs_away_is_no_plan():
     (stopped,) = re.findall(r"the replay stops at t = ([\d.]+) s", replay.state)
     assert 0.7 < float(stopped) <= 1.0
     assert replay.constraint == "everything behind"
-    assert interval_errors(plant, mesh, solution) == [np.inf]
+    run = interval_states(plant, mesh, solution)
+    assert interval_errors(plant, solution, run) == [np.inf]
 
 
 # ---- the verdict of a plan
