@@ -149,10 +149,10 @@ class Search:
             return
         if self.met or (self.tolerance is None and self.found.best is not None):
             return
-        for count, c in enumerate(self._fallbacks()):
-            if self.met or count >= self.settings.candidates:
-                return
+        for count, c in enumerate(self._fallbacks(), 1):
             self._led(c)
+            if self.met or count >= self.settings.candidates:
+                return  # before the next one is solved
 
     def _by_ways(self, known: bool) -> None:
         """With what is relaxed led along the path and without, until there is a plan: first along,
