@@ -126,6 +126,7 @@ class ClosedLoop:
         content["late"] = [self.delay, self.designed_delay]
         steps = None if self.statistics is None else [asdict(s) for s in self.statistics.steps]
         content["steps"] = steps
+        content["dropped"] = {} if self.statistics is None else dict(self.statistics.dropped)
         for name in PARTS:
             part: Trajectory | None = getattr(self, name)
             if part is not None:
@@ -144,7 +145,7 @@ class ClosedLoop:
             for name, part in content["parts"].items():
                 data = arrays[f"{name}_t"], arrays[f"{name}_data"]
                 parts[name] = Trajectory._from_meta(part, *data)
-            steps = content["steps"]
+            steps, dropped = content["steps"], content.get("dropped", {})
             delay, designed = content.get("late", (0, 0))
             # files of 0.2 and before have no verdict
             verdict: dict[str, Any] = {
@@ -154,7 +155,7 @@ class ClosedLoop:
             return cls(
                 Trajectory._from_meta(content, arrays["t"], arrays["data"]),
                 **parts,
-                statistics=steps and MpcStatistics(tuple(MpcStep(**s) for s in steps)),
+                statistics=steps and MpcStatistics(tuple(MpcStep(**s) for s in steps), dropped),
                 prediction_error=content["prediction_error"],
                 verdict=LoopVerdict(**verdict),
                 plant=plant_of_data(content[SYSTEM]) if SYSTEM in content else None,

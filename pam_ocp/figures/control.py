@@ -252,8 +252,8 @@ def _draw_unknown(ax: Axes, estimate: Trajectory, real: Trajectory, name: str) -
 
 
 def _draw_times(ax: Axes, statistics: MpcStatistics, t: Array) -> None:
-    seconds = np.array([s.seconds for s in statistics.steps])
-    ax.plot(t, 1e3 * seconds, ".", ms=2.5, color=COLOURS[5], label="step time")
+    seconds = statistics.seconds
+    ax.plot(t[-len(seconds) :], 1e3 * seconds, ".", ms=2.5, color=COLOURS[5], label="step time")
     ax.axhline(1e3 * statistics.median, color=COLOURS[2], lw=1.0, label="median")
     ax.set_ylim(bottom=0, top=1.1e3 * statistics.worst)
     ax.set_ylabel("time [ms]")

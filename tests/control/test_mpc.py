@@ -8,6 +8,7 @@ from conftest import benchmark_slide, scipy_states
 from mpc_cases import COMMANDS, exact, mass, slide_mpc
 
 import pam_ocp as pam
+from pam_ocp.control import mpc_statistics
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
 from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.mpc import sqp
@@ -327,3 +328,18 @@ def test_the_error_of_a_prediction_is_that_of_a_tight_integration():
     ]
     assert np.max(misses) > 1e-4  # a rough step
     assert mpc.prediction_error() == pytest.approx(np.max(misses), rel=1e-2)
+
+
+def test_the_first_and_the_latest_calls_are_kept_and_all_are_counted(monkeypatch):
+    monkeypatch.setattr(mpc_statistics, "KEPT", 5)
+    calls = mpc_statistics.Calls()
+    for k in range(1, 14):  # every third did not converge, of these the ninth failed, too
+        failed = k == 9
+        calls.record(1e-3 * k, 0.0, k, 0, 0.0, float(k % 3 > 0), float(failed), float(failed))
+    found = calls.statistics
+    assert [s.iterations for s in found.steps] == [1, 9, 10, 11, 12, 13]
+    assert found.counts == {"all": 13, "unconverged": 3, "failed": 1}
+    assert found.fallbacks == 1
+    assert found.seconds == pytest.approx([9e-3, 10e-3, 11e-3, 12e-3, 13e-3])
+    assert str(found).startswith("13 steps")
+    assert len(calls._columns) == 6 * len(mpc_statistics._COLUMNS)

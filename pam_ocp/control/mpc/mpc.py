@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -35,7 +34,7 @@ from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
 from ...simulation.simulator import evaluated
 from ..kinds import CONTROLLERS
-from ..mpc_statistics import MpcStatistics, MpcStep, record, steps_of
+from ..mpc_statistics import Calls, MpcStatistics
 from ..references import Source
 from ..step import Givens, Step, open_range
 from .real_time import PATIENCE, RealTimeCalls, RealTimeIteration
@@ -224,7 +223,7 @@ class Mpc:
         self.idle: tuple[str, ...] = ()
         """Inputs without influence on what is tracked, where the first call stood."""
         self._watched = False
-        self._record = array("d")
+        self._done = Calls()
         if self._calls is not None:
             rest = self.inversion.rows(self.plant.vector("input")[None, :])[0]
             self._calls.reset(self.plant.vector("state"), rest[chosen])
@@ -256,7 +255,7 @@ class Mpc:
     @property
     def statistics(self) -> MpcStatistics:
         """Times and iterations of the calls since the last :meth:`reset`."""
-        return MpcStatistics(steps_of(self._record))
+        return self._done.statistics
 
     def closed_loop(
         self,
@@ -305,15 +304,14 @@ class Mpc:
         if self._calls is None:
             outcome, fallback, failed = self._by_sqp(now / self.program.x_nominal, q)
         else:
-            if not self._record:
+            if not self._done.count:
                 self._look_for_dead_inputs(now / self.program.x_nominal, q)
             outcome = self._calls(point, now, self._applied * self.program.u_nominal)
             fallback, failed = False, not outcome.usable
         self._warm = not failed
         before, self._applied = self._applied, self._first_inputs()
         self._sample = now / self.program.x_nominal, before if self.delay else self._applied, q
-        record(
-            self._record,
+        self._done.record(
             perf_counter() - begin,
             outcome.qp_seconds,
             outcome.iterations,
@@ -392,10 +390,10 @@ class Mpc:
             x = self._going(x, self._applied, q)[0][:, 0].copy()
         point = self._sqp.point
         self._guess(x)
-        if not self._record:
+        if not self._done.count:
             self._look_for_dead_inputs(x, q)
         limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
-        kept, call = point.w.copy(), len(self._record) // len(fields(MpcStep))
+        kept, call = point.w.copy(), self._done.count
         fallback = failed = False
         if self._only_ipopt:
             outcome = self._by_ipopt()
