@@ -27,24 +27,26 @@ from ..core.errors import (
 from ..core.executors import Place
 from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
+from ..judge.motion import judge
 from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, StatementKeywords, Stop
 from ..judge.verdict import TOLERANCE
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from .assembly import assembled, trust
-from .candidate import Engine, renewed
+from ..simulation.simulator import evaluated
+from .candidate import Candidate, Checked, Engine, renewed
+from .mesh_sequence import scale
 from .problem.formulation import formulate
 from .problem.problem import follows_inputs
-from .result import Plan, Solved
+from .result import Plan, Solved, motion_of
 from .search import Found, Search
 from .settings import SETTINGS, UNBOUNDED
 from .solvers.backend import KEPT, Backend, SolverName
-from .solvers.diagnosis import advice, explanation
+from .solvers.diagnosis import Conflict, advice, explanation
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
 from .stages import WorkIsSpent, as_data, recorded
 from .starts import MOST
-from .transcription.mesh import Arcs, Collocation, Method, Shooting
+from .transcription.mesh import Arcs, Collocation, Mesh, Method, Shooting
 from .transcription.transcription import Program, transcribe
 
 if TYPE_CHECKING:
@@ -368,7 +370,7 @@ class Planner:
         program, outcome = found.failure.program, found.failure.outcome
         outcome = replace(outcome, advice="" if outcome.stopped else advice(program))
         failure = replace(found.failure, outcome=outcome)
-        failed = assembled(failure, statement, figures, conflicts=found.conflicts)
+        failed = _plan_of(failure, statement, figures, conflicts=found.conflicts)
         words = explanation(failed.plant.name, outcome, found.conflicts, found.feasible)
         return PlanError(words, failed)
 
@@ -419,11 +421,11 @@ class Planner:
         """The plan of the best candidate, judged."""
         best = search.found.best
         assert best is not None
-        figures = self._figures(search, begin) | trust(search, best, tolerance)
+        figures = self._figures(search, begin) | _trust(search, best, tolerance)
         meshes = best.meshes(search.engine.first.mesh)
         with spared(GRACE):  # what there is to show is judged, whatever the time
             check = best.check.explained(tolerance or TOLERANCE)
-            plan = assembled(check.found, statement, figures, check, meshes, first, tolerance)
+            plan = _plan_of(check.found, statement, figures, check, meshes, first, tolerance)
         program = check.found.program
         known = (self._program, *self._finer)
         if check.found.multiplied and not any(program.nlp is each.nlp for each in known):
@@ -444,3 +446,98 @@ class Planner:
         plant = self.plant.with_values(values) if values else self.plant
         problem = formulate(plant, replace(self._statement, **changed))
         return renewed(self._program, problem)
+
+
+# ---- the Plan that a search has come to ---------------------------------------------------------
+HELD = "polynomial inputs did not meet the tolerance, so inputs are held constant on each interval"
+BETWEEN = "costs are counted at the points of the mesh, so plan on a finer one"
+
+
+def _plan_of(
+    found: Solved,
+    statement: Statement,
+    figures: Mapping[str, Any],
+    check: Checked | None = None,
+    meshes: tuple[Mesh, ...] = (),
+    coarse: Solved | None = None,
+    tolerance: float | None = TOLERANCE,
+    conflicts: tuple[Conflict, ...] = (),
+) -> Plan:
+    """The Plan of a solution that was checked, or of what a solver left that failed."""
+    program, outcome, solution = found.program, found.outcome, found.solution
+    problem = program.problem
+    plant = check.plant if check else problem.plant
+    samples = (
+        check.samples if check else evaluated(plant, solution.t, solution.states, solution.inputs)
+    )
+    said = [words for words in (outcome.warning, figures.get("warning")) if words]
+    statistics = {
+        **figures,
+        **({"warning": "; ".join(said)} if said else {}),
+        "solver": outcome.solver,
+        "solve_seconds": outcome.seconds,
+        "variables": len(outcome.w),
+        "constraints": len(outcome.lam_g),
+        "intervals": len(program.mesh.intervals),
+    }
+    design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
+    meshes = meshes or (program.mesh,)
+    judgement, objective = None, outcome.objective
+    if check:
+        motion = motion_of(samples, meshes[-1], solution.durations)
+        judgement = judge(plant, statement, motion, samples)
+        if np.isfinite(judgement.objective):
+            statistics["objective_on_mesh"], objective = objective, judgement.objective
+    return Plan(
+        plant,
+        outcome.success,
+        outcome.status,
+        objective,
+        tuple(float(d) for d in solution.durations),
+        design,
+        statistics,
+        check.replay if check else None,
+        judgement,
+        meshes,
+        outcome.log,
+        conflicts,
+        tolerance or TOLERANCE,
+        samples,
+        statement,
+        problem,
+        found,
+        coarse,
+        tuple(map(float, solution.peaks)),
+    )
+
+
+def _trust(search: Search, best: Candidate, tolerance: float | None) -> dict[str, Any]:
+    """Figures of how far a minimum-energy objective has converged, of whether the mesh's defects
+    were corrected, and what did not go as asked.
+    """
+    figures: dict[str, Any] = {}
+    words = []
+    meshes, mesh = search.meshes, search.engine.first.mesh
+    if (mesh.form.control, best.mesh.form.control) == ("polynomial", "constant"):
+        words.append(HELD)
+    if meshes.economical and tolerance is not None:
+        gap, replayed = meshes.gap(best), best.check.replay.objective
+        figures |= {"objective_change": meshes.change(best), "objective_gap": gap}
+        figures["objective_replayed"] = replayed
+        words += [] if gap <= tolerance else [_not_converged(gap, tolerance)]
+        if not abs(replayed - best.objective) / scale(best) <= tolerance:
+            words.append(f"along the replay the objective is {replayed:.3g}: {BETWEEN}")
+    if best.is_corrected:
+        figures["corrected"] = True
+    if words:
+        figures["warning"] = "; ".join(words)
+    return figures
+
+
+def _not_converged(gap: float, tolerance: float) -> str:
+    """The note on an objective that finer meshes may yet lower."""
+    far = f"{100 * gap:.2g} %" if gap == gap else "an unknown part"
+    return (
+        f"the objective has not converged to {tolerance:.0e}: it may lie {far} above its least, "
+        "which finer meshes (method=Collocation(intervals)) or a plan as guess may reach"
+    ).replace("e-0", "e-")
