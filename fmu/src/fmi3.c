@@ -128,32 +128,37 @@ NO_VARIABLES(Int16)
 NO_VARIABLES(UInt16)
 NO_VARIABLES(Int32)
 NO_VARIABLES(UInt32)
-NO_VARIABLES(Int64)
 NO_VARIABLES(UInt64)
-#ifdef MODEL_BOOLEANS
-fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, fmi3Boolean values[], size_t nValues) {
-    if (valueReferences == NULL || values == NULL || nValues != nValueReferences)
-        return CALL(refuse, nValueReferences + nValues, "an array is missing or too long");
-    fmi3Status status = fmi3OK;
-    for (size_t i = 0; i < nValues && status == fmi3OK; i++) {
-        int value = 0;
-        status = CALL(get_boolean, valueReferences[i], &value);
-        values[i] = value != 0;
+#ifdef MODEL_DISCRETE
+#define DISCRETE_VARIABLES(Type, TYPE)                                                             \
+    fmi3Status fmi3Get##Type(fmi3Instance instance, const fmi3ValueReference valueReferences[],    \
+                             size_t nValueReferences, fmi3##Type values[], size_t nValues) {       \
+        if (valueReferences == NULL || values == NULL || nValues != nValueReferences)              \
+            return CALL(refuse, nValueReferences + nValues, WRONG_ARRAY);                          \
+        fmi3Status status = fmi3OK;                                                                \
+        for (size_t i = 0; i < nValues && status == fmi3OK; i++) {                                 \
+            int value = 0;                                                                         \
+            status = CALL(get_discrete, valueReferences[i], TYPE, &value);                         \
+            values[i] = (fmi3##Type)value;                                                         \
+        }                                                                                          \
+        return status;                                                                             \
+    }                                                                                              \
+    fmi3Status fmi3Set##Type(fmi3Instance instance, const fmi3ValueReference valueReferences[],    \
+                             size_t nValueReferences, const fmi3##Type values[],                   \
+                             size_t nValues) {                                                     \
+        if (valueReferences == NULL || values == NULL || nValues != nValueReferences)              \
+            return CALL(refuse, nValueReferences + nValues, WRONG_ARRAY);                          \
+        fmi3Status status = fmi3OK;                                                                \
+        for (size_t i = 0; i < nValues && status == fmi3OK; i++)                                   \
+            status = CALL(set_discrete, valueReferences[i], TYPE, (double)values[i]);              \
+        return status;                                                                             \
     }
-    return status;
-}
+#define WRONG_ARRAY "an array is missing or too long"
 
-fmi3Status fmi3SetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, const fmi3Boolean values[], size_t nValues) {
-    if (valueReferences == NULL || values == NULL || nValues != nValueReferences)
-        return CALL(refuse, nValueReferences + nValues, "an array is missing or too long");
-    fmi3Status status = fmi3OK;
-    for (size_t i = 0; i < nValues && status == fmi3OK; i++)
-        status = CALL(set_boolean, valueReferences[i], values[i]);
-    return status;
-}
+DISCRETE_VARIABLES(Int64, ENUMERATION)
+DISCRETE_VARIABLES(Boolean, BOOLEAN)
 #else
+NO_VARIABLES(Int64)
 NO_VARIABLES(Boolean)
 #endif
 NO_VARIABLES(String)

@@ -8,6 +8,9 @@
 #ifndef MODEL_H
 #define MODEL_H
 
+/* What V_TYPE says of variables */
+enum { NUMBER, BOOLEAN, ENUMERATION };
+
 #include "model_data.h"
 
 /* What the model description proposes to importers' own solvers. */
@@ -22,11 +25,11 @@
 #define SIZE_OF(r) ((size_t)1)
 #endif
 
-/* Inputs and outputs that are Booleans of FMI: not 0, or 0 */
-#ifdef MODEL_BOOLEANS
-#define IS_BOOLEAN(r) ((r) < VR_END && V_BOOLEAN[r])
+/* Variables that FMI reads and sets by functions of their own type */
+#ifdef MODEL_DISCRETE
+#define TYPE_OF(r) ((r) < VR_END ? V_TYPE[r] : NUMBER)
 #else
-#define IS_BOOLEAN(r) 0
+#define TYPE_OF(r) NUMBER
 #endif
 
 /* C has no arrays of length 0. */

@@ -44,6 +44,7 @@ def export_fmu(
     share: bool = False,
     matrices: bool = False,
     booleans: bool = False,
+    enumerations: bool = False,
     author: str | None = None,
     version: str | None = None,
     copyright: str | None = None,
@@ -92,6 +93,7 @@ def export_fmu(
         (``K.muscle1.command.x``), with its unit.
     booleans : True makes a block's ``enable`` a Boolean, and its ``status`` one Boolean for each
         bit: ``status.off``, ``.missing``, ``.lost``, ``.at_range``, ``.at_rate``, ``.no_number``.
+    enumerations : True makes variables with codes enumerations, such as an Mpc's ``solver.status``.
     author, version, copyright, license : of the model, for its description.
     date : of the model, ISO 8601 or a datetime; by default a fixed one, so that the same plant
         gives the same bytes.
@@ -109,9 +111,7 @@ def export_fmu(
     'load.fmu'
     """
     about = checked_about(author, version, copyright, license, date)
-    shapes = {"matrices": matrices, "booleans": booleans}
-    for argument, wanted in shapes.items():
-        require_flag(argument, wanted)
+    shapes = checked_shapes(fmi, matrices=matrices, booleans=booleans, enumerations=enumerations)
     block = as_block(system)
     if block is not None:
         refused = {"inputs": inputs, "outputs": outputs, "fixed_step": fixed_step}
@@ -121,13 +121,9 @@ def export_fmu(
                 raise InputError(f"{argument}: a block has none; leave it out")
         size = block.sample_time if step_size is None else step_size
         settings = checked(fmi, size, tolerance, None, stop_time, about)
-        if matrices and fmi == "2.0":
-            raise InputError(
-                "matrices = True: FMI 2 has no arrays; give fmi='3.0', or leave it out"
-            )
         return write_block(block, path, settings, platforms, clock, None, **shapes)
-    for argument, wanted in shapes.items():
-        if wanted:
+    for argument in ("matrices", "booleans"):
+        if shapes[argument]:
             raise InputError(f"{argument} = True: a plant has none; leave it out")
     plant = require_plant(system)
     size = 1e-3 if step_size is None else step_size
@@ -145,7 +141,18 @@ def export_fmu(
         lambda: documentation.equations(offered),
         reference=reference,
     )
-    return write_fmu(PlantLayout(offered, shown, calculated), path, settings, platforms, content)
+    return write_fmu(
+        PlantLayout(offered, shown, calculated, enumerations), path, settings, platforms, content
+    )
+
+
+def checked_shapes(fmi: FmiVersion, **shapes: bool) -> dict[str, bool]:
+    """Arguments that give a block's variables another form, by name. Raises InputError."""
+    for argument, wanted in shapes.items():
+        require_flag(argument, wanted)
+    if shapes.get("matrices") and fmi == "2.0":
+        raise InputError("matrices = True: FMI 2 has no arrays; give fmi='3.0', or leave it out")
+    return shapes
 
 
 @verb

@@ -54,7 +54,7 @@ class UnpackedFmu:
         variables = self.description.modelVariables
         self.references = {v.name: int(v.valueReference) for v in variables}
         self.variables: dict[str, Any] = {v.name: v for v in variables}
-        self.booleans = {v.name for v in variables if v.type == "Boolean"}
+        self.discrete = {v.name: v.type for v in variables if v.type in ("Boolean", "Enumeration")}
         self.derivatives = [d.variable.name for d in self.description.derivatives]
         self.states = [d.variable.derivative.name for d in self.description.derivatives]
 
@@ -172,7 +172,7 @@ class Runner:
     def get(self, names: Sequence[str]) -> Array:
         """Values of variables [SI]."""
         references = self.references(names)
-        if not self.fmu.booleans.isdisjoint(names):
+        if not self.fmu.discrete.keys().isdisjoint(names):
             return np.array([self._one(n) for n in names], dtype=float)
         read = self.inner.getReal if self.fmu.fmi == "2.0" else self.inner.getFloat64
         return np.array(read(references) if references else [], dtype=float)
@@ -182,18 +182,27 @@ class Runner:
         if not values:
             return
         references = self.references(list(values))
-        for name in self.fmu.booleans.intersection(values):
-            self.inner.setBoolean(self.references([name]), [bool(values[name])])
-        if not self.fmu.booleans.isdisjoint(values):
-            return self.set({n: v for n, v in values.items() if n not in self.fmu.booleans})
+        discrete = self.fmu.discrete.keys() & values.keys()
+        for name in discrete:
+            call = getattr(self.inner, f"set{self._call_of(name)}")
+            call(self.references([name]), [int(values[name])])
+        if discrete:
+            return self.set({n: v for n, v in values.items() if n not in discrete})
         write = self.inner.setReal if self.fmu.fmi == "2.0" else self.inner.setFloat64
         write(references, [float(v) for v in values.values()])
 
     def _one(self, name: str) -> float:
         """A value, 1 or 0 of a Boolean."""
-        if name in self.fmu.booleans:
-            return float(bool(self.inner.getBoolean(self.references([name]))[0]))
+        if name in self.fmu.discrete:
+            call = getattr(self.inner, f"get{self._call_of(name)}")
+            return float(call(self.references([name]))[0])
         return float(self.get([name])[0])
+
+    def _call_of(self, name: str) -> str:
+        """What FMI's functions for an enumeration or a Boolean end in."""
+        if self.fmu.discrete[name] == "Boolean":
+            return "Boolean"
+        return "Integer" if self.fmu.fmi == "2.0" else "Int64"
 
     def initialize(self, start: Mapping[str, float], time: float, tolerance: float | None) -> None:
         """Set start values and go through initialization; Model Exchange to continuous time."""

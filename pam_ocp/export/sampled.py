@@ -68,7 +68,8 @@ class BlockLayout(Layout):
     """The variables of a block's FMU; its memory is not among them.
 
     first : {output: what stands there until the first sample}; by default what it would give.
-    matrices : gains as arrays (FMI 3). booleans : flags of the block are Booleans.
+    matrices : gains as arrays (FMI 3). booleans : flags of the block are Booleans. enumerations :
+    variables with codes are enumerations, by default numbers.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class BlockLayout(Layout):
         first: Mapping[str, float] | None = None,
         matrices: bool = False,
         booleans: bool = False,
+        enumerations: bool = False,
     ) -> None:
         self.block, self.clock = block, clock
         begins = first or {}
@@ -93,6 +95,7 @@ class BlockLayout(Layout):
                     tuple(replace(v, start=begins.get(v.name, v.start)) for v in block.outputs),
                 ),
             ],
+            typed=("input", "parameter", "output") if enumerations else (),
         )
         self.entries = tuple(
             replace(
@@ -169,7 +172,6 @@ def block_data(layout: BlockLayout) -> dict[str, Any]:
     missing = getattr(block, "missing", ())
     unknown = (str(int(v.name in missing)) for v in block.inputs)
     begins = [str(int(e.begins)) for e in layout.of("output")]
-    booleans = [str(int(e.boolean)) for e in layout.entries]
     more = {
         "MODEL_SAMPLED": "",
         "MODEL_SAMPLE_TIME": source.number(block.sample_time),
@@ -184,9 +186,6 @@ def block_data(layout: BlockLayout) -> dict[str, Any]:
     if layout.arrays:
         more["MODEL_ARRAYS"] = ""
         tables.append(source.table("int", "P_SIZE", map(str, _sizes(layout))))
-    if "1" in booleans:
-        more["MODEL_BOOLEANS"] = ""
-        tables.append(source.table("int", "V_BOOLEAN", booleans))
     return {"more": more, "tables": tables}
 
 

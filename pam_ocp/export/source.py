@@ -156,6 +156,8 @@ _VECTORS: tuple[tuple[str, Role, str], ...] = (
     ("P_MAX", "parameter", "max"),
 )
 
+_TYPES = {"Real": "NUMBER", "Boolean": "BOOLEAN", "Enumeration": "ENUMERATION"}
+
 
 def proposed_tolerance(tolerance: float) -> float:
     """What DefaultExperiment says, so that Model Exchange comes near to Co-Simulation."""
@@ -188,6 +190,10 @@ def model_data(
         **work,
         **(more or {}),
     }
+    types = [e.type for e in layout.entries]
+    if set(types) != {"Real"}:
+        defines["MODEL_DISCRETE"] = ""
+        tables = [*tables, table("int", "V_TYPE", (_TYPES[t] for t in types))]
     known = [
         table("char *const", "NAMES", (f'"{e.name}"' for e in layout.entries), '""'),
         *(

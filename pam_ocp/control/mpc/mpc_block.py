@@ -30,6 +30,7 @@ _TOLD = {
     "missing": "samples in a row that lacked a measurement: predicted values stood in",
     "failures": "samples in a row whose quadratic program failed",
 }
+_CODES = "solved unfinished failed fallback"
 
 
 @with_kinds
@@ -107,9 +108,8 @@ def mpc_block(
     draft.next_memories(after)
     draft.send(inversion, given.controls, chosen, (p, x))
     for i, fact in enumerate(FACTS):
-        draft.output(
-            Variable(f"solver.{fact}", "output", start=0.0, description=_TOLD[fact]), facts[i]
-        )
+        words = {"description": _TOLD[fact], "codes": _CODES if fact == "status" else ""}
+        draft.output(Variable(f"solver.{fact}", "output", start=0.0, **words), facts[i])
     draft.repeats("SQP steps", core.iterations)
     draft.repeats("iterations of the interior-point method", core.worst_work)
     return replace(draft.block(), delay=mpc.delay)
