@@ -177,7 +177,7 @@ class Limb(Plant):
         if not masses.is_zero():  # bodies at the ends of levers: m r (r q'' + r' q')
             mass += arms.T @ ca.diag(masses) @ arms
             bias += arms.T @ (masses * ca.jtimes(arms @ w, q, w))
-        acceleration = ca.ldl_solve(ca.vertcat(*pulls) - bias, *ca.ldl(mass))
+        acceleration = ca.cse(ca.ldl_solve(ca.vertcat(*pulls) - bias, *ca.ldl(mass)))
         for i, joint in enumerate(self.joints):
             self.der(self._symbols[joint.name], w[i])
             self.der(self._symbols[f"{joint.name}.velocity"], acceleration[i])
