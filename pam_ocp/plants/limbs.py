@@ -111,8 +111,8 @@ def _is_pulley(element: tuple[str, Any]) -> bool:
 class Limb(Plant):
     """Rigid bodies of a file, moved by muscles: M(q) q'' + h(q, q') = sum r(q) F + loads.
 
-    Moment arms r = -d(path length)/dq are exact, so the muscles' work is the joints' work. Rigid
-    bodies by adam-robotics: ``pip install 'pam_ocp[limbs]'``. Its base is fixed.
+    Moment arms r = -d(path length)/dq are exact, so the muscles' work is the joints' work. Its
+    base is fixed.
 
     Parameters
     ----------
