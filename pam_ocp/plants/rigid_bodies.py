@@ -25,7 +25,8 @@ class _Mass(NamedTuple):
     inertia: ca.SX
 
     def __add__(self, other: _Mass) -> _Mass:  # type: ignore[override]
-        return _Mass(*(a + b for a, b in zip(self, other, strict=True)))
+        moment, inertia = self.moment + other.moment, self.inertia + other.inertia
+        return _Mass(self.mass + other.mass, moment, inertia)
 
 
 def mass_matrix(body: Skeleton, q: ca.SX) -> ca.SX:

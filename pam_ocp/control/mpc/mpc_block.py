@@ -108,8 +108,10 @@ def mpc_block(
     draft.next_memories(after)
     draft.send(inversion, given.controls, chosen, (p, x))
     for i, fact in enumerate(FACTS):
-        words = {"description": _TOLD[fact], "codes": _CODES if fact == "status" else ""}
-        draft.output(Variable(f"solver.{fact}", "output", start=0.0, **words), facts[i])
+        codes = _CODES if fact == "status" else ""
+        words = _TOLD[fact]
+        variable = Variable(f"solver.{fact}", "output", start=0.0, description=words, codes=codes)
+        draft.output(variable, facts[i])
     draft.repeats("SQP steps", core.iterations)
     draft.repeats("iterations of the interior-point method", core.worst_work)
     return replace(draft.block(), delay=mpc.delay)
