@@ -74,14 +74,17 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
         return CALL(refuse, nvr, NOTHING_OF(#Type));                                               \
     }
 
-#ifdef MODEL_DISCRETE
-#define DISCRETE_VARIABLES(Type, TYPE)                                                             \
+#ifdef MODEL_TYPES
+#define TYPED_VARIABLES(Type, TYPE)                                                                \
     fmi2Status fmi2Get##Type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
                              fmi2##Type value[]) {                                                 \
         if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");          \
         fmi2Status status = fmi2OK;                                                                \
-        for (size_t i = 0; i < nvr && status == fmi2OK; i++)                                       \
-            status = CALL(get_discrete, vr[i], TYPE, &value[i]);                                   \
+        for (size_t i = 0; i < nvr && status == fmi2OK; i++) {                                     \
+            double one = 0.0;                                                                      \
+            status = CALL(get_one, vr[i], TYPE, &one);                                             \
+            value[i] = (fmi2##Type)one;                                                            \
+        }                                                                                          \
         return status;                                                                             \
     }                                                                                              \
     fmi2Status fmi2Set##Type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
@@ -89,12 +92,12 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
         if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");          \
         fmi2Status status = fmi2OK;                                                                \
         for (size_t i = 0; i < nvr && status == fmi2OK; i++)                                       \
-            status = CALL(set_discrete, vr[i], TYPE, TYPE == BOOLEAN ? value[i] != 0 : value[i]);  \
+            status = CALL(set_one, vr[i], TYPE, TYPE == BOOLEAN ? value[i] != 0 : value[i]);       \
         return status;                                                                             \
     }
 
-DISCRETE_VARIABLES(Integer, ENUMERATION)
-DISCRETE_VARIABLES(Boolean, BOOLEAN)
+TYPED_VARIABLES(Integer, ENUMERATION)
+TYPED_VARIABLES(Boolean, BOOLEAN)
 #else
 NO_VARIABLES(Integer)
 NO_VARIABLES(Boolean)

@@ -121,7 +121,6 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
         return CALL(refuse, nValueReferences, NOTHING_OF(#Type));                                  \
     }
 
-NO_VARIABLES(Float32)
 NO_VARIABLES(Int8)
 NO_VARIABLES(UInt8)
 NO_VARIABLES(Int16)
@@ -129,17 +128,17 @@ NO_VARIABLES(UInt16)
 NO_VARIABLES(Int32)
 NO_VARIABLES(UInt32)
 NO_VARIABLES(UInt64)
-#ifdef MODEL_DISCRETE
-#define DISCRETE_VARIABLES(Type, TYPE)                                                             \
+#ifdef MODEL_TYPES
+#define TYPED_VARIABLES(Type, TYPE)                                                                \
     fmi3Status fmi3Get##Type(fmi3Instance instance, const fmi3ValueReference valueReferences[],    \
                              size_t nValueReferences, fmi3##Type values[], size_t nValues) {       \
         if (valueReferences == NULL || values == NULL || nValues != nValueReferences)              \
             return CALL(refuse, nValueReferences + nValues, WRONG_ARRAY);                          \
         fmi3Status status = fmi3OK;                                                                \
         for (size_t i = 0; i < nValues && status == fmi3OK; i++) {                                 \
-            int value = 0;                                                                         \
-            status = CALL(get_discrete, valueReferences[i], TYPE, &value);                         \
-            values[i] = (fmi3##Type)value;                                                         \
+            double one = 0.0;                                                                      \
+            status = CALL(get_one, valueReferences[i], TYPE, &one);                                \
+            values[i] = (fmi3##Type)one;                                                           \
         }                                                                                          \
         return status;                                                                             \
     }                                                                                              \
@@ -150,14 +149,16 @@ NO_VARIABLES(UInt64)
             return CALL(refuse, nValueReferences + nValues, WRONG_ARRAY);                          \
         fmi3Status status = fmi3OK;                                                                \
         for (size_t i = 0; i < nValues && status == fmi3OK; i++)                                   \
-            status = CALL(set_discrete, valueReferences[i], TYPE, (double)values[i]);              \
+            status = CALL(set_one, valueReferences[i], TYPE, (double)values[i]);                   \
         return status;                                                                             \
     }
 #define WRONG_ARRAY "an array is missing or too long"
 
-DISCRETE_VARIABLES(Int64, ENUMERATION)
-DISCRETE_VARIABLES(Boolean, BOOLEAN)
+TYPED_VARIABLES(Float32, SINGLE)
+TYPED_VARIABLES(Int64, ENUMERATION)
+TYPED_VARIABLES(Boolean, BOOLEAN)
 #else
+NO_VARIABLES(Float32)
 NO_VARIABLES(Int64)
 NO_VARIABLES(Boolean)
 #endif

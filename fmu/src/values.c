@@ -46,7 +46,7 @@ static Status get_values(Instance *s, const char *function, const unsigned *vr, 
         if (vr[i] >= VR_END)
             return report(s, ERROR, function, "value reference %u is not known", vr[i]);
         if (TYPE_OF(vr[i]) != NUMBER)
-            return report(s, ERROR, function, "%s is no real number", NAMES[vr[i]]);
+            return report(s, ERROR, function, "%s is of another type", NAMES[vr[i]]);
         for (unsigned e = 0; e < SIZE_OF(vr[i]); e++, k++) {
             Status status = get_value(s, function, vr[i] + e, &values[k]);
             if (status != OK) return status;
@@ -65,7 +65,7 @@ static Status check_parameter(const Instance *s, const char *function, unsigned 
             return report(s, ERROR, function, "parameter %s can change in event mode only",
                           NAMES[r]);
     }
-    if (value < P_MIN[i] || value > P_MAX[i])
+    if (value < BOUND(P_MIN[i]) || value > BOUND(P_MAX[i]))
         return report(s, ERROR, function, "%s = %g is outside %g .. %g", NAMES[r], value, P_MIN[i],
                       P_MAX[i]);
     return OK;
@@ -105,7 +105,7 @@ static Status set_values(Instance *s, const char *function, const unsigned *vr, 
     size_t k = 0;
     for (size_t i = 0; i < n; i++)
         if (TYPE_OF(vr[i]) != NUMBER)
-            return report(s, ERROR, function, "%s is no real number", NAMES[vr[i]]);
+            return report(s, ERROR, function, "%s is of another type", NAMES[vr[i]]);
     for (size_t i = 0; i < n; i++)
         for (unsigned e = 0; e < SIZE_OF(vr[i]); e++, k++)
             if (check_settable(s, function, vr[i] + e, values[k]) != OK) return ERROR;
@@ -122,7 +122,7 @@ static Status set_values(Instance *s, const char *function, const unsigned *vr, 
     return OK;
 }
 
-#ifdef MODEL_DISCRETE
+#ifdef MODEL_TYPES
 #define SETTABLE (INSTANTIATED | INITIALIZATION | EVENT | STEP)
 
 static Status check_type(Instance *s, const char *function, int modes, unsigned r, int type) {
@@ -131,15 +131,14 @@ static Status check_type(Instance *s, const char *function, int modes, unsigned 
     return report(s, ERROR, function, "value reference %u is not of this type", r);
 }
 
-static Status get_discrete(Instance *s, const char *function, unsigned r, int type, int *value) {
-    double number = 0.0;
+static Status get_one(Instance *s, const char *function, unsigned r, int type, double *value) {
     if (check_type(s, function, READABLE, r, type) != OK) return ERROR;
-    Status status = get_value(s, function, r, &number);
-    *value = type == BOOLEAN ? number != 0.0 : (int)number;
+    Status status = get_value(s, function, r, value);
+    if (type == BOOLEAN) *value = *value != 0.0;
     return status;
 }
 
-static Status set_discrete(Instance *s, const char *function, unsigned r, int type, double value) {
+static Status set_one(Instance *s, const char *function, unsigned r, int type, double value) {
     if (check_type(s, function, SETTABLE, r, type) != OK) return ERROR;
     if (check_settable(s, function, r, value) != OK) return ERROR;
     *settable(&s->memory, r) = value;

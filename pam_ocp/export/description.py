@@ -70,7 +70,7 @@ def model_description(
     variables = [e.variable for e in layout.entries]
     quantities.add_units(ET.SubElement(root, "UnitDefinitions"), variables)
     types = quantities.type_names(variables[1:])
-    quantities.add_types(root, types, fmi)
+    quantities.add_types(root, types, fmi, "Float32" if layout.single else "Float64")
     categories = ET.SubElement(root, "LogCategories")
     for name, description in _LOG_CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=description)
@@ -222,7 +222,8 @@ def _variables_3(root: ET.Element, layout: Layout, types: Types) -> None:
         attributes = _head(entry, layout.sample_time is not None) | _quantity(entry, types)
         if entry.role == "derivative":
             attributes["derivative"] = str(entry.reference - len(layout.of("state")))
-        ET.SubElement(parent, "Float64" if entry.type == "Real" else entry.type, attributes)
+        number = "Float32" if layout.single and entry.role != "time" else "Float64"
+        ET.SubElement(parent, number if entry.type == "Real" else entry.type, attributes)
     if layout.clock and layout.sample_time is not None:
         _clock(parent, layout, layout.sample_time)
 

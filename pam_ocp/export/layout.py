@@ -65,6 +65,8 @@ class Layout:
     """Of a sampled block [s]; None for a plant."""
     clock = False
     """Whether FMI 3 shows the samples' clock."""
+    single = False
+    """Whether numbers are of single precision (FMI 3)."""
     arrays: Mapping[int, tuple[str, int, int]] = MappingProxyType({})
     """{reference of the first entry: (name, rows, columns)} of parameters shown as one array."""
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ..core.block import Block
 from ..core.errors import InputError, require_flag
@@ -45,6 +45,7 @@ def export_fmu(
     matrices: bool = False,
     booleans: bool = False,
     enumerations: bool = False,
+    precision: Literal["double", "single"] = "double",
     author: str | None = None,
     version: str | None = None,
     copyright: str | None = None,
@@ -94,6 +95,8 @@ def export_fmu(
     booleans : True makes a block's ``enable`` a Boolean, and its ``status`` one Boolean for each
         bit: ``status.off``, ``.missing``, ``.lost``, ``.at_range``, ``.at_rate``, ``.no_number``.
     enumerations : True makes variables with codes enumerations, such as an Mpc's ``solver.status``.
+    precision : "single" makes a block's numbers Float32 (FMI 3), computed with floats as
+        :func:`export_c` has them.
     author, version, copyright, license : of the model, for its description.
     date : of the model, ISO 8601 or a datetime; by default a fixed one, so that the same plant
         gives the same bytes.
@@ -112,6 +115,13 @@ def export_fmu(
     """
     about = checked_about(author, version, copyright, license, date)
     shapes = checked_shapes(fmi, matrices=matrices, booleans=booleans, enumerations=enumerations)
+    if precision not in ("double", "single"):
+        raise InputError(f"precision = {precision!r}: choose 'double' or 'single'")
+    if precision == "single" and (fmi == "2.0" or matrices):
+        raise InputError(
+            "precision = 'single': FMI 2 and arrays of gains have no such numbers; give fmi='3.0' "
+            "and leave out matrices"
+        )
     block = as_block(system)
     if block is not None:
         refused = {"inputs": inputs, "outputs": outputs, "fixed_step": fixed_step}
@@ -121,10 +131,13 @@ def export_fmu(
                 raise InputError(f"{argument}: a block has none; leave it out")
         size = block.sample_time if step_size is None else step_size
         settings = checked(fmi, size, tolerance, None, stop_time, about)
+        shapes["single"] = precision == "single"
         return write_block(block, path, settings, platforms, clock, None, **shapes)
     for argument in ("matrices", "booleans"):
         if shapes[argument]:
             raise InputError(f"{argument} = True: a plant has none; leave it out")
+    if precision == "single":
+        raise InputError("precision = 'single': only blocks compute so; leave it out")
     plant = require_plant(system)
     size = 1e-3 if step_size is None else step_size
     settings = checked(fmi, size, tolerance, fixed_step, stop_time, about)
@@ -197,7 +210,7 @@ def write_block(
     layout = sampled.BlockLayout(block, clock, first, **shapes)
     content = Content(
         "block",
-        lambda: sampled.block_sources(block),
+        lambda: sampled.block_sources(block, layout.single),
         lambda: [("(memory, outputs)", "step(memory, inputs, parameters)")],
         sampled.block_notes(block),
         sampled.block_data(layout),

@@ -71,8 +71,10 @@ def declared(variable: Variable, names: Mapping[Type, str]) -> str:
     return names[_type_of(variable)]
 
 
-def add_types(root: ET.Element, names: Mapping[Type, str], fmi: str) -> None:
-    """TypeDefinitions of FMI 2 or 3."""
+def add_types(
+    root: ET.Element, names: Mapping[Type, str], fmi: str, number: str = "Float64"
+) -> None:
+    """TypeDefinitions of FMI 2 or 3. number : what FMI 3 calls numbers."""
     parent = ET.SubElement(root, "TypeDefinitions")
     for kind, name in names.items():
         if kind.codes:
@@ -89,7 +91,7 @@ def add_types(root: ET.Element, names: Mapping[Type, str], fmi: str) -> None:
         if fmi == "2.0":
             ET.SubElement(ET.SubElement(parent, "SimpleType", name=name), "Real", attributes)
         else:
-            ET.SubElement(parent, "Float64Type", {"name": name, **attributes})
+            ET.SubElement(parent, f"{number}Type", {"name": name, **attributes})
 
 
 def _add_enumeration(parent: ET.Element, name: str, codes: str, fmi: str) -> None:

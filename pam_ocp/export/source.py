@@ -190,10 +190,11 @@ def model_data(
         **work,
         **(more or {}),
     }
-    types = [e.type for e in layout.entries]
-    if set(types) != {"Real"}:
-        defines["MODEL_DISCRETE"] = ""
-        tables = [*tables, table("int", "V_TYPE", (_TYPES[t] for t in types))]
+    names = {**_TYPES, "Real": "SINGLE"} if layout.single else _TYPES
+    types = [_TYPES["Real"], *(names[e.type] for e in layout.entries[1:])]  # first the time
+    if len(set(types)) > 1:
+        defines["MODEL_TYPES"] = ""
+        tables = [*tables, table("int", "V_TYPE", types)]
     known = [
         table("char *const", "NAMES", (f'"{e.name}"' for e in layout.entries), '""'),
         *(

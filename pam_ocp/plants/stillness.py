@@ -64,10 +64,9 @@ class _Region:
         z, variables = ca.vertcat(plant.x, plant.u), (*plant.states, *plant.inputs)
         slopes = ca.jacobian(expressions, z)
         self.pattern: Pattern = np.array(ca.DM(slopes.sparsity(), 1), dtype=bool)
-        entries = zip(*slopes.sparsity().get_triplet(), slopes.nonzeros(), strict=True)
         self.steady: Pattern = np.zeros_like(self.pattern)  # whose slopes are constants, not 0
-        for i, j, entry in entries:
-            slope = ca.SX(entry)
+        for i, j in zip(*slopes.sparsity().get_triplet(), strict=True):
+            slope = ca.SX(slopes[i, j])
             self.steady[i, j] = slope.is_constant() and float(slope) != 0.0
         self._values = ca.Function("values", [z, plant.p], [expressions])
         self._slopes = ca.Function("slopes", [z, plant.p], [expressions, ca.densify(slopes)])

@@ -192,7 +192,7 @@ def test_flags_are_booleans_and_tell_the_bits_of_the_status(fmi: Any, tmp_path: 
     assert check.ok, str(check)
     unit = UnpackedFmu(path, tmp_path / "b")
     names = ["off", "missing", "lost", "at_range", "at_rate", "no_number"]
-    assert unit.discrete == dict.fromkeys(["enable", *(f"status.{n}" for n in names)], "Boolean")
+    assert unit.typed == dict.fromkeys(["enable", *(f"status.{n}" for n in names)], "Boolean")
     assert "status" not in unit.references
     assert unit.variables["enable"].variability == "discrete"
     rest = {"x": 0.0, "muscle1.pressure": 3e5, "muscle2.pressure": 3e5}
@@ -237,7 +237,7 @@ def test_codes_of_a_plant_are_enumerations_in_both_modes(fmi: Any, tmp_path: Pat
     check = check_fmu(path)
     assert check.ok, str(check)
     unit = UnpackedFmu(path, tmp_path / "p")
-    assert unit.discrete == {"speed": "Enumeration", "gear": "Enumeration"}
+    assert unit.typed == {"speed": "Enumeration", "gear": "Enumeration"}
     kinds = unit.description.typeDefinitions
     items = [{i.name: int(i.value) for i in k.items} for k in kinds if k.items]
     assert items == [{"off": 0, "slow": 1, "fast": 2}, {"half": 0, "whole": 1}]
@@ -286,6 +286,52 @@ def test_the_status_of_an_mpc_is_an_enumeration(fmi: Any, tmp_path: Path) -> Non
             seen.append(float(told[place]))
             assert runner.get(["solver.status"]) == [seen[-1]]
     assert {0.0, 1.0} == set(seen)
+
+
+# ---- single precision ---------------------------------------------------------------------------
+
+
+def test_a_unit_of_single_precision_computes_with_floats(tmp_path: Path) -> None:
+    """A PI law with a limit, by NumPy's float32 in the same order, to the last bit."""
+    m, x, k = (ca.SX.sym(n, size) for n, size in (("m", 1), ("x", 1), ("k", 2)))
+    error = 0.1 - x
+    u = ca.fmax(k[0] * error + m, -2.0)
+    step = ca.Function("step", [m, x, k], [m + k[1] * error, ca.vertcat(u, u * u / 3)])
+    gains = tuple(
+        pam.Variable(n, "parameter", start=v, max=m)
+        for n, v, m in (("kp", 7.3, 9), ("ki", 0.07, 0.1))
+    )
+    outputs = (pam.Variable("u", "output"), pam.Variable("power", "output"))
+    memory = (pam.Variable("sum", "state", start=0.3),)
+    law = Block("law", STEP, (pam.Variable("x", "input"),), outputs, gains, memory, step)
+    options: dict[str, Any] = {"fmi": "3.0", "platforms": "native", "precision": "single"}
+    path = export_fmu(law, tmp_path / "l.fmu", **options)
+    assert check_fmu(path).ok
+    unit, f = UnpackedFmu(path, tmp_path / "l"), np.float32
+    assert unit.typed == dict.fromkeys(["x", "kp", "ki", "u", "power"], "Float32")
+    total, rng = f(0.3), np.random.default_rng(4)
+    with Runner(unit, "CoSimulation") as runner:
+        runner.initialize({"kp": 5.9}, 0.0, None)
+        for i in range(20):
+            x_ = f(rng.normal())
+            runner.set({"x": float(x_)})
+            runner.step(i * STEP, STEP)
+            off = f(f(0.1) - x_)
+            sent = np.maximum(f(f(f(5.9) * off) + total), f(-2.0))
+            total = f(total + f(f(0.07) * off))
+            assert list(runner.get(["u", "power"])) == [sent, f(f(sent * sent) / f(3))]
+        with pytest.raises(Exception, match="rror"):
+            runner.inner.getFloat64([unit.references["u"]])
+    with Runner(unit, "CoSimulation") as runner:
+        runner.set({"ki": 0.1})  # the end of its range, which is 0.1 in double precision
+        with pytest.raises(Exception, match="rror"):
+            runner.set({"ki": 0.10001})
+    with pytest.raises(InputError, match="FMI 2 and arrays of gains have no such numbers"):
+        export_fmu(law, path, precision="single")
+    with pytest.raises(InputError, match="only blocks compute so"):
+        export_fmu(benchmark_slide(), path, **options)
+    with pytest.raises(InputError, match="choose 'double' or 'single'"):
+        export_fmu(law, path, precision="half")  # type: ignore[arg-type]
 
 
 # ---- in a system --------------------------------------------------------------------------------
