@@ -24,7 +24,8 @@ from .declaration import CHANGEABLE
 from .feeds import AttachedMuscle, Feed
 from .loads import Coordinate, Damper, DryFriction, Load, Spring, Wall, applied, as_loads
 from .plant import Plant
-from .skeleton import Joint, Skeleton, found_file, read_skeleton
+from .rigid_bodies import Joint
+from .skeleton import Skeleton, found_file, read_skeleton
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

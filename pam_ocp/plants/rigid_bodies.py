@@ -7,14 +7,74 @@ where all joints are at 0, and begins at the joint that carries the body.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from .skeleton import Joint, Skeleton
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint of a limb, with what its file says. Origin and axis are those at q = 0, in the base.
+
+    kind : "revolute", "prismatic" or "fixed". low, high : limits [rad or m]. velocity, effort :
+    largest ones, infinite where the file has none (or 0). damping, friction : viscous coefficient
+    and Coulomb friction. armature : inertia of a drive. stiffness, rest : of a spring.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    low: float = -math.inf
+    high: float = math.inf
+    velocity: float = math.inf
+    effort: float = math.inf
+    damping: float = 0.0
+    friction: float = 0.0
+    armature: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+
+    @property
+    def rotary(self) -> bool:
+        return self.kind == "revolute"
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid body: its frame, centre of mass and inertia about that at q = 0, in the base."""
+
+    name: str
+    origin: Array
+    rotation: Array
+    mass: float = 0.0
+    centre: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+
+class Tree(Protocol):
+    """What carries what: the part of a Skeleton that its mechanics are made of."""
+
+    @property
+    def links(self) -> Mapping[str, Link]: ...
+
+    @property
+    def joints(self) -> tuple[Joint, ...]: ...
+
+    def chain(self, link: str) -> tuple[Joint, ...]: ...
+
+    def moving(self, link: str) -> tuple[str, ...]: ...
+
+    def index(self, joint: str) -> int: ...
 
 
 class _Mass(NamedTuple):
@@ -29,7 +89,7 @@ class _Mass(NamedTuple):
         return _Mass(self.mass + other.mass, moment, inertia)
 
 
-def mass_matrix(body: Skeleton, q: ca.SX) -> ca.SX:
+def mass_matrix(body: Tree, q: ca.SX) -> ca.SX:
     """M(q), without the drives' inertias."""
     found = ca.SX(len(body.joints), len(body.joints))
     carried = {j.name: _composite(body, j, q) for j in body.joints}
@@ -50,7 +110,7 @@ def mass_matrix(body: Skeleton, q: ca.SX) -> ca.SX:
     return found
 
 
-def bias(body: Skeleton, q: ca.SX, w: ca.SX, gravity: ca.SX) -> ca.SX:
+def bias(body: Tree, q: ca.SX, w: ca.SX, gravity: ca.SX) -> ca.SX:
     """h(q, q') of M q'' + h = tau. gravity : a vector [m/s2]."""
     tau, rest = ca.SX(len(body.joints), 1), ca.SX(3, 1)
 
@@ -88,7 +148,7 @@ def _whirled(spin: ca.SX, turning: ca.SX, arm: ca.SX) -> ca.SX:
     return ca.cross(turning, arm) + ca.cross(spin, ca.cross(spin, arm))
 
 
-def _composite(body: Skeleton, at: Joint, q: ca.SX) -> _Mass:
+def _composite(body: Tree, at: Joint, q: ca.SX) -> _Mass:
     """Of all that a joint moves, in its frame."""
     found = _own(body, at)
     for joint in _next(body, at):
@@ -102,7 +162,7 @@ def _composite(body: Skeleton, at: Joint, q: ca.SX) -> _Mass:
     return found
 
 
-def _own(body: Skeleton, at: Joint | None) -> _Mass:
+def _own(body: Tree, at: Joint | None) -> _Mass:
     """Of what moves with a frame."""
     found = _Mass(0.0, ca.SX(3, 1), ca.SX(3, 3))
     for name in _links(body, at):
@@ -114,19 +174,19 @@ def _own(body: Skeleton, at: Joint | None) -> _Mass:
     return found
 
 
-def _next(body: Skeleton, at: Joint | None) -> Iterator[Joint]:
+def _next(body: Tree, at: Joint | None) -> Iterator[Joint]:
     """The joints that a frame carries."""
     links = _links(body, at)
     return (j for j in body.joints if j.parent in links)
 
 
-def _links(body: Skeleton, at: Joint | None) -> list[str]:
+def _links(body: Tree, at: Joint | None) -> list[str]:
     """What moves with a frame; at None with the base."""
     last = None if at is None else at.name
     return [name for name in body.links if (body.moving(name) or (None,))[-1] == last]
 
 
-def _turned(body: Skeleton, joint: Joint, q: ca.SX, v: ca.SX) -> ca.SX:
+def _turned(body: Tree, joint: Joint, q: ca.SX, v: ca.SX) -> ca.SX:
     """Columns in a joint's frame as the frame before has them (Rodrigues' rotation)."""
     if not joint.rotary:
         return v
@@ -135,7 +195,7 @@ def _turned(body: Skeleton, joint: Joint, q: ca.SX, v: ca.SX) -> ca.SX:
     return along + ca.cos(angle) * (v - along) + ca.sin(angle) * (ca.skew(axis) @ v)
 
 
-def _offset(body: Skeleton, joint: Joint, at: Joint | None, q: ca.SX) -> ca.SX:
+def _offset(body: Tree, joint: Joint, at: Joint | None, q: ca.SX) -> ca.SX:
     """Of a joint's frame from the one before."""
     arm = ca.SX(joint.origin - (np.zeros(3) if at is None else at.origin))
     return arm if joint.rotary else arm + joint.axis * q[body.index(joint.name)]

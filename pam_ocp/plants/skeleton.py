@@ -6,7 +6,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, UnknownNameError
 from ..core.lazy import library
 from . import rigid_bodies
+from .rigid_bodies import Joint, Link
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -27,48 +28,6 @@ ROUNDING = 1e-15
 """Components of unit vectors below this are 0: what cos(pi/2) leaves."""
 TRIANGLE = 1e-3
 """Part by which a moment of inertia may exceed the sum of the others: rounded numbers in files."""
-
-
-@dataclass(frozen=True)
-class Joint:
-    """A joint of a limb, with what its file says. Origin and axis are those at q = 0, in the base.
-
-    kind : "revolute", "prismatic" or "fixed". low, high : limits [rad or m]. velocity, effort :
-    largest ones, infinite where the file has none (or 0). damping, friction : viscous coefficient
-    and Coulomb friction. armature : inertia of a drive. stiffness, rest : of a spring.
-    """
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    origin: Array
-    axis: Array
-    low: float = -math.inf
-    high: float = math.inf
-    velocity: float = math.inf
-    effort: float = math.inf
-    damping: float = 0.0
-    friction: float = 0.0
-    armature: float = 0.0
-    stiffness: float = 0.0
-    rest: float = 0.0
-
-    @property
-    def rotary(self) -> bool:
-        return self.kind == "revolute"
-
-
-@dataclass(frozen=True)
-class Link:
-    """A rigid body: its frame, centre of mass and inertia about that at q = 0, in the base."""
-
-    name: str
-    origin: Array
-    rotation: Array
-    mass: float = 0.0
-    centre: Array = field(default_factory=lambda: np.zeros(3))
-    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 class Skeleton:
