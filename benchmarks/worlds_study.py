@@ -45,8 +45,8 @@ MUJOCO_STEP = 2.5e-5
 SLACK_STEP = 1e-2
 """How far from a point of the motion slopes are compared, scaled by nominal values."""
 HOLD = 1e-3
-"""[s], for which what rounding adds to slopes is held: longer than it lasts, so that it moves plants
-more than it would; a tenth of it where that is too much.
+"""[s], for which what rounding adds to slopes is held: longer than it lasts, so that it moves
+plants more than it would; a tenth of it where that is too much.
 """
 LONGEST = 300
 """For a plant in one world [s]; what takes longer is counted apart."""
