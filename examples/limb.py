@@ -4,8 +4,6 @@ A limb is a plant as all others: it rests, moves, is linearised, planned and exp
 over pulleys at the shoulder and the forearm; the biceps spans the elbow in a straight line, and
 four muscles at the wrist lead their cords through via points over both its joints.
 
-Needs adam-robotics (pip install 'pam_ocp[limbs]').
-
 Run:  python examples/limb.py [folder for the results]
 """
 

@@ -74,26 +74,32 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
         return CALL(refuse, nvr, NOTHING_OF(#Type));                                               \
     }
 
-NO_VARIABLES(Integer)
-#ifdef MODEL_BOOLEANS
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          fmi2Boolean value[]) {
-    if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");
-    fmi2Status status = fmi2OK;
-    for (size_t i = 0; i < nvr && status == fmi2OK; i++)
-        status = CALL(get_boolean, vr[i], &value[i]);
-    return status;
-}
+#ifdef MODEL_TYPES
+#define TYPED_VARIABLES(Type, TYPE)                                                                \
+    fmi2Status fmi2Get##Type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
+                             fmi2##Type value[]) {                                                 \
+        if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");          \
+        fmi2Status status = fmi2OK;                                                                \
+        for (size_t i = 0; i < nvr && status == fmi2OK; i++) {                                     \
+            double one = 0.0;                                                                      \
+            status = CALL(get_one, vr[i], TYPE, &one);                                             \
+            value[i] = (fmi2##Type)one;                                                            \
+        }                                                                                          \
+        return status;                                                                             \
+    }                                                                                              \
+    fmi2Status fmi2Set##Type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
+                             const fmi2##Type value[]) {                                           \
+        if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");          \
+        fmi2Status status = fmi2OK;                                                                \
+        for (size_t i = 0; i < nvr && status == fmi2OK; i++)                                       \
+            status = CALL(set_one, vr[i], TYPE, TYPE == BOOLEAN ? value[i] != 0 : value[i]);       \
+        return status;                                                                             \
+    }
 
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          const fmi2Boolean value[]) {
-    if (vr == NULL || value == NULL) return CALL(refuse, nvr, "an array is missing");
-    fmi2Status status = fmi2OK;
-    for (size_t i = 0; i < nvr && status == fmi2OK; i++)
-        status = CALL(set_boolean, vr[i], value[i]);
-    return status;
-}
+TYPED_VARIABLES(Integer, ENUMERATION)
+TYPED_VARIABLES(Boolean, BOOLEAN)
 #else
+NO_VARIABLES(Integer)
 NO_VARIABLES(Boolean)
 #endif
 NO_VARIABLES(String)

@@ -121,39 +121,45 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
         return CALL(refuse, nValueReferences, NOTHING_OF(#Type));                                  \
     }
 
-NO_VARIABLES(Float32)
 NO_VARIABLES(Int8)
 NO_VARIABLES(UInt8)
 NO_VARIABLES(Int16)
 NO_VARIABLES(UInt16)
 NO_VARIABLES(Int32)
 NO_VARIABLES(UInt32)
-NO_VARIABLES(Int64)
 NO_VARIABLES(UInt64)
-#ifdef MODEL_BOOLEANS
-fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, fmi3Boolean values[], size_t nValues) {
-    if (valueReferences == NULL || values == NULL || nValues != nValueReferences)
-        return CALL(refuse, nValueReferences + nValues, "an array is missing or too long");
-    fmi3Status status = fmi3OK;
-    for (size_t i = 0; i < nValues && status == fmi3OK; i++) {
-        int value = 0;
-        status = CALL(get_boolean, valueReferences[i], &value);
-        values[i] = value != 0;
+#ifdef MODEL_TYPES
+#define TYPED_VARIABLES(Type, TYPE)                                                                \
+    fmi3Status fmi3Get##Type(fmi3Instance instance, const fmi3ValueReference valueReferences[],    \
+                             size_t nValueReferences, fmi3##Type values[], size_t nValues) {       \
+        if (valueReferences == NULL || values == NULL || nValues != nValueReferences)              \
+            return CALL(refuse, nValueReferences + nValues, WRONG_ARRAY);                          \
+        fmi3Status status = fmi3OK;                                                                \
+        for (size_t i = 0; i < nValues && status == fmi3OK; i++) {                                 \
+            double one = 0.0;                                                                      \
+            status = CALL(get_one, valueReferences[i], TYPE, &one);                                \
+            values[i] = (fmi3##Type)one;                                                           \
+        }                                                                                          \
+        return status;                                                                             \
+    }                                                                                              \
+    fmi3Status fmi3Set##Type(fmi3Instance instance, const fmi3ValueReference valueReferences[],    \
+                             size_t nValueReferences, const fmi3##Type values[],                   \
+                             size_t nValues) {                                                     \
+        if (valueReferences == NULL || values == NULL || nValues != nValueReferences)              \
+            return CALL(refuse, nValueReferences + nValues, WRONG_ARRAY);                          \
+        fmi3Status status = fmi3OK;                                                                \
+        for (size_t i = 0; i < nValues && status == fmi3OK; i++)                                   \
+            status = CALL(set_one, valueReferences[i], TYPE, (double)values[i]);                   \
+        return status;                                                                             \
     }
-    return status;
-}
+#define WRONG_ARRAY "an array is missing or too long"
 
-fmi3Status fmi3SetBoolean(fmi3Instance instance, const fmi3ValueReference valueReferences[],
-                          size_t nValueReferences, const fmi3Boolean values[], size_t nValues) {
-    if (valueReferences == NULL || values == NULL || nValues != nValueReferences)
-        return CALL(refuse, nValueReferences + nValues, "an array is missing or too long");
-    fmi3Status status = fmi3OK;
-    for (size_t i = 0; i < nValues && status == fmi3OK; i++)
-        status = CALL(set_boolean, valueReferences[i], values[i]);
-    return status;
-}
+TYPED_VARIABLES(Float32, SINGLE)
+TYPED_VARIABLES(Int64, ENUMERATION)
+TYPED_VARIABLES(Boolean, BOOLEAN)
 #else
+NO_VARIABLES(Float32)
+NO_VARIABLES(Int64)
 NO_VARIABLES(Boolean)
 #endif
 NO_VARIABLES(String)

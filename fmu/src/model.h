@@ -8,6 +8,9 @@
 #ifndef MODEL_H
 #define MODEL_H
 
+/* What V_TYPE says of variables */
+enum { NUMBER, BOOLEAN, ENUMERATION, SINGLE };
+
 #include "model_data.h"
 
 /* What the model description proposes to importers' own solvers. */
@@ -22,11 +25,18 @@
 #define SIZE_OF(r) ((size_t)1)
 #endif
 
-/* Inputs and outputs that are Booleans of FMI: not 0, or 0 */
-#ifdef MODEL_BOOLEANS
-#define IS_BOOLEAN(r) ((r) < VR_END && V_BOOLEAN[r])
+/* Variables that FMI reads and sets by functions of their own type */
+#ifdef MODEL_TYPES
+#define TYPE_OF(r) ((r) < VR_END ? V_TYPE[r] : NUMBER)
 #else
-#define IS_BOOLEAN(r) 0
+#define TYPE_OF(r) NUMBER
+#endif
+
+/* The end of a range, as numbers of single precision meet it */
+#ifdef MODEL_SINGLE
+#define BOUND(value) ((double)(float)(value))
+#else
+#define BOUND(value) (value)
 #endif
 
 /* C has no arrays of length 0. */
@@ -53,11 +63,15 @@ enum {
 /* The clock of the samples in FMI 3 */
 enum { VR_CLOCK = VR_END };
 
-/* Scratch memory; holds nothing between two calls. */
+/* Scratch memory; holds nothing between two calls. MODEL_SINGLE: the step computes with floats. */
 typedef struct {
-    double w[BLOCK_W];
     int iw[BLOCK_IW];
     double memory[LENGTH(NM)];
+#ifdef MODEL_SINGLE
+    float w[BLOCK_W], m[LENGTH(NM)], u[LENGTH(NU)], p[LENGTH(NP)], next[LENGTH(NM)], y[LENGTH(NY)];
+#else
+    double w[BLOCK_W];
+#endif
 } BlockWork;
 
 /* (next, y) = step(memory, u, p) */

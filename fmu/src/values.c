@@ -45,7 +45,8 @@ static Status get_values(Instance *s, const char *function, const unsigned *vr, 
     for (size_t i = 0; i < n; i++) {
         if (vr[i] >= VR_END)
             return report(s, ERROR, function, "value reference %u is not known", vr[i]);
-        if (IS_BOOLEAN(vr[i])) return report(s, ERROR, function, "%s is a Boolean", NAMES[vr[i]]);
+        if (TYPE_OF(vr[i]) != NUMBER)
+            return report(s, ERROR, function, "%s is of another type", NAMES[vr[i]]);
         for (unsigned e = 0; e < SIZE_OF(vr[i]); e++, k++) {
             Status status = get_value(s, function, vr[i] + e, &values[k]);
             if (status != OK) return status;
@@ -64,7 +65,7 @@ static Status check_parameter(const Instance *s, const char *function, unsigned 
             return report(s, ERROR, function, "parameter %s can change in event mode only",
                           NAMES[r]);
     }
-    if (value < P_MIN[i] || value > P_MAX[i])
+    if (value < BOUND(P_MIN[i]) || value > BOUND(P_MAX[i]))
         return report(s, ERROR, function, "%s = %g is outside %g .. %g", NAMES[r], value, P_MIN[i],
                       P_MAX[i]);
     return OK;
@@ -103,7 +104,8 @@ static Status set_values(Instance *s, const char *function, const unsigned *vr, 
     if (vr == NULL && n > 0) return report(s, ERROR, function, "the value references are missing");
     size_t k = 0;
     for (size_t i = 0; i < n; i++)
-        if (IS_BOOLEAN(vr[i])) return report(s, ERROR, function, "%s is a Boolean", NAMES[vr[i]]);
+        if (TYPE_OF(vr[i]) != NUMBER)
+            return report(s, ERROR, function, "%s is of another type", NAMES[vr[i]]);
     for (size_t i = 0; i < n; i++)
         for (unsigned e = 0; e < SIZE_OF(vr[i]); e++, k++)
             if (check_settable(s, function, vr[i] + e, values[k]) != OK) return ERROR;
@@ -120,28 +122,28 @@ static Status set_values(Instance *s, const char *function, const unsigned *vr, 
     return OK;
 }
 
-#ifdef MODEL_BOOLEANS
+#ifdef MODEL_TYPES
 #define SETTABLE (INSTANTIATED | INITIALIZATION | EVENT | STEP)
 
-static Status check_boolean(Instance *s, const char *function, int modes, unsigned r) {
+static Status check_type(Instance *s, const char *function, int modes, unsigned r, int type) {
     if (check_mode(s, function, modes) != OK) return ERROR;
-    return IS_BOOLEAN(r) ? OK : report(s, ERROR, function, "value reference %u is no Boolean", r);
+    if (TYPE_OF(r) == type) return OK;
+    return report(s, ERROR, function, "value reference %u is not of this type", r);
 }
 
-static Status get_boolean(Instance *s, const char *function, unsigned r, int *value) {
-    double number = 0.0;
-    if (check_boolean(s, function, READABLE, r) != OK) return ERROR;
-    Status status = get_value(s, function, r, &number);
-    *value = number != 0.0;
+static Status get_one(Instance *s, const char *function, unsigned r, int type, double *value) {
+    if (check_type(s, function, READABLE, r, type) != OK) return ERROR;
+    Status status = get_value(s, function, r, value);
+    if (type == BOOLEAN) *value = *value != 0.0;
     return status;
 }
 
-static Status set_boolean(Instance *s, const char *function, unsigned r, int value) {
-    const double number = value != 0;
-    if (check_boolean(s, function, SETTABLE, r) != OK) return ERROR;
-    if (check_settable(s, function, r, number) != OK) return ERROR;
-    *settable(&s->memory, r) = number;
+static Status set_one(Instance *s, const char *function, unsigned r, int type, double value) {
+    if (check_type(s, function, SETTABLE, r, type) != OK) return ERROR;
+    if (check_settable(s, function, r, value) != OK) return ERROR;
+    *settable(&s->memory, r) = value;
     invalidate(s);
+    warn_of_inputs(s, function);
     return OK;
 }
 #endif

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 EPILOG = """\
 A system file (TOML) with a table [connections] is written as SSP:
 
-  stop_time = "2 s"                       # also: step_size, fmi = "3.0", version = "2.0"
+  stop_time = "2 s"                       # also: step_size, fmi, version, booleans, ...
 
   [components.plant]                      # a plant as for 'pam-ocp plan', or a study file's
   arrangement = "AntagonisticSlide"
@@ -32,7 +32,8 @@ A system file (TOML) with a table [connections] is written as SSP:
   [connections]                           # every input of every component = an output
   "plant.muscle1.command" = "controller.muscle1.command"
 """
-_KEYS = ("components", "connections", "step_size", "stop_time", "fmi", "name", "version")
+_SHAPES = ("matrices", "booleans", "enumerations")
+_KEYS = ("components", "connections", "step_size", "stop_time", "fmi", "name", "version", *_SHAPES)
 
 
 def is_system(name: str) -> bool:
@@ -53,9 +54,10 @@ def write_system(
         described = table("components", content.get("components", {}))
         components = {n: _component(n, c, folder, allow_code) for n, c in described.items()}
         connections = table("connections", content["connections"])
-        times = {
+        more: dict[str, Any] = {
             n: quantity(n, content[n], "s") for n in ("step_size", "stop_time") if n in content
         }
+        more |= {n: content[n] for n in _SHAPES if n in content}
     name = str(content.get("name", Path(file).stem))
     return export_ssp(
         components,
@@ -65,7 +67,7 @@ def write_system(
         fmi=cast(Any, fmi or content.get("fmi", "2.0")),
         platforms=platforms,
         version=cast(Any, str(content.get("version", "1.0"))),
-        **times,
+        **more,
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import (
     InputError,
+    SimulationError,
     UnknownNameError,
     kind_of,
     require_count,
@@ -239,7 +240,7 @@ def closed_loop(
     missed by over 1 % of the stroke and 0.2 % of nominal (over the last tenth of the run), limits
     broken, over 20 % of a solver's calls not converged or any failed, predictions over a sample
     that miss over 25 % of its changes, inputs without influence; and where ``delay`` is not what
-    the controller is designed for.
+    the controller is designed for, with the distance from a run (not on a rig) with that delay.
 
     Examples
     --------
@@ -273,32 +274,44 @@ def closed_loop(
         )
     require_tolerance("rtol", rtol)
     model = plant or getattr(controller, "plant", None)
-    chosen = side_of(side, model, sample_time, parts, parameters=parameters, start=start, rtol=rtol)
-    with chosen as real:
-        inputs = Actuators(real, chosen.plant if isinstance(chosen, PlantSide) else model)
-        told = {}
-        for name, value in (reference or {}).items():
-            variable = inputs.known(name)
-            told[variable.name] = at = source(f"reference[{name!r}]", value, variable.unit)
-            if not callable(value):
-                variable.check(at(0.0), "reference")
-        run = _Run(
-            _told(controller, told, real, preview),
-            estimator,
-            real,
-            inputs,
-            Sensors(real, estimator, noise, seed, sensors),
-            inputs.disturbances(disturbances or {}),
-            [dict(real.inputs)] * waits,
+
+    def run_with(late: int) -> ClosedLoop:
+        chosen = side_of(
+            side, model, sample_time, parts, parameters=parameters, start=start, rtol=rtol
         )
-        for k in range(samples):
-            run.sample(k * sample_time, look=k % max(1, samples // LOOKS) == 0)
-            real.step(k * sample_time)
-        run.measure(samples * sample_time)
-        found = replace(run.result(sample_time, told), delay=waits, designed_delay=designed)
-    if waits != getattr(controller, "delay", waits):
+        with chosen as real:
+            inputs = Actuators(real, chosen.plant if isinstance(chosen, PlantSide) else model)
+            told = {}
+            for name, value in (reference or {}).items():
+                variable = inputs.known(name)
+                told[variable.name] = at = source(f"reference[{name!r}]", value, variable.unit)
+                if not callable(value):
+                    variable.check(at(0.0), "reference")
+            run = _Run(
+                _told(controller, told, real, preview),
+                estimator,
+                real,
+                inputs,
+                Sensors(real, estimator, noise, seed, sensors),
+                inputs.disturbances(disturbances or {}),
+                [dict(real.inputs)] * late,
+            )
+            for k in range(samples):
+                run.sample(k * sample_time, look=k % max(1, samples // LOOKS) == 0)
+                real.step(k * sample_time)
+            run.measure(samples * sample_time)
+            return replace(run.result(sample_time, told), delay=late, designed_delay=designed)
+
+    mismatch = waits != getattr(controller, "delay", waits)
+    try:  # first, since the controller is left as the run that was asked for leaves it
+        other = None if isinstance(side, HasSide) or not mismatch else run_with(designed)
+    except SimulationError:
+        other = None
+    found = run_with(waits)
+    if mismatch:
+        cost = "" if other is None else f" ({_cost(found, other)})"
         warnings.warn(
-            f"closed loop: {_lateness(waits, designed, sample_time)}; design it for "
+            f"closed loop: {_lateness(waits, designed, sample_time)}{cost}; design it for "
             f"delay = {waits}, or run it with delay = {designed}",
             stacklevel=outside(),
         )
@@ -313,6 +326,16 @@ def _lateness(delay: int, designed: int, sample_time: float) -> str:
     samples = f"{delay} sample{'s' * (delay > 1)} ({1e3 * delay * sample_time:g} ms)"
     known = "as" if delay == designed else f"not {designed} as"
     return f"inputs act {samples} after the measurement, {known} the controller is designed for"
+
+
+def _cost(found: ClosedLoop, other: ClosedLoop) -> str:
+    """What lateness moves most of what has a reference, else of all, scaled by nominals."""
+    names = other.reference.names if other.reference is not None else found.trajectory.names
+    variables = [found.trajectory.variable(n) for n in names]
+    off = [float(np.max(np.abs(found[v.name] - other[v.name]))) for v in variables]
+    worst = int(np.argmax([d / v.nominal for d, v in zip(off, variables, strict=True)]))
+    name, most = variables[worst].name, variables[worst].shown
+    return f"{name} is up to {most(off[worst])} from where it would be without that mismatch"
 
 
 def _require_controller(controller: Any, plant: Any) -> None:

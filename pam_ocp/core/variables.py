@@ -61,6 +61,7 @@ class Variable:
         their own together with the widths, and where that leads to nothing, not; without widths
         only where the plant's own program is not solved. 0 for all others.
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
+    codes : what 0, 1, 2, ... mean, a word each with spaces between, where no other values occur.
 
     Examples
     --------
@@ -83,6 +84,7 @@ class Variable:
     memory: Memory = ""
     widest: float = 0.0
     relaxed: float = 0.0
+    codes: str = ""
 
     @property
     def kind(self) -> str:
@@ -224,7 +226,7 @@ class Variable:
         return self.name if self.display_unit == "1" else f"{self.name} [{self.display_unit}]"
 
 
-_TEXTS = ("name", "causality", "unit", "description", "display_unit", "memory")
+_TEXTS = ("name", "causality", "unit", "description", "display_unit", "memory", "codes")
 _FLAGS = ("tunable", "disturbance")
 
 

@@ -70,7 +70,7 @@ def model_description(
     variables = [e.variable for e in layout.entries]
     quantities.add_units(ET.SubElement(root, "UnitDefinitions"), variables)
     types = quantities.type_names(variables[1:])
-    quantities.add_types(root, types, fmi)
+    quantities.add_types(root, types, fmi, "Float32" if layout.single else "Float64")
     categories = ET.SubElement(root, "LogCategories")
     for name, description in _LOG_CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=description)
@@ -154,7 +154,7 @@ def _causality(entry: Entry, sampled: bool) -> dict[str, str]:
         variability = "tunable" if entry.variable.tunable else "fixed"
         return {"causality": "parameter", "variability": variability, "initial": "exact"}
     if entry.role == "input":
-        variability = "discrete" if entry.boolean else "continuous"
+        variability = "continuous" if entry.type == "Real" else "discrete"
         return {"causality": "input", "variability": variability}
     if entry.is_calculated:
         variability = "tunable" if entry.variable.tunable else "fixed"
@@ -175,6 +175,10 @@ def _quantity(entry: Entry, types: Types) -> dict[str, str]:
     if entry.boolean:
         known = entry.role == "input"
         return {"start": "true" if variable.start else "false"} if known else {}
+    settable = entry.role in ("state", "input", "parameter") or entry.begins
+    if entry.type == "Enumeration":
+        start = {"start": str(round(variable.start or 0.0))} if settable else {}
+        return {"declaredType": quantities.declared(variable, types), **start}
     attributes = {"unit": variable.unit}
     if entry.role != "time":
         attributes["declaredType"] = quantities.declared(variable, types)
@@ -185,7 +189,7 @@ def _quantity(entry: Entry, types: Types) -> dict[str, str]:
     for name in ("min", "max", "nominal"):
         if math.isfinite(getattr(variable, name)):
             attributes[name] = repr(float(getattr(variable, name)))
-    if entry.role in ("state", "input", "parameter") or entry.begins:
+    if settable:
         attributes["start"] = repr(float(variable.start or 0.0))
     return attributes
 
@@ -205,8 +209,7 @@ def _variables_2(root: ET.Element, layout: Layout, types: Types) -> None:
         if entry.role == "derivative":
             real["derivative"] = str(entry.reference - len(layout.of("state")))
         head = _head(entry, layout.sample_time is not None)
-        kind = "Boolean" if entry.boolean else "Real"
-        ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), kind, real)
+        ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), entry.type, real)
 
 
 def _variables_3(root: ET.Element, layout: Layout, types: Types) -> None:
@@ -219,7 +222,8 @@ def _variables_3(root: ET.Element, layout: Layout, types: Types) -> None:
         attributes = _head(entry, layout.sample_time is not None) | _quantity(entry, types)
         if entry.role == "derivative":
             attributes["derivative"] = str(entry.reference - len(layout.of("state")))
-        ET.SubElement(parent, "Boolean" if entry.boolean else "Float64", attributes)
+        number = "Float32" if layout.single and entry.role != "time" else "Float64"
+        ET.SubElement(parent, number if entry.type == "Real" else entry.type, attributes)
     if layout.clock and layout.sample_time is not None:
         _clock(parent, layout, layout.sample_time)
 

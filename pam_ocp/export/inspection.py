@@ -390,8 +390,9 @@ def _derivative_findings(fmu: UnpackedFmu) -> list[str]:
     if not fmu.has_directional_derivatives:
         return []
     unknowns = list(fmu.derivatives)
-    unknowns += [n for n in fmu.names("output") if n not in fmu.states]
-    knowns = [*fmu.states, *fmu.names("input")]
+    plain = _plain_reals(fmu)
+    unknowns += [n for n in fmu.names("output") if n not in fmu.states and n in plain]
+    knowns = [*fmu.states, *(n for n in fmu.names("input") if n in plain)]
     scale, reach = fmu.nominals(unknowns), 1e-5 * fmu.nominals(knowns)
     findings = []
     with Runner(fmu, "ModelExchange") as runner:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..plants.plant import Plant
 
 Role = Literal["time", "state", "derivative", "input", "parameter", "output"]
+Type = Literal["Real", "Boolean", "Enumeration"]
 Dependency = tuple[int, str]
 """Value reference of a known, and how an unknown depends on it (FMI's dependenciesKind)."""
 
@@ -38,9 +39,14 @@ class Entry:
     is_calculated: bool = False
     """In the sense of FMI: an output that is a parameter, given by others."""
     boolean: bool = False
-    """Not 0 or 0: a Boolean of FMI."""
+    """Not 0, or 0: a Boolean of FMI; variables with codes are enumerations."""
     begins: bool = False
     """An output of a block that holds its start value until the first sample."""
+
+    @property
+    def type(self) -> Type:
+        """Of FMI 2."""
+        return "Boolean" if self.boolean else "Enumeration" if self.variable.codes else "Real"
 
 
 class Layout:
@@ -50,6 +56,7 @@ class Layout:
     shown : states and outputs to be outputs of the FMU, by default all; the others are local
         variables, which can be read but are not offered for connections.
     calculated : outputs that are calculated parameters.
+    typed : roles whose variables with codes are enumerations; the others are numbers.
 
     Raises ExportError when a name is one that FMI needs.
     """
@@ -58,6 +65,8 @@ class Layout:
     """Of a sampled block [s]; None for a plant."""
     clock = False
     """Whether FMI 3 shows the samples' clock."""
+    single = False
+    """Whether numbers are of single precision (FMI 3)."""
     arrays: Mapping[int, tuple[str, int, int]] = MappingProxyType({})
     """{reference of the first entry: (name, rows, columns)} of parameters shown as one array."""
 
@@ -68,11 +77,16 @@ class Layout:
         groups: Sequence[tuple[Role, tuple[Variable, ...]]],
         shown: frozenset[str] | None = None,
         calculated: frozenset[str] = frozenset(),
+        typed: Sequence[Role] = (),
     ) -> None:
         self.name, self.description = name, description
         time = Variable("time", "input", unit="s", description="independent variable")
         numbered: list[tuple[Role, Variable]] = [("time", time)]
-        numbered += [(role, v) for role, variables in groups for v in variables]
+        numbered += [
+            (role, replace(v, codes="") if v.codes and role not in typed else v)
+            for role, variables in groups
+            for v in variables
+        ]
         self.entries = tuple(
             Entry(
                 i,
@@ -137,7 +151,10 @@ class PlantLayout(Layout):
         plant: Plant,
         shown: frozenset[str] | None = None,
         calculated: frozenset[str] = frozenset(),
+        enumerations: bool = False,
     ) -> None:
+        # outputs of a plant may change at any time, which those of FMI that are no reals may not
+        typed: tuple[Role, ...] = ("input", "parameter") if enumerations else ()
         self.plant = plant
         groups: list[tuple[Role, tuple[Variable, ...]]] = [
             ("state", plant.states),
@@ -146,7 +163,7 @@ class PlantLayout(Layout):
             ("parameter", tuple(map(_bounded, plant.parameters))),
             ("output", plant.outputs),
         ]
-        super().__init__(plant.name, plant.description, groups, shown, calculated)
+        super().__init__(plant.name, plant.description, groups, shown, calculated, typed)
 
     @cached_property
     def unknowns(self) -> ca.SX:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ..core.block import Block
 from ..core.errors import InputError, require_flag
@@ -44,6 +44,8 @@ def export_fmu(
     share: bool = False,
     matrices: bool = False,
     booleans: bool = False,
+    enumerations: bool = False,
+    precision: Literal["double", "single"] = "double",
     author: str | None = None,
     version: str | None = None,
     copyright: str | None = None,
@@ -92,6 +94,9 @@ def export_fmu(
         (``K.muscle1.command.x``), with its unit.
     booleans : True makes a block's ``enable`` a Boolean, and its ``status`` one Boolean for each
         bit: ``status.off``, ``.missing``, ``.lost``, ``.at_range``, ``.at_rate``, ``.no_number``.
+    enumerations : True makes variables with codes enumerations, such as an Mpc's ``solver.status``.
+    precision : "single" makes a block's numbers Float32 (FMI 3), computed with floats as
+        :func:`export_c` has them.
     author, version, copyright, license : of the model, for its description.
     date : of the model, ISO 8601 or a datetime; by default a fixed one, so that the same plant
         gives the same bytes.
@@ -109,9 +114,14 @@ def export_fmu(
     'load.fmu'
     """
     about = checked_about(author, version, copyright, license, date)
-    shapes = {"matrices": matrices, "booleans": booleans}
-    for argument, wanted in shapes.items():
-        require_flag(argument, wanted)
+    shapes = checked_shapes(fmi, matrices=matrices, booleans=booleans, enumerations=enumerations)
+    if precision not in ("double", "single"):
+        raise InputError(f"precision = {precision!r}: choose 'double' or 'single'")
+    if precision == "single" and (fmi == "2.0" or matrices):
+        raise InputError(
+            "precision = 'single': FMI 2 and arrays of gains have no such numbers; give fmi='3.0' "
+            "and leave out matrices"
+        )
     block = as_block(system)
     if block is not None:
         refused = {"inputs": inputs, "outputs": outputs, "fixed_step": fixed_step}
@@ -121,14 +131,13 @@ def export_fmu(
                 raise InputError(f"{argument}: a block has none; leave it out")
         size = block.sample_time if step_size is None else step_size
         settings = checked(fmi, size, tolerance, None, stop_time, about)
-        if matrices and fmi == "2.0":
-            raise InputError(
-                "matrices = True: FMI 2 has no arrays; give fmi='3.0', or leave it out"
-            )
+        shapes["single"] = precision == "single"
         return write_block(block, path, settings, platforms, clock, None, **shapes)
-    for argument, wanted in shapes.items():
-        if wanted:
+    for argument in ("matrices", "booleans"):
+        if shapes[argument]:
             raise InputError(f"{argument} = True: a plant has none; leave it out")
+    if precision == "single":
+        raise InputError("precision = 'single': only blocks compute so; leave it out")
     plant = require_plant(system)
     size = 1e-3 if step_size is None else step_size
     settings = checked(fmi, size, tolerance, fixed_step, stop_time, about)
@@ -145,7 +154,18 @@ def export_fmu(
         lambda: documentation.equations(offered),
         reference=reference,
     )
-    return write_fmu(PlantLayout(offered, shown, calculated), path, settings, platforms, content)
+    return write_fmu(
+        PlantLayout(offered, shown, calculated, enumerations), path, settings, platforms, content
+    )
+
+
+def checked_shapes(fmi: FmiVersion, **shapes: bool) -> dict[str, bool]:
+    """Arguments that give a block's variables another form, by name. Raises InputError."""
+    for argument, wanted in shapes.items():
+        require_flag(argument, wanted)
+    if shapes.get("matrices") and fmi == "2.0":
+        raise InputError("matrices = True: FMI 2 has no arrays; give fmi='3.0', or leave it out")
+    return shapes
 
 
 @verb
@@ -190,7 +210,7 @@ def write_block(
     layout = sampled.BlockLayout(block, clock, first, **shapes)
     content = Content(
         "block",
-        lambda: sampled.block_sources(block),
+        lambda: sampled.block_sources(block, layout.single),
         lambda: [("(memory, outputs)", "step(memory, inputs, parameters)")],
         sampled.block_notes(block),
         sampled.block_data(layout),

@@ -46,10 +46,11 @@ class Type:
     display_unit: str
     min: float
     max: float
+    codes: str
 
 
 def _type_of(variable: Variable) -> Type:
-    return Type(variable.unit, variable.display_unit, variable.min, variable.max)
+    return Type(variable.unit, variable.display_unit, variable.min, variable.max, variable.codes)
 
 
 def type_names(variables: Iterable[Variable]) -> dict[Type, str]:
@@ -59,7 +60,7 @@ def type_names(variables: Iterable[Variable]) -> dict[Type, str]:
     for kind in map(_type_of, variables):
         if kind in names:
             continue
-        quantity = _NAMES.get(kind.unit, f"Quantity[{kind.unit}]")
+        quantity = "Code" if kind.codes else _NAMES.get(kind.unit, f"Quantity[{kind.unit}]")
         count[quantity] = count.get(quantity, 0) + 1
         names[kind] = quantity if count[quantity] == 1 else f"{quantity}{count[quantity]}"
     return names
@@ -70,10 +71,15 @@ def declared(variable: Variable, names: Mapping[Type, str]) -> str:
     return names[_type_of(variable)]
 
 
-def add_types(root: ET.Element, names: Mapping[Type, str], fmi: str) -> None:
-    """TypeDefinitions of FMI 2 or 3."""
+def add_types(
+    root: ET.Element, names: Mapping[Type, str], fmi: str, number: str = "Float64"
+) -> None:
+    """TypeDefinitions of FMI 2 or 3. number : what FMI 3 calls numbers."""
     parent = ET.SubElement(root, "TypeDefinitions")
     for kind, name in names.items():
+        if kind.codes:
+            _add_enumeration(parent, name, kind.codes, fmi)
+            continue
         attributes = {"unit": kind.unit}
         if kind.unit in _NAMES and kind.unit != "1":
             attributes["quantity"] = _NAMES[kind.unit]
@@ -85,7 +91,21 @@ def add_types(root: ET.Element, names: Mapping[Type, str], fmi: str) -> None:
         if fmi == "2.0":
             ET.SubElement(ET.SubElement(parent, "SimpleType", name=name), "Real", attributes)
         else:
-            ET.SubElement(parent, "Float64Type", {"name": name, **attributes})
+            ET.SubElement(parent, f"{number}Type", {"name": name, **attributes})
+
+
+def _add_enumeration(parent: ET.Element, name: str, codes: str, fmi: str) -> None:
+    if fmi == "2.0":
+        element = ET.SubElement(ET.SubElement(parent, "SimpleType", name=name), "Enumeration")
+    else:
+        element = ET.SubElement(parent, "EnumerationType", name=name)
+    add_items(element, codes)
+
+
+def add_items(parent: ET.Element, codes: str, space: str = "") -> None:
+    """An Item for each of the codes (see Variable)."""
+    for value, code in enumerate(codes.split()):
+        ET.SubElement(parent, f"{space}Item", name=code, value=str(value))
 
 
 def add_units(parent: ET.Element, variables: Iterable[Variable], space: str = "") -> None:

@@ -54,7 +54,8 @@ class UnpackedFmu:
         variables = self.description.modelVariables
         self.references = {v.name: int(v.valueReference) for v in variables}
         self.variables: dict[str, Any] = {v.name: v for v in variables}
-        self.booleans = {v.name for v in variables if v.type == "Boolean"}
+        typed = ("Boolean", "Enumeration", "Float32")
+        self.typed = {v.name: v.type for v in variables if v.type in typed}
         self.derivatives = [d.variable.name for d in self.description.derivatives]
         self.states = [d.variable.derivative.name for d in self.description.derivatives]
 
@@ -172,7 +173,7 @@ class Runner:
     def get(self, names: Sequence[str]) -> Array:
         """Values of variables [SI]."""
         references = self.references(names)
-        if not self.fmu.booleans.isdisjoint(names):
+        if not self.fmu.typed.keys().isdisjoint(names):
             return np.array([self._one(n) for n in names], dtype=float)
         read = self.inner.getReal if self.fmu.fmi == "2.0" else self.inner.getFloat64
         return np.array(read(references) if references else [], dtype=float)
@@ -182,18 +183,28 @@ class Runner:
         if not values:
             return
         references = self.references(list(values))
-        for name in self.fmu.booleans.intersection(values):
-            self.inner.setBoolean(self.references([name]), [bool(values[name])])
-        if not self.fmu.booleans.isdisjoint(values):
-            return self.set({n: v for n, v in values.items() if n not in self.fmu.booleans})
+        typed = self.fmu.typed.keys() & values.keys()
+        for name in typed:
+            call = getattr(self.inner, f"set{self._call_of(name)}")
+            value = values[name] if self.fmu.typed[name] == "Float32" else int(values[name])
+            call(self.references([name]), [value])
+        if typed:
+            return self.set({n: v for n, v in values.items() if n not in typed})
         write = self.inner.setReal if self.fmu.fmi == "2.0" else self.inner.setFloat64
         write(references, [float(v) for v in values.values()])
 
     def _one(self, name: str) -> float:
         """A value, 1 or 0 of a Boolean."""
-        if name in self.fmu.booleans:
-            return float(bool(self.inner.getBoolean(self.references([name]))[0]))
+        if name in self.fmu.typed:
+            call = getattr(self.inner, f"get{self._call_of(name)}")
+            return float(call(self.references([name]))[0])
         return float(self.get([name])[0])
+
+    def _call_of(self, name: str) -> str:
+        """What FMI's functions for such a variable end in."""
+        if self.fmu.typed[name] != "Enumeration":
+            return str(self.fmu.typed[name])
+        return "Integer" if self.fmu.fmi == "2.0" else "Int64"
 
     def initialize(self, start: Mapping[str, float], time: float, tolerance: float | None) -> None:
         """Set start values and go through initialization; Model Exchange to continuous time."""

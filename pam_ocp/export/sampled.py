@@ -16,6 +16,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import source
+from .c_code.generated import PRECISIONS, step_code
 from .layout import Dependency, Layout
 
 LEAST_SAMPLE_TIME = 1e-6
@@ -68,7 +69,9 @@ class BlockLayout(Layout):
     """The variables of a block's FMU; its memory is not among them.
 
     first : {output: what stands there until the first sample}; by default what it would give.
-    matrices : gains as arrays (FMI 3). booleans : flags of the block are Booleans.
+    matrices : gains as arrays (FMI 3). booleans : flags of the block are Booleans. enumerations :
+    variables with codes are enumerations, by default numbers. single : numbers are Float32 (FMI 3),
+    and the step computes with floats.
     """
 
     def __init__(
@@ -78,8 +81,10 @@ class BlockLayout(Layout):
         first: Mapping[str, float] | None = None,
         matrices: bool = False,
         booleans: bool = False,
+        enumerations: bool = False,
+        single: bool = False,
     ) -> None:
-        self.block, self.clock = block, clock
+        self.block, self.clock, self.single = block, clock, single
         begins = first or {}
         self.sample_time = block.sample_time
         super().__init__(
@@ -93,6 +98,7 @@ class BlockLayout(Layout):
                     tuple(replace(v, start=begins.get(v.name, v.start)) for v in block.outputs),
                 ),
             ],
+            typed=("input", "parameter", "output") if enumerations else (),
         )
         self.entries = tuple(
             replace(
@@ -142,9 +148,17 @@ def require_exportable(block: Block) -> None:
         raise ExportError(f"block {block.name!r} has no outputs: nothing could be read from it")
 
 
-def block_sources(block: Block) -> source.ModelCode:
-    """The step as C code, without allocation and without state of its own."""
+def block_sources(block: Block, single: bool = False) -> source.ModelCode:
+    """The step as C code, without allocation and without state of its own. single : see
+    BlockLayout.
+    """
     require_exportable(block)
+    if single:
+        made = step_code(block, PRECISIONS["single"])
+        sizes = (made.arguments, made.results, made.integers, made.reals)
+        names = ("BLOCK_ARG", "BLOCK_RES", "BLOCK_IW", "BLOCK_W")
+        work = {n: max(s, k) for n, s, k in zip(names, sizes, (3, 2, 1, 1), strict=True)}
+        return source.ModelCode({"plant.c": f"typedef float real;\n{made.text}"}, work)
     memory, inputs, parameters = (block.step.mx_in(i) for i in range(3))
     outputs = block.step(memory, inputs, parameters)
     step = ca.Function("block_step", [memory, inputs, parameters], [ca.densify(o) for o in outputs])
@@ -169,7 +183,6 @@ def block_data(layout: BlockLayout) -> dict[str, Any]:
     missing = getattr(block, "missing", ())
     unknown = (str(int(v.name in missing)) for v in block.inputs)
     begins = [str(int(e.begins)) for e in layout.of("output")]
-    booleans = [str(int(e.boolean)) for e in layout.entries]
     more = {
         "MODEL_SAMPLED": "",
         "MODEL_SAMPLE_TIME": source.number(block.sample_time),
@@ -181,12 +194,11 @@ def block_data(layout: BlockLayout) -> dict[str, Any]:
         source.table("int", "Y_BEGINS", begins, "0"),
         source.table("int", "U_MISSING", unknown, "0"),
     ]
+    if layout.single:
+        more["MODEL_SINGLE"] = ""
     if layout.arrays:
         more["MODEL_ARRAYS"] = ""
         tables.append(source.table("int", "P_SIZE", map(str, _sizes(layout))))
-    if "1" in booleans:
-        more["MODEL_BOOLEANS"] = ""
-        tables.append(source.table("int", "V_BOOLEAN", booleans))
     return {"more": more, "tables": tables}
 
 

@@ -156,6 +156,8 @@ _VECTORS: tuple[tuple[str, Role, str], ...] = (
     ("P_MAX", "parameter", "max"),
 )
 
+_TYPES = {"Real": "NUMBER", "Boolean": "BOOLEAN", "Enumeration": "ENUMERATION"}
+
 
 def proposed_tolerance(tolerance: float) -> float:
     """What DefaultExperiment says, so that Model Exchange comes near to Co-Simulation."""
@@ -188,6 +190,11 @@ def model_data(
         **work,
         **(more or {}),
     }
+    names = {**_TYPES, "Real": "SINGLE"} if layout.single else _TYPES
+    types = [_TYPES["Real"], *(names[e.type] for e in layout.entries[1:])]  # first the time
+    if len(set(types)) > 1:
+        defines["MODEL_TYPES"] = ""
+        tables = [*tables, table("int", "V_TYPE", types)]
     known = [
         table("char *const", "NAMES", (f'"{e.name}"' for e in layout.entries), '""'),
         *(

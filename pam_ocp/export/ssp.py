@@ -6,6 +6,7 @@ import os
 import tempfile
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -19,8 +20,8 @@ from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import assembly, description
 from .motion import export_motion, player
-from .package import export_fmu, write_block
-from .sampled import as_block
+from .package import checked_shapes, export_fmu, write_block
+from .sampled import BlockLayout, as_block, as_booleans
 from .settings import FmiVersion, checked
 from .structure import Part, Wire, system_structure
 
@@ -44,6 +45,9 @@ def export_ssp(
     tolerance: float = 1e-6,
     platforms: Iterable[str] | None = None,
     version: SspVersion = "1.0",
+    matrices: bool = False,
+    booleans: bool = False,
+    enumerations: bool = False,
 ) -> Path:
     """Write FMUs (Co-Simulation) and their connections as an SSP; returns its path.
 
@@ -65,6 +69,8 @@ def export_ssp(
     platforms : see :func:`export_fmu`.
     version : of SSP: "1.0" (default: read by every importer) or "2.0", which knows the types of
         FMI 3; its name spaces are those of 1.0.
+    matrices, booleans, enumerations : of the blocks, see :func:`export_fmu`. Arrays stand in the
+        FMUs alone. An input stays a number where its source is one.
 
     Start values and parameters stand in the FMUs and, to be changed there, in the SSP.
 
@@ -100,10 +106,13 @@ def export_ssp(
     if version not in get_args(SspVersion):
         raise UnknownNameError("SSP version", version, get_args(SspVersion))
     kind = "Float64" if (version, fmi) == ("2.0", "3.0") else "Real"
-    found = _named(components)
+    shapes = checked_shapes(fmi, matrices=matrices, booleans=booleans, enumerations=enumerations)
+    found = _with_flags(_named(components), connections, shapes)
     size = _step_size(found, step_size)
     first = _first_commands(found, connections)
-    parts = {n: _part(n, c, size, tolerance, fmi, platforms, first) for n, c in found.items()}
+    parts = {
+        n: _part(n, c, size, tolerance, fmi, platforms, first, shapes) for n, c in found.items()
+    }
     wires = _wires(parts, connections)
     _warn_of_delays(found, wires, size)
     with (
@@ -160,6 +169,32 @@ def _require_own_prefix(name: str, component: Component) -> None:
         )
 
 
+def _with_flags(
+    components: Mapping[str, Component], connections: Mapping[str, str], shapes: Mapping[str, bool]
+) -> dict[str, Component]:
+    """Blocks with one output for each flag; inputs whose sources are numbers are numbers."""
+    found = dict(components)
+    blocks = {n: c for n, c in found.items() if isinstance(c, Block)}
+    if shapes["booleans"]:
+        if not any(b.flags for b in blocks.values()):
+            raise InputError("booleans = True: no block has flags; leave it out")
+        blocks = {n: as_booleans(b) if b.flags else b for n, b in blocks.items()}
+    sources = {f"{n}.{v.name}": _type(b, v) for n, b in blocks.items() for v in b.outputs}
+    for name, block in blocks.items():
+        of = {v.name: sources.get(connections.get(f"{name}.{v.name}", "")) for v in block.inputs}
+        other = {v.name for v in block.inputs if _type(block, v) != of[v.name]}
+        found[name] = replace(
+            block,
+            inputs=tuple(replace(v, codes="") if v.name in other else v for v in block.inputs),
+            flags={n: bits for n, bits in block.flags.items() if n not in other},
+        )
+    return found
+
+
+def _type(block: Block, variable: Variable) -> str | None:
+    return "Boolean" if variable.name in block.flags else variable.codes or None
+
+
 def _own_name(component: Component) -> str:
     block = as_block(component)
     if isinstance(component, Trajectory):
@@ -193,6 +228,7 @@ def _part(
     fmi: FmiVersion,
     platforms: Iterable[str] | None,
     first: Mapping[str, float],
+    shapes: Mapping[str, bool],
 ) -> Part:
     chosen = None if platforms is None else [platforms] if isinstance(platforms, str) else platforms
     more: dict[str, Any] = {"fmi": fmi, "platforms": chosen, "step_size": step_size}
@@ -200,12 +236,16 @@ def _part(
         block, settings = component, checked(fmi, step_size, tolerance, None, 1.0)
         begins = {v.name: first.get(f"{name}.{v.name}") for v in block.outputs}
         given = {n: value for n, value in begins.items() if value is not None}
+        forms = {**shapes, "booleans": shapes["booleans"] and bool(block.flags)}
+        layout = BlockLayout(block, False, given, **forms)
+        plain = [e for e in layout.of("parameter") if e.type == "Real"]
         return Part(
             block.inputs,
             block.outputs,
-            block.parameters,
-            lambda path: write_block(block, path, settings, chosen, False, given),
+            tuple(e.variable for e in plain if e.reference not in layout.within),
+            lambda path: write_block(block, path, settings, chosen, False, given, **forms),
             block.sample_time,
+            {e.name: e.variable.codes or e.type for e in layout.entries if e.type != "Real"},
         )
     if isinstance(component, Trajectory):
         motion = component
@@ -260,13 +300,15 @@ def _warn_of_delays(
                 ] = None
             continue
         designed = block.delay * block.sample_time
-        if isinstance(target, Plant) and abs(step_size - designed) > LATE * block.sample_time:
+        off = abs(step_size - designed)
+        if isinstance(target, Plant) and off > LATE * block.sample_time:
             known = f"{1e3 * designed:g} ms" if block.delay else "no delay"
             said[
                 f"commands of {of} act one step ({1e3 * step_size:g} ms) after their measurement, "
-                f"but it is designed for {known}; closed_loop(delay=1) shows what that costs. "
-                "Design it for that, as Mpc(delay=1) or block(..., delay=1), or give a step_size "
-                "of a tenth of its sample time"
+                f"but it is designed for {known}: {360 * off:.2g} deg of phase for each Hz of the "
+                "loop's bandwidth; closed_loop(delay=1) tells what that does to a motion. Design "
+                "it for that, as Mpc(delay=1) or block(..., delay=1), or give a step_size of a "
+                "tenth of its sample time"
             ] = None
     for text in said:
         warnings.warn(f"export_ssp: {text}", stacklevel=outside())
@@ -288,6 +330,12 @@ def _wires(parts: Mapping[str, Part], connections: Mapping[str, str]) -> list[Wi
         if sink.unit != source.unit:
             raise InputError(
                 f"{target} is in {sink.unit}, but {start} is in {source.unit}: they do not fit"
+            )
+        types = [parts[n].types.get(v.name) for n, v in ((to, sink), (of, source))]
+        if types[0] != types[1]:
+            raise InputError(
+                f"{target} is a number, but {start} is none: they do not fit; leave out booleans "
+                "and enumerations, or connect a number"
             )
         wires.append((of, source.name, to, sink.name))
     unconnected = [n for n in inputs if n not in connections]

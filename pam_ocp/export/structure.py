@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -40,6 +40,8 @@ class Part:
     """States and parameters with their start values."""
     write: Callable[[Path], Path]
     sample_time: float | None = None
+    types: Mapping[str, str] = field(default_factory=dict)
+    """Of inputs and outputs that are no numbers: "Boolean", or the codes of an enumeration."""
 
 
 def parameter_set(
@@ -83,8 +85,10 @@ def system_structure(
     )
     system = ET.SubElement(root, "ssd:System", name=name)
     elements = ET.SubElement(system, "ssd:Elements")
+    codes = sorted({t for part in parts.values() for t in part.types.values()} - {"Boolean"})
+    names = {text: f"Code{i + 1}" for i, text in enumerate(codes)}
     for place, (key, part) in enumerate(parts.items()):
-        _component(elements, key, part, place, (version, kind))
+        _component(elements, key, part, place, (version, kind), names)
     group = ET.SubElement(system, "ssd:Connections")
     for of, source, to, sink in wires:
         ends = {
@@ -95,6 +99,11 @@ def system_structure(
         }
         ET.SubElement(group, "ssd:Connection", ends)
     _master(system, step_size)
+    if names:
+        group = ET.SubElement(root, "ssd:Enumerations")
+    for text, enumeration in names.items():
+        element = ET.SubElement(group, "ssc:Enumeration", name=enumeration)
+        quantities.add_items(element, text, "ssc:")
     everything = [
         v for part in parts.values() for v in (*part.inputs, *part.outputs, *part.settable)
     ]
@@ -122,7 +131,12 @@ def _master(system: ET.Element, step_size: float) -> None:
 
 
 def _component(
-    parent: ET.Element, name: str, part: Part, place: int, form: tuple[str, str]
+    parent: ET.Element,
+    name: str,
+    part: Part,
+    place: int,
+    form: tuple[str, str],
+    codes: Mapping[str, str],
 ) -> None:
     version, type_ = form
     component = ET.SubElement(
@@ -136,7 +150,13 @@ def _component(
     for kind, side, variables in (("input", 0.0, part.inputs), ("output", 1.0, part.outputs)):
         for i, variable in enumerate(variables):
             connector = ET.SubElement(connectors, "ssd:Connector", name=variable.name, kind=kind)
-            ET.SubElement(connector, f"ssc:{type_}", unit=variable.unit)
+            own = part.types.get(variable.name)
+            if own is None:
+                ET.SubElement(connector, f"ssc:{type_}", unit=variable.unit)
+            elif own == "Boolean":
+                ET.SubElement(connector, "ssc:Boolean")
+            else:
+                ET.SubElement(connector, "ssc:Enumeration", name=codes[own])
             height = f"{(i + 1) / (len(variables) + 1):.4g}"
             ET.SubElement(connector, "ssd:ConnectorGeometry", x=f"{side:g}", y=height)
     left = place * (_WIDTH + _GAP)

@@ -24,7 +24,8 @@ from .declaration import CHANGEABLE
 from .feeds import AttachedMuscle, Feed
 from .loads import Coordinate, Damper, DryFriction, Load, Spring, Wall, applied, as_loads
 from .plant import Plant
-from .skeleton import Joint, Skeleton, found_file, read_skeleton
+from .rigid_bodies import Joint
+from .skeleton import Skeleton, found_file, read_skeleton
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,8 +112,8 @@ def _is_pulley(element: tuple[str, Any]) -> bool:
 class Limb(Plant):
     """Rigid bodies of a file, moved by muscles: M(q) q'' + h(q, q') = sum r(q) F + loads.
 
-    Moment arms r = -d(path length)/dq are exact, so the muscles' work is the joints' work. Rigid
-    bodies by adam-robotics: ``pip install 'pam_ocp[limbs]'``. Its base is fixed.
+    Moment arms r = -d(path length)/dq are exact, so the muscles' work is the joints' work. Its
+    base is fixed.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ class Limb(Plant):
         if not masses.is_zero():  # bodies at the ends of levers: m r (r q'' + r' q')
             mass += arms.T @ ca.diag(masses) @ arms
             bias += arms.T @ (masses * ca.jtimes(arms @ w, q, w))
-        acceleration = ca.ldl_solve(ca.vertcat(*pulls) - bias, *ca.ldl(mass))
+        acceleration = ca.cse(ca.ldl_solve(ca.vertcat(*pulls) - bias, *ca.ldl(mass)))
         for i, joint in enumerate(self.joints):
             self.der(self._symbols[joint.name], w[i])
             self.der(self._symbols[f"{joint.name}.velocity"], acceleration[i])

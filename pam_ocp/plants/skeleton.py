@@ -1,8 +1,4 @@
-"""The rigid bodies of a limb: read from URDF or MJCF, checked, and their mechanics by adam.
-
-adam-robotics computes mass matrices and bias forces on CasADi. It gets all links with the axes of
-the base at q = 0, so that constant rotations (whose zeros are not quite zero) cost no operations.
-"""
+"""The rigid bodies of a limb: read from URDF or MJCF, and checked; where their points are."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,6 +17,8 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, UnknownNameError
 from ..core.lazy import library
+from . import rigid_bodies
+from .rigid_bodies import Joint, Link
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -30,48 +28,6 @@ ROUNDING = 1e-15
 """Components of unit vectors below this are 0: what cos(pi/2) leaves."""
 TRIANGLE = 1e-3
 """Part by which a moment of inertia may exceed the sum of the others: rounded numbers in files."""
-
-
-@dataclass(frozen=True)
-class Joint:
-    """A joint of a limb, with what its file says. Origin and axis are those at q = 0, in the base.
-
-    kind : "revolute", "prismatic" or "fixed". low, high : limits [rad or m]. velocity, effort :
-    largest ones, infinite where the file has none (or 0). damping, friction : viscous coefficient
-    and Coulomb friction. armature : inertia of a drive. stiffness, rest : of a spring.
-    """
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    origin: Array
-    axis: Array
-    low: float = -math.inf
-    high: float = math.inf
-    velocity: float = math.inf
-    effort: float = math.inf
-    damping: float = 0.0
-    friction: float = 0.0
-    armature: float = 0.0
-    stiffness: float = 0.0
-    rest: float = 0.0
-
-    @property
-    def rotary(self) -> bool:
-        return self.kind == "revolute"
-
-
-@dataclass(frozen=True)
-class Link:
-    """A rigid body: its frame, centre of mass and inertia about that at q = 0, in the base."""
-
-    name: str
-    origin: Array
-    rotation: Array
-    mass: float = 0.0
-    centre: Array = field(default_factory=lambda: np.zeros(3))
-    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 class Skeleton:
@@ -87,13 +43,6 @@ class Skeleton:
         self.joints = tuple(j for j in joints if j.kind != "fixed")
         self.gravity = np.asarray(gravity, float)
         self._check(tuple(joints))
-        self._adam = _adam().KinDynComputations(
-            self._description(), [j.name for j in self.joints], gravity=np.zeros(6)
-        )
-        subspaces = self._adam.rbdalgos._motion_subspaces
-        for i, subspace in enumerate(subspaces):  # adam 0.5 gives a prismatic joint 12 rows, not 6
-            if subspace.shape[0] > 6:
-                subspaces[i] = subspace[:6, :]
         self._check_masses()
 
     # ---- what is refused -----------------------------------------------------------------------
@@ -204,8 +153,8 @@ class Skeleton:
     # ---- dynamics ------------------------------------------------------------------------------
     def mass_matrix(self, q: ca.SX) -> ca.SX:
         """M(q), with the drives' inertias."""
-        m = self._adam.mass_matrix(ca.SX.eye(4), q)[6:, 6:]
-        return ca.SX(ca.sparsify(m) + ca.diag(ca.SX([j.armature for j in self.joints])))
+        drives = ca.diag(ca.SX([j.armature for j in self.joints]))
+        return ca.SX(rigid_bodies.mass_matrix(self, q) + drives)
 
     def bias(self, q: ca.SX, w: ca.SX, gravity: ca.SX) -> ca.SX:
         """h(q, q') of M q'' + h = tau: Coriolis, centrifugal forces and weight.
@@ -214,41 +163,7 @@ class Skeleton:
         """
         size = np.linalg.norm(self.gravity)
         way = self.gravity / size if size else np.array(GRAVITY) / np.linalg.norm(GRAVITY)
-        self._adam.g = ca.vertcat(gravity * way, ca.SX.zeros(3))
-        return ca.SX(self._adam.bias_force(ca.SX.eye(4), q, ca.SX.zeros(6), w)[6:])
-
-    def _description(self) -> str:
-        """The limb as URDF with all frames parallel at q = 0."""
-        root = ET.Element("robot", name=self.name)
-        for link in self.links.values():
-            element = ET.SubElement(root, "link", name=link.name)
-            if link.mass or link.inertia.any():
-                inertial = ET.SubElement(element, "inertial")
-                place = link.centre - self._frame(link.name)
-                ET.SubElement(inertial, "origin", xyz=_text(place), rpy="0 0 0")
-                ET.SubElement(inertial, "mass", value=repr(link.mass))
-                pairs = {
-                    f"i{a}{b}": repr(float(link.inertia[i, j]))
-                    for i, a in enumerate("xyz")
-                    for j, b in enumerate("xyz")
-                    if i <= j
-                }
-                ET.SubElement(inertial, "inertia", pairs)
-        for joint in self._above.values():
-            kind = "continuous" if joint.rotary else joint.kind
-            element = ET.SubElement(root, "joint", name=joint.name, type=kind)
-            ET.SubElement(element, "parent", link=joint.parent)
-            ET.SubElement(element, "child", link=joint.child)
-            place = joint.origin - self._frame(joint.parent)
-            ET.SubElement(element, "origin", xyz=_text(place), rpy="0 0 0")
-            ET.SubElement(element, "axis", xyz=_text(joint.axis))
-            if joint.kind == "prismatic":
-                ET.SubElement(element, "limit", effort="0", velocity="0")
-        return ET.tostring(root, encoding="unicode")
-
-    def _frame(self, link: str) -> Array:
-        """Where a link's frame stands in the description: at its joint."""
-        return self._above[link].origin if link in self._above else self.links[link].origin
+        return rigid_bodies.bias(self, q, w, gravity * ca.SX(way))
 
 
 def _check_inertia(link: Link) -> None:
@@ -262,20 +177,12 @@ def _check_inertia(link: Link) -> None:
         )
 
 
-def _text(vector: Array) -> str:
-    return " ".join(repr(float(v)) for v in vector)
-
-
 def _unit(name: str, axis: Array) -> Array:
     size = np.linalg.norm(axis)
     if not size > 0:
         raise InputError(f"joint {name!r} has the axis (0, 0, 0): give its direction")
     axis = axis / size
     return np.asarray(np.where(np.abs(axis) < ROUNDING, 0.0, axis), float)
-
-
-def _adam() -> Any:
-    return library("adam.casadi", "limbs", "a limb", "adam-robotics")
 
 
 def found_file(path: str | os.PathLike[str]) -> Path:
@@ -286,7 +193,6 @@ def found_file(path: str | os.PathLike[str]) -> Path:
 
 def read_skeleton(path: str | os.PathLike[str], gravity: Any = None) -> Skeleton:
     """The rigid bodies of a URDF or MJCF file. gravity : [m/s2], in place of the file's."""
-    _adam()
     file = found_file(path)
     if not file.is_file():
         raise InputError(f"limb: the file {os.fspath(path)!r} does not exist")

@@ -64,6 +64,10 @@ class _Region:
         z, variables = ca.vertcat(plant.x, plant.u), (*plant.states, *plant.inputs)
         slopes = ca.jacobian(expressions, z)
         self.pattern: Pattern = np.array(ca.DM(slopes.sparsity(), 1), dtype=bool)
+        self.steady: Pattern = np.zeros_like(self.pattern)  # whose slopes are constants, not 0
+        for i, j in zip(*slopes.sparsity().get_triplet(), strict=True):
+            slope = ca.SX(slopes[i, j])
+            self.steady[i, j] = slope.is_constant() and float(slope) != 0.0
         self._values = ca.Function("values", [z, plant.p], [expressions])
         self._slopes = ca.Function("slopes", [z, plant.p], [expressions, ca.densify(slopes)])
         self._p = plant.vector("parameter")
@@ -171,12 +175,14 @@ class _Region:
 
     def follows(self, row: int, rows: list[int]) -> bool:
         """Whether an expression is seen to vanish wherever ``rows`` do."""
+        others = ~self.pattern[rows].any(axis=0)  # with these the rows stay zero
+        if (self.steady[row] & self.free & others).any():
+            return False
         z, _ = self.roots(rows)
         if not z.size or (self.pattern & ~self.seen & self.free)[row].any():
             return False
         value, slopes = self.at(z)
         level = NONE * np.abs(slopes[:, row]).sum(axis=1) + ROUNDING * self.size[row]
-        others = ~self.pattern[rows].any(axis=0)  # with these the rows stay zero
         return bool(np.all(np.abs(value[row]) <= level) and not self.moved(z)[row, others].any())
 
 

@@ -5,6 +5,7 @@ The master here is written by hand with FMPy's instances, as the SSP's exchange 
 
 from __future__ import annotations
 
+import re
 import warnings
 import zipfile
 from pathlib import Path
@@ -193,12 +194,15 @@ def first_lqi_command() -> float:
 
 
 def test_a_system_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Path) -> None:
-    path, late = tmp_path / "loop.ssp", r"commands of law act one step .* is designed for no del"
+    path, late = (
+        tmp_path / "loop.ssp",
+        r"commands of law act one step .* is designed for no delay: 0.72 deg of phase",
+    )
     for kind, delay, options, words in (
         ("mpc", 0, {}, late),
         ("lqi", 0, {}, late),
-        ("pid", 0, {"step_size": H / 2}, late),
-        ("mpc", 1, {"step_size": H / 2}, r"\(1 ms\) .* is designed for 2 ms"),
+        ("pid", 0, {"step_size": H / 2}, late.replace("0.72", "0.36")),
+        ("mpc", 1, {"step_size": H / 2}, r"\(1 ms\) .* is designed for 2 ms: 0.36 deg of"),
     ):
         with pytest.warns(UserWarning, match=words):
             system(*LAWS[kind](delay), path, "source", **options)
@@ -236,6 +240,14 @@ def test_a_loop_here_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Pa
     assert "not 0 as the controller is designed for" in str(late)
     late.save(tmp_path / "late.npz")
     assert str(type(late).load(tmp_path / "late.npz")) == str(late)
+    cart = pam.closed_loop(BlockController(law), plant, {"x": 1e-3}, duration=0.02)
+    with pytest.warns(UserWarning, match="not 0 as") as told:
+        late = pam.closed_loop(BlockController(law), plant, {"x": 1e-3}, duration=0.02, delay=1)
+    off = 1e3 * np.max(np.abs(late["x"] - cart["x"]))
+    figure = re.search(r"x is up to (\S+) mm from where it would be", str(told[0].message))
+    assert figure is not None
+    assert float(figure[1]) == pytest.approx(off, rel=1e-3)
+    assert off > 1e-3
     plant, law = mpc_law(1)
     with pytest.warns(UserWarning, match="act at once, but the controller is designed for a delay"):
         pam.closed_loop(BlockController(law), plant, {"x": 0.0}, duration=0.02, delay=0)

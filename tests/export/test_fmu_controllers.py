@@ -4,10 +4,15 @@ and plant and controller in an SSP.
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+import casadi as ca
+import fmpy
 import fmpy.ssp.simulation
+import fmpy.ssp.ssd
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
@@ -17,6 +22,7 @@ import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control import block, chain
 from pam_ocp.control.controller_plants import state_feedback_controller
+from pam_ocp.core.block import Block
 from pam_ocp.export import check_fmu, export_fmu, export_ssp
 from pam_ocp.export.runner import Runner, UnpackedFmu
 
@@ -186,7 +192,7 @@ def test_flags_are_booleans_and_tell_the_bits_of_the_status(fmi: Any, tmp_path: 
     assert check.ok, str(check)
     unit = UnpackedFmu(path, tmp_path / "b")
     names = ["off", "missing", "lost", "at_range", "at_rate", "no_number"]
-    assert unit.booleans == {"enable", *(f"status.{n}" for n in names)}
+    assert unit.typed == dict.fromkeys(["enable", *(f"status.{n}" for n in names)], "Boolean")
     assert "status" not in unit.references
     assert unit.variables["enable"].variability == "discrete"
     rest = {"x": 0.0, "muscle1.pressure": 3e5, "muscle2.pressure": 3e5}
@@ -214,3 +220,196 @@ def test_flags_are_booleans_and_tell_the_bits_of_the_status(fmi: Any, tmp_path: 
             runner.inner.getBoolean([unit.references["x"]])
     with pytest.raises(InputError, match="has no flags"):
         export_fmu(block(law, guard=False), tmp_path / "c.fmu", booleans=True)
+
+
+# ---- enumerations -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_codes_of_a_plant_are_enumerations_in_both_modes(fmi: Any, tmp_path: Path) -> None:
+    """A tank that fills with 0, 1 or 5 a second, half of it in one gear: by hand."""
+    plant = pam.Plant("tank")
+    x = plant.state("x", start=0.5)
+    speed = plant.input("speed", codes="off slow fast", min=0.0, max=2.0)
+    gear = plant.parameter("gear", 1.0, codes="half whole", min=0.0, max=1.0, tunable=True)
+    plant.der(x, speed * (1 + 1.5 * (speed - 1)) * (1 + gear) / 2)
+    path = export_fmu(plant, tmp_path / "p.fmu", fmi=fmi, platforms="native", enumerations=True)
+    check = check_fmu(path)
+    assert check.ok, str(check)
+    unit = UnpackedFmu(path, tmp_path / "p")
+    assert unit.typed == {"speed": "Enumeration", "gear": "Enumeration"}
+    kinds = unit.description.typeDefinitions
+    items = [{i.name: int(i.value) for i in k.items} for k in kinds if k.items]
+    assert items == [{"off": 0, "slow": 1, "fast": 2}, {"half": 0, "whole": 1}]
+    for mode in ("CoSimulation", "ModelExchange"):
+        start = {"speed": 2.0, "gear": 0.0}
+        found = fmpy.simulate_fmu(
+            str(path), fmi_type=mode, stop_time=1.0, start_values=start, output=["x"]
+        )
+        assert found["x"][-1] == pytest.approx(0.5 + 5 / 2, rel=1e-6), mode
+    with Runner(unit, "CoSimulation") as runner:
+        runner.initialize({"speed": 1.0}, 0.0, None)
+        assert runner.get(["speed", "gear", "der(x)"]) == pytest.approx([1, 1, 1])
+        for value in (3.0, -1.0):
+            with pytest.raises(Exception, match="rror"):
+                runner.set({"gear": value})
+        read = runner.inner.getReal if fmi == "2.0" else runner.inner.getFloat64
+        with pytest.raises(Exception, match="rror"):
+            read([unit.references["speed"]])
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_the_status_of_an_mpc_is_an_enumeration(fmi: Any, tmp_path: Path) -> None:
+    """Its values against the block's own step, at rest and after a jump of what is wanted."""
+    rate, plant = dict.fromkeys(COMMANDS, 0.1), benchmark_slide()
+    mpc = pam.Mpc(plant, horizon=2, sample_time=5e-3, track={"x": 1.0}, rate=rate, iterations=1)
+    made = block(mpc, plant=plant)
+    path = export_fmu(
+        made, tmp_path / "m.fmu", fmi=fmi, platforms="native", booleans=True, enumerations=True
+    )
+    assert check_fmu(path).ok
+    unit = UnpackedFmu(path, tmp_path / "m")
+    assert unit.variables["solver.status"].type == "Enumeration"
+    kind = unit.variables["solver.status"].declaredType
+    assert [i.name for i in kind.items] == ["solved", "unfinished", "failed", "fallback"]
+    place = [v.name for v in made.outputs].index("solver.status")
+    wanted = [v.name for v in made.inputs].index("wanted.x")
+    memory, inputs = made.start("memory"), made.start("inputs")
+    seen = []
+    with Runner(unit, "CoSimulation") as runner:
+        runner.initialize({}, 0.0, None)
+        for k in range(6):
+            inputs[wanted] = 0.0 if k < 3 else 0.01
+            runner.set({"wanted.x": inputs[wanted]})
+            runner.step(k * 5e-3, 5e-3)
+            memory, told = made.step(memory, inputs, made.start("parameters"))
+            seen.append(float(told[place]))
+            assert runner.get(["solver.status"]) == [seen[-1]]
+    assert {0.0, 1.0} == set(seen)
+
+
+# ---- single precision ---------------------------------------------------------------------------
+
+
+def test_a_unit_of_single_precision_computes_with_floats(tmp_path: Path) -> None:
+    """A PI law with a limit, by NumPy's float32 in the same order, to the last bit."""
+    m, x, k = (ca.SX.sym(n, size) for n, size in (("m", 1), ("x", 1), ("k", 2)))
+    error = 0.1 - x
+    u = ca.fmax(k[0] * error + m, -2.0)
+    step = ca.Function("step", [m, x, k], [m + k[1] * error, ca.vertcat(u, u * u / 3)])
+    gains = tuple(
+        pam.Variable(n, "parameter", start=v, max=m)
+        for n, v, m in (("kp", 7.3, 9), ("ki", 0.07, 0.1))
+    )
+    outputs = (pam.Variable("u", "output"), pam.Variable("power", "output"))
+    memory = (pam.Variable("sum", "state", start=0.3),)
+    law = Block("law", STEP, (pam.Variable("x", "input"),), outputs, gains, memory, step)
+    options: dict[str, Any] = {"fmi": "3.0", "platforms": "native", "precision": "single"}
+    path = export_fmu(law, tmp_path / "l.fmu", **options)
+    assert check_fmu(path).ok
+    unit, f = UnpackedFmu(path, tmp_path / "l"), np.float32
+    assert unit.typed == dict.fromkeys(["x", "kp", "ki", "u", "power"], "Float32")
+    total, rng = f(0.3), np.random.default_rng(4)
+    with Runner(unit, "CoSimulation") as runner:
+        runner.initialize({"kp": 5.9}, 0.0, None)
+        for i in range(20):
+            x_ = f(rng.normal())
+            runner.set({"x": float(x_)})
+            runner.step(i * STEP, STEP)
+            off = f(f(0.1) - x_)
+            sent = np.maximum(f(f(f(5.9) * off) + total), f(-2.0))
+            total = f(total + f(f(0.07) * off))
+            assert list(runner.get(["u", "power"])) == [sent, f(f(sent * sent) / f(3))]
+        with pytest.raises(Exception, match="rror"):
+            runner.inner.getFloat64([unit.references["u"]])
+    with Runner(unit, "CoSimulation") as runner:
+        runner.set({"ki": 0.1})  # the end of its range, which is 0.1 in double precision
+        with pytest.raises(Exception, match="rror"):
+            runner.set({"ki": 0.10001})
+    with pytest.raises(InputError, match="FMI 2 and arrays of gains have no such numbers"):
+        export_fmu(law, path, precision="single")
+    with pytest.raises(InputError, match="only blocks compute so"):
+        export_fmu(benchmark_slide(), path, **options)
+    with pytest.raises(InputError, match="choose 'double' or 'single'"):
+        export_fmu(law, path, precision="half")  # type: ignore[arg-type]
+
+
+# ---- in a system --------------------------------------------------------------------------------
+
+SSP = "{http://ssp-standard.org/SSP1/SystemStructure%s}"
+
+
+def switch(late: int) -> Block:
+    """On from one sample on, and the stage of the work, as codes."""
+    n, nothing = ca.SX.sym("n"), ca.SX.sym("u", 0)
+    on = n >= late
+    step = ca.Function("step", [n, nothing, ca.SX.sym("p", 0)], [n + 1, ca.vertcat(on, 2 * on)])
+    outputs = (
+        pam.Variable("on", "output"),
+        pam.Variable("stage", "output", codes="waiting filling moving"),
+    )
+    memory = (pam.Variable("n", "state", start=0.0),)
+    return Block("switch", STEP, (), outputs, (), memory, step, flags={"on": {}})
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_a_system_has_booleans_enumerations_and_arrays(
+    feedback: Any, fmi: Any, tmp_path: Path
+) -> None:
+    """The switch drives ``enable`` as a Boolean; by FMPy's master."""
+    plant = benchmark_slide()
+    law = block(feedback, plant=plant, delay=1)
+    goals = {f"wanted.{n}": f"goal.{n}" for n in ("x", "stiffness")} | {"enable": "switch.on"}
+    wires = {f"plant.{c}": f"law.{c}" for c in COMMANDS}
+    wires |= {f"law.{v.name}": goals.get(v.name, f"plant.{v.name}") for v in law.inputs}
+    wanted = goal(np.array([0.0, 1.0]), np.full(2, 2e-3), np.full(2, 2.2e4))
+    parts = {"law": law, "switch": switch(5), "plant": plant, "goal": wanted}
+    shapes: dict[str, Any] = {"booleans": True, "enumerations": True, "matrices": fmi == "3.0"}
+    shapes |= {"fmi": fmi, "platforms": "native"}
+    with pytest.warns(UserWarning, match="law gets what switch gives one step"):
+        path = export_ssp(parts, wires, tmp_path / "s.ssp", **shapes)
+    fmpy.ssp.ssd.read_ssd(str(path))  # validates
+    with zipfile.ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("SystemStructure.ssd"))
+        archive.extract("resources/law.fmu", tmp_path)
+    types = {
+        (part.get("name"), end.get("name")): end[0].tag.partition("}")[2]
+        for part in root.iter(SSP % "Description" + "Component")
+        for end in part.iter(SSP % "Description" + "Connector")
+    }
+    booleans = [("law", "enable"), ("law", "status.off"), ("switch", "on")]
+    assert {types[end] for end in booleans} == {"Boolean"}
+    assert types["switch", "stage"] == "Enumeration"
+    assert types["law", "x"] == "Real"
+    items = [i.attrib for i in root.iter(SSP % "Common" + "Item")]
+    names = ["waiting", "filling", "moving"]
+    assert items == [{"name": n, "value": str(k)} for k, n in enumerate(names)]
+    variables = UnpackedFmu(tmp_path / "resources" / "law.fmu", tmp_path / "law").variables
+    told = {p.get("name") for p in root.iter(SSP % "ParameterValues" + "Parameter")}
+    gains = {v.name for v in law.parameters if v.name.startswith("K.")}
+    assert ("K" in variables, len(gains & told)) == ((True, 0) if fmi == "3.0" else (False, 8))
+    with pytest.raises(InputError, match=r"plant\.muscle1\.command is in Pa"):
+        export_ssp(parts, {**wires, "plant.muscle1.command": "switch.on"}, path, booleans=True)
+    with pytest.raises(InputError, match=r"switch\.on is none: they do not fit"):
+        export_ssp({"one": number(), "switch": switch(5)}, {"one.u": "switch.on"}, path, **shapes)
+    if fmi == "2.0":  # FMPy's master knows no 3.0; what it hands over acts a step later
+        found = fmpy.ssp.simulation.simulate_ssp(str(path), stop_time=0.02, step_size=STEP)
+        off = found["law.status.off"]
+        assert off.dtype == bool
+        assert (off[3], off[-1]) == (True, False)
+        assert list(found["switch.stage"][[3, -1]]) == [0, 2]
+
+
+def number() -> Block:
+    u = ca.SX.sym("u")
+    step = ca.Function("step", [ca.SX.sym("m", 0), u, ca.SX.sym("p", 0)], [ca.SX(0, 1), u])
+    ends = (pam.Variable("u", "input"),), (pam.Variable("y", "output"),)
+    return Block("one", STEP, *ends, (), (), step)
+
+
+def test_forms_that_no_part_of_a_system_has_are_refused(tmp_path: Path) -> None:
+    parts, path = {"plant": benchmark_slide()}, tmp_path / "s.ssp"
+    with pytest.raises(InputError, match="booleans = True: no block has flags"):
+        export_ssp(parts, {}, path, booleans=True)
+    with pytest.raises(InputError, match="FMI 2 has no arrays"):
+        export_ssp(parts, {}, path, matrices=True)

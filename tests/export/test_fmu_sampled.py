@@ -379,6 +379,11 @@ def test_the_command_line_writes_a_system_from_its_file(tmp_path: Path, capsys: 
     (tmp_path / "s.toml").write_text(text)
     assert main([*arguments, "--out", str(target), "--allow-code"]) == 0
     fmpy.ssp.ssd.read_ssd(str(target))
+    text = text.replace('"controller.status"', '"controller.status.off"')
+    (tmp_path / "s.toml").write_text(f"booleans = true\n{text}")
+    assert main([*arguments, "--out", str(target), "--allow-code"]) == 0
+    with zipfile.ZipFile(target) as archive:
+        assert archive.read("SystemStructure.ssd").count(b"<ssc:Boolean />") == 7  # enable, 6 bits
 
 
 MUSCLES = ("muscle1", "muscle2")

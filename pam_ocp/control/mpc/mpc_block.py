@@ -30,6 +30,7 @@ _TOLD = {
     "missing": "samples in a row that lacked a measurement: predicted values stood in",
     "failures": "samples in a row whose quadratic program failed",
 }
+_CODES = "solved unfinished failed fallback"
 
 
 @with_kinds
@@ -107,9 +108,10 @@ def mpc_block(
     draft.next_memories(after)
     draft.send(inversion, given.controls, chosen, (p, x))
     for i, fact in enumerate(FACTS):
-        draft.output(
-            Variable(f"solver.{fact}", "output", start=0.0, description=_TOLD[fact]), facts[i]
-        )
+        codes = _CODES if fact == "status" else ""
+        words = _TOLD[fact]
+        variable = Variable(f"solver.{fact}", "output", start=0.0, description=words, codes=codes)
+        draft.output(variable, facts[i])
     draft.repeats("SQP steps", core.iterations)
     draft.repeats("iterations of the interior-point method", core.worst_work)
     return replace(draft.block(), delay=mpc.delay)
