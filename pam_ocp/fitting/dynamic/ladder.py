@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +26,7 @@ from ...core.errors import (
     OutOfTime,
     UnknownNameError,
     require_count,
+    require_finite,
     require_instance,
 )
 from ...core.executors import Place
@@ -42,9 +44,11 @@ from .adequacy import Adequacy, adequacy_of
 from .choice import paired
 from .evidence import evidence_of
 from .experiment import bounds_of, groups, measured_names, recorded
+from .free_run_fit import free_run
 from .free_run_result import BLOCKS
 from .rig import Rig, unknowns_of
 from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
+from .runs import Band
 
 LADDER = (
     *("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory"),
@@ -115,9 +119,10 @@ def fit_ladder(
     feed : the regulator on which rungs are built: its gain, base, lags; by default ``Regulator()``.
     dynamic : parameters freed from the second rung on; by default the plant's damping.
     rungs : which to climb, of "static", "lag", "unequal lags", "dead time", "slew", "friction",
-        "memory" (slip), "memory per pressure" (in proportion to 1 + c p), "force law" (all its
-        coefficients of each muscle; a mass or inertia stays as found, since it and they have no
-        common scale) and "creep". Other parameters of these count as equal in two muscles.
+        "memory" (slip), "memory per pressure" (in proportion to 1 + c p), "force law" (the
+        coefficients of all muscles but for kinds that ``free`` names of some: those of the others
+        may set the scale; a mass or inertia stays as found) and "creep". Other parameters of these
+        count as equal in two muscles.
     outputs : what is compared; by default all states and outputs that the records hold.
     folds : of parts of the records (at least 3), each predicted once by a fit to the others. Whole
         records are the parts where there are as many, else each is cut.
@@ -290,7 +295,7 @@ def rungs_of(
     parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
     losses: tuple[Any, ...] = ()
     own: tuple[str, ...] = ()
-    law: set[str] = set()
+    law: dict[str, bool] = {}
     for name in steps:
         one, static = added[name], name == "static"
         parts |= one.parts
@@ -303,7 +308,11 @@ def rungs_of(
             own = tuple(n for k in own for n in (_tied(plant, k) if k in LAGS else (k,)))
         chosen, starts = _present(plant, free), list(one.starts)
         if name == "force law":
-            law = _coefficients(plant) - _members(plant, chosen)
+            taken = _members(plant, chosen)
+            # what is free of one muscle alone is held of the others: it may set the scale
+            kinds = {n.rpartition(".")[2] for n in taken}
+            every = _coefficients(plant).items()
+            law = {n: straight for n, straight in every if n.rpartition(".")[2] not in kinds}
             if not law:
                 continue
             own += tuple(sorted(law))
@@ -320,7 +329,8 @@ def rungs_of(
         by_name = tuple({n: v for k, v in s.items() for n in _tied(plant, k)} for s in starts)
         by_rate = {n: p for k, p in one.fast.items() for n in _tied(plant, k)}
         label = name if not found else f"+ {name}"
-        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate))
+        later = _sets(law) if name == "force law" else ()
+        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate, later))
     return found
 
 
@@ -394,14 +404,28 @@ def _members(plant: Plant, entries: Sequence[str | Sequence[str]]) -> set[str]:
     return {plant.parameters[m].name for g in groups(plant, entries) for m in g.members}
 
 
-def _coefficients(plant: Plant) -> set[str]:
-    """Names of the coefficients of all muscles' force laws."""
+def _coefficients(plant: Plant) -> dict[str, bool]:
+    """{coefficient of a muscle's force law: whether the force is a straight line in it}."""
     known = {v.name for v in plant.parameters}
-    found: set[str] = set()
+    found: dict[str, bool] = {}
     for muscle in {n.rpartition(".")[0] for n in known if "." in n}:
-        laws = [{v.name for v in k.coefficient_variables(f"{muscle}.")} for k in LAWS.values()]
-        found |= max((law for law in laws if law <= known), key=len, default=set())
+        laws = {k: [v.name for v in k.coefficient_variables(f"{muscle}.")] for k in LAWS.values()}
+        fitting = [k for k, own in laws.items() if known >= {*own}]
+        if not fitting:
+            continue
+        law = max(fitting, key=lambda k: len(laws[k]))
+        at = ca.SX.sym("p"), ca.SX.sym("kappa"), ca.SX.sym("c", len(laws[law]))
+        force = law.function()(*at)[0]
+        curved = np.array(ca.DM(ca.hessian(force, at[2])[0].sparsity(), 1)).diagonal()
+        found |= dict(zip(laws[law], (curved == 0).tolist(), strict=True))
     return found
+
+
+def _sets(law: Mapping[str, bool]) -> tuple[frozenset[str], ...]:
+    """Coefficients of all muscles that are called the same; those last in which forces curve."""
+    kinds = sorted({n.rpartition(".")[2] for n, straight in law.items() if straight})
+    sets = (frozenset(n for n in law if n.rpartition(".")[2] == k) for k in kinds)
+    return (*sets, frozenset(n for n, straight in law.items() if not straight))
 
 
 def _present(
@@ -467,6 +491,31 @@ class Ladder:
     def plant(self) -> Plant:
         """The chosen one, fitted to all records."""
         return self.chosen.plant
+
+    def predict(self, records: Trajectory | Sequence[Trajectory], level: float = 0.9) -> Band:
+        """Free runs of the chosen plant through whole records, with bands that hold ``level`` of
+        what is measured there: wide as the errors of what the folds left out, and wider where
+        their plants differ (CV+ of R. Barber et al., Annals of Statistics 49 (2021) 486-507).
+
+        Raises InputError where the level is none, or the chosen rung is a static one.
+
+        Examples
+        --------
+        >>> from functools import partial
+        >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
+        >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["lag"])
+        >>> min(ladder.predict(commanded).coverage.values()) > 0.8
+        True
+        """
+        if not 0 < require_finite("level", level) < 1:
+            raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
+        if not self.chosen.states:
+            raise InputError("the chosen rung is static: it has no motion to predict")
+        plants = (self.plant, *self.chosen.members)
+        names = list(self.outputs)
+        run, *members = (free_run(p, records, horizon=None, outputs=names) for p in plants)
+        apart = np.array([m.predicted - run.predicted for m in members])
+        return Band(run, halves(apart, self.chosen.left, level))
 
     def intervals(
         self, rung: str | None = None, level: float | None = None
@@ -534,6 +583,23 @@ class Ladder:
         return "\n".join(lines)
 
     __str__ = report
+
+
+def halves(
+    apart: NDArray[np.float64], left: Sequence[NDArray[np.float64]], level: float
+) -> NDArray[np.float64]:
+    """Half widths (n, K, ny) of bands. apart (folds, n, K, ny) : what the folds' plants predict
+    less what that of all records does. left : errors (samples, ny) of each fold.
+    """
+    half = np.empty(apart.shape[1:])
+    count = sum(map(len, left))
+    rank = min(int(np.ceil((count + 1) * level)), count) - 1
+    for at in np.ndindex(half.shape):
+        errors, own = [e[:, at[-1]] for e in left], apart[(slice(None), *at)]
+        above = np.concatenate([e + a for e, a in zip(errors, own, strict=True)])
+        below = np.concatenate([e - a for e, a in zip(errors, own, strict=True)])
+        half[at] = max(np.partition(above, rank)[rank], np.partition(below, rank)[rank])
+    return half
 
 
 # ---- comparison ---------------------------------------------------------------------------------

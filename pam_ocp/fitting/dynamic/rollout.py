@@ -31,7 +31,7 @@ ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""
 MEMORY = 3e7
 """Bytes that the states and sensitivities of the runs of one call may take."""
-MANY = 10_000
+MANY = 4_000
 """Steps of all runs from which the step is compiled, where there is a compiler. Whatever the plant,
 this pays in some tens of evaluations: both times grow with the number of its instructions (1e-3 s
 to compile one, 1e-8 s to interpret it, a sixth of that compiled).
@@ -253,8 +253,8 @@ class Rollout:
         return self._whole[key]
 
     def _one(self, deep: bool, every: bool) -> ca.Function:
-        """From sample to sample, with sensitivities where it is ``deep``; made when it is used, once
-        for all values that a plant may have.
+        """From sample to sample, with sensitivities where it is ``deep``; made when it is used,
+        once for all values that a plant may have.
         """
         runs, u, rig = self.runs, self.unknowns, self._rig
         many = self._count * (runs.length + runs.warm).sum() > MANY
@@ -270,7 +270,7 @@ class Rollout:
         return self._plant.cached(key, made)
 
     def _given(self, z: Array, delays: Array) -> Array:
-        """Numbers on which all steps depend: what is sought in its units, dead times, parameters."""
+        """On what all steps depend: what is sought, in its units, dead times, parameters."""
         shared = self.unknowns.shared
         own = z[:shared] * self._scale[:shared]
         return np.concatenate([own, delays, self._plant.vector("parameter")])
@@ -426,9 +426,9 @@ def _functions(
     a sample: (state, inputs, (measured, whether it corrects), given) -> (state, outputs).
 
     What drives a step are inputs at its begin and end, its length, and, where a dead time is
-    sought, what these gain per second of it. given : what is sought, in its units; the dead times at
-    which the values hold; the plant's parameters, of which those that are sought do not count. So
-    the functions are the same, and compiled once, whatever the values.
+    sought, what these gain per second of it. given : what is sought, in its units; the dead times
+    at which the values hold; the plant's parameters, of which those that are sought do not count.
+    So the functions are the same, and compiled once, whatever the values.
     """
     unknowns = unknowns.natural
     nx, nu, ny = len(plant.states), len(plant.inputs), len(runs.names)
