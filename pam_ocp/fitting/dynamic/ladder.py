@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from ...core.arguments import with_kinds
 from ...core.errors import (
@@ -44,10 +45,18 @@ from .adequacy import Adequacy, adequacy_of
 from .choice import paired
 from .evidence import evidence_of
 from .experiment import bounds_of, groups, measured_names, recorded
-from .free_run_fit import free_run
 from .free_run_result import BLOCKS
 from .rig import Rig, unknowns_of
-from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
+from .rungs import (
+    FIRST_RATE,
+    Part,
+    Rung,
+    RungFit,
+    Task,
+    climbed,
+    prediction,
+    usual_steps,
+)
 from .runs import Band
 
 LADDER = (
@@ -73,6 +82,8 @@ MARGIN = 0.01
 """Models whose errors differ by less than this part count as equally good, however sure it is."""
 
 
+NEAR = 0.2
+"""Of the samples left out, the part that says how wide a band is: those nearest to its point."""
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 
@@ -251,7 +262,7 @@ def _parts(records: Sequence[Trajectory], folds: int) -> list[Part]:
     """Whole records, or each cut into as many pieces as make a part for each fold and more."""
     if len(records) >= folds:
         return [(r, 0, len(record)) for r, record in enumerate(records)]
-    pieces = 3 * folds if len(records) == 1 else folds
+    pieces = 6 * folds if len(records) == 1 else folds
     found = []
     for r, record in enumerate(records):
         if len(record) < 4 * pieces:
@@ -493,11 +504,10 @@ class Ladder:
         return self.chosen.plant
 
     def predict(self, records: Trajectory | Sequence[Trajectory], level: float = 0.9) -> Band:
-        """Free runs of the chosen plant through whole records, with bands that hold ``level`` of
-        what is measured there: wide as the errors of what the folds left out, and wider where
-        their plants differ (CV+ of R. Barber et al., Annals of Statistics 49 (2021) 486-507).
-
-        Raises InputError where the level is none, or the chosen rung is a static one.
+        """Runs of the chosen rung through whole records, from what is measured at their begin, with
+        bands that hold ``level`` of what is measured there: as wide as errors of what folds left
+        out near such a point, and wider where the folds disagree (CV+, localised; R. Barber et
+        al., Annals of Statistics 49 (2021) 486-507). Raises InputError where the level is none.
 
         Examples
         --------
@@ -509,13 +519,12 @@ class Ladder:
         """
         if not 0 < require_finite("level", level) < 1:
             raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
-        if not self.chosen.states:
-            raise InputError("the chosen rung is static: it has no motion to predict")
-        plants = (self.plant, *self.chosen.members)
-        names = list(self.outputs)
-        run, *members = (free_run(p, records, horizon=None, outputs=names) for p in plants)
+        every = recorded(records)
+        measured_names(self.plant, every, self.outputs)
+        zs = self.chosen.model.z, *self.chosen.members
+        run, *members = (prediction(self.chosen, z, every) for z in zs)
         apart = np.array([m.predicted - run.predicted for m in members])
-        return Band(run, halves(apart, self.chosen.left, level))
+        return Band(run, halves(apart, run.predicted, self.chosen.left, level))
 
     def intervals(
         self, rung: str | None = None, level: float | None = None
@@ -586,20 +595,27 @@ class Ladder:
 
 
 def halves(
-    apart: NDArray[np.float64], left: Sequence[NDArray[np.float64]], level: float
+    apart: NDArray[np.float64],
+    predicted: NDArray[np.float64],
+    left: Sequence[NDArray[np.float64]],
+    level: float,
 ) -> NDArray[np.float64]:
-    """Half widths (n, K, ny) of bands. apart (folds, n, K, ny) : what the folds' plants predict
-    less what that of all records does. left : errors (samples, ny) of each fold.
+    """Half widths (n, K, ny) of bands around what is predicted. apart (folds, n, K, ny) : how the
+    folds differ from it. left : as in :class:`RungFit`.
     """
-    half = np.empty(apart.shape[1:])
-    count = sum(map(len, left))
+    at, errors = np.concatenate(left, axis=1)
+    fold = np.repeat(np.arange(len(left)), [e.shape[1] for e in left])
+    size = np.maximum(at.std(axis=0), 1e-300)
+    points = np.nan_to_num(predicted.reshape(-1, at.shape[1]) / size)
+    count = max(int(np.ceil(NEAR * len(at))), 1)
     rank = min(int(np.ceil((count + 1) * level)), count) - 1
-    for at in np.ndindex(half.shape):
-        errors, own = [e[:, at[-1]] for e in left], apart[(slice(None), *at)]
-        above = np.concatenate([e + a for e, a in zip(errors, own, strict=True)])
-        below = np.concatenate([e - a for e, a in zip(errors, own, strict=True)])
-        half[at] = max(np.partition(above, rank)[rank], np.partition(below, rank)[rank])
-    return half
+    places = KDTree(at / size).query(points, np.arange(1, count + 1))[1]
+    half = np.empty(points.shape)
+    for i, own in enumerate(places):
+        aside = apart.reshape(len(left), -1, at.shape[1])[fold[own], i]
+        ends = (np.partition(errors[own] + a, rank, axis=0)[rank] for a in (aside, -aside))
+        half[i] = np.maximum(*ends)
+    return half.reshape(predicted.shape)
 
 
 # ---- comparison ---------------------------------------------------------------------------------

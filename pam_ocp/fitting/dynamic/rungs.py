@@ -29,7 +29,7 @@ from .free_run_result import fineness, shift, spread_of
 from .gauss_newton import Descent, descend
 from .rig import Rig, RunUnknowns, Unknown, unknowns_of
 from .rollout import Rollout, require_followed
-from .runs import Runs, runs_of, settled_starts
+from .runs import FreeRun, Runs, runs_of, settled_starts
 
 Part: TypeAlias = "tuple[int, int, int]"
 """(record, first sample, last sample + 1)."""
@@ -111,7 +111,8 @@ class RungFit:
     against : how the error (a root mean square) compares with the rung before, as (ratio - 1, half
     width of its interval). worse : whether it is significantly worse than the best rung.
     seconds : processor time of its fit to all records. failure : why there is none. members :
-    plants of the folds. left : sizes (samples, variables) of the errors of what each left out.
+    what the folds found, as ``model.z``. left : of what each left out, what it predicts and the
+    sizes of its errors (2, samples, variables).
     """
 
     name: str
@@ -126,7 +127,7 @@ class RungFit:
     failure: str = ""
     model: Any = field(default=None, repr=False)
     """As it was run through the records."""
-    members: tuple[Plant, ...] = field(default=(), repr=False)
+    members: tuple[Array, ...] = field(default=(), repr=False)
     left: tuple[Array, ...] = field(default=(), repr=False)
 
     @property
@@ -330,6 +331,17 @@ def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant
     return found
 
 
+def prediction(fit: RungFit, z: Array, records: Sequence[Trajectory]) -> FreeRun:
+    """Runs through other records at z: from what was measured at their begin, the rest at rest."""
+    model: RungModel = fit.model
+    plant = fit.plant.with_values(_values(fit.plant, replace(model, z=z)))
+    nothing = np.empty(0, dtype=np.intp)
+    task = Task(records, model.outputs, (), nothing, model.steps, {})
+    again = model_of(task, plant, Rung(fit.name, plant, (), static=model.static))
+    rollout = again.rollout()
+    return rollout.runs.result(rollout.predicted(again.z))
+
+
 # ---- a rung -------------------------------------------------------------------------------------
 def climbed(
     task: Task,
@@ -365,7 +377,7 @@ def climbed(
         0 if rung.static else len(plant.states),
         seconds,
         model=model,
-        members=tuple(plant.with_values(_values(plant, replace(model, z=f.z))) for f in found),
+        members=tuple(f.z for f in found),
         left=_left(task, rollout.runs.measured, [f.predicted for f in found]),
     )
     fastest = 0.0 if rung.static else _fastest_pressure(model, rollout)
@@ -454,12 +466,13 @@ def _one_fold(task: Task, model: RungModel, fold: int) -> _Fold:
 
 
 def _left(task: Task, measured: Array, predicted: Sequence[Array]) -> tuple[Array, ...]:
-    """Sizes (samples, ny) of the errors of what each fold left out; by fold."""
+    """What each fold predicts of what it left out, and the sizes of its errors (2, samples, ny)."""
     found: list[list[Array]] = [[] for _ in predicted]
     for (r, a, b), k in zip(task.parts, task.fold, strict=True):
         own = slice(max(a - HISTORY, 0), b - HISTORY)
-        found[k].append(np.abs(predicted[k][r, own] - measured[r, own]))
-    return tuple(np.concatenate(errors) for errors in found)
+        y = predicted[k][r, own]
+        found[k].append(np.stack([y, np.abs(y - measured[r, own])]))
+    return tuple(np.concatenate(errors, axis=1) for errors in found)
 
 
 def _squares(rollout: Rollout, z: Array) -> Array:
