@@ -101,7 +101,7 @@ build = partial(
 
 
 def judged(number: int, seed: int) -> harness.Row:
-    """The parts predicted of each signal by the chosen rung."""
+    """The parts predicted of each signal by the rung that predicts best what folds left out."""
     random = np.random.default_rng([seed, number])
     rig = Rig(random)
     steps = 1.2e5 * np.r_[np.linspace(0, 1, 6), np.linspace(0.8, -1, 10), np.linspace(-0.8, 0, 5)]
@@ -110,7 +110,7 @@ def judged(number: int, seed: int) -> harness.Row:
     test = rig.record(random.uniform(1.2e5, 4.2e5, (24, 2)), 0.5, random)
     rungs = ["static", "lag", "unequal lags", "memory", "memory per pressure", "force law"]
     ladder = pam.fitting.fit_ladder(build, train, FREE, rungs=rungs, folds=3)
-    band = ladder.predict(test, level=0.9)
+    band = ladder.predict(test, ladder.best.name, level=0.9)
     run = band.run
     error = np.sqrt(np.nanmean((run.predicted - run.measured) ** 2, axis=(0, 1)))
     spread = np.nanstd(run.measured, axis=(0, 1))
@@ -118,8 +118,8 @@ def judged(number: int, seed: int) -> harness.Row:
     text = ", ".join(
         f"{n} {100 * v:.1f} % (bands hold {100 * band.coverage[n]:.0f} %)" for n, v in parts.items()
     )
-    name = ladder.chosen.name
-    return {"parts": parts, "bands": band.coverage, "chosen": name, "text": f"{text}, {name}"}
+    text += f", {ladder.best.name}; chosen: {ladder.chosen.name}"
+    return {"parts": parts, "bands": band.coverage, "best": ladder.best.name, "text": text}
 
 
 def cases(given: argparse.Namespace) -> Iterator[tuple[object, harness.Work]]:

@@ -503,8 +503,13 @@ class Ladder:
         """The chosen one, fitted to all records."""
         return self.chosen.plant
 
-    def predict(self, records: Trajectory | Sequence[Trajectory], level: float = 0.9) -> Band:
-        """Runs of the chosen rung through whole records, from what is measured at their begin, with
+    def predict(
+        self,
+        records: Trajectory | Sequence[Trajectory],
+        rung: str | None = None,
+        level: float = 0.9,
+    ) -> Band:
+        """Runs of a rung (by default the chosen one) through whole records, from what is measured at their begin, with
         bands that hold ``level`` of what is measured there: as wide as errors of what folds left
         out near such a point, and wider where the folds disagree (CV+, localised; R. Barber et
         al., Annals of Statistics 49 (2021) 486-507). Raises InputError where the level is none.
@@ -519,12 +524,11 @@ class Ladder:
         """
         if not 0 < require_finite("level", level) < 1:
             raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
-        every = recorded(records)
-        measured_names(self.plant, every, self.outputs)
-        zs = self.chosen.model.z, *self.chosen.members
-        run, *members = (prediction(self.chosen, z, every) for z in zs)
+        found, every = self._named(rung), recorded(records)
+        measured_names(found.plant, every, self.outputs)
+        run, *members = (prediction(found, z, every) for z in (found.model.z, *found.members))
         apart = np.array([m.predicted - run.predicted for m in members])
-        return Band(run, halves(apart, run.predicted, self.chosen.left, level))
+        return Band(run, halves(apart, run.predicted, found.left, level))
 
     def intervals(
         self, rung: str | None = None, level: float | None = None
@@ -532,9 +536,7 @@ class Ladder:
         """Confidence intervals of a rung's values (by default the chosen one's, at the ladder's
         level); blocks of the records count as independent, not samples.
         """
-        if rung is not None and rung.removeprefix("+ ") not in self._names:
-            raise UnknownNameError("rung", rung, self._names)
-        found = self.chosen if rung is None else self[rung]
+        found = self._named(rung)
         blocks = max(1, -(-BLOCKS // self.records)) * self.records
         t = student_t(self.level if level is None else level, blocks - 1)
         told = self.adequacy.stderr if found is self.chosen else {}
@@ -543,9 +545,12 @@ class Ladder:
             n: (c.value - halves[n], c.value + halves[n]) for n, c in found.coefficients.items()
         }
 
-    @property
-    def _names(self) -> list[str]:
-        return [r.name.removeprefix("+ ") for r in self.rungs]
+    def _named(self, rung: str | None) -> RungFit:
+        """By default the chosen one."""
+        names = [r.name.removeprefix("+ ") for r in self.rungs]
+        if rung is not None and rung.removeprefix("+ ") not in names:
+            raise UnknownNameError("rung", rung, names)
+        return self.chosen if rung is None else self[rung]
 
     def report(self) -> str:
         """The ladder as text: error of what was left out, gain, cost, and the chosen rung."""
