@@ -340,8 +340,8 @@ def rungs_of(
         by_name = tuple({n: v for k, v in s.items() for n in _tied(plant, k)} for s in starts)
         by_rate = {n: p for k, p in one.fast.items() for n in _tied(plant, k)}
         label = name if not found else f"+ {name}"
-        later = _sets(law) if name == "force law" else ()
-        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate, later))
+        sets = _sets(law) if name == "force law" else ()
+        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate, sets))
     return found
 
 
@@ -509,10 +509,13 @@ class Ladder:
         rung: str | None = None,
         level: float = 0.9,
     ) -> Band:
-        """Runs of a rung (by default the chosen one) through whole records, from what is measured at their begin, with
-        bands that hold ``level`` of what is measured there: as wide as errors of what folds left
-        out near such a point, and wider where the folds disagree (CV+, localised; R. Barber et
-        al., Annals of Statistics 49 (2021) 486-507). Raises InputError where the level is none.
+        """Runs of a rung (by default the chosen one) through whole records, from what is measured
+        at their begin, with bands that hold ``level`` of what is measured there: as wide as errors
+        of what folds left out near such a point, and wider where the folds disagree (CV+, R. Barber
+        et al., Annals of Statistics 49 (2021) 486-507, over neighbours). Motion unlike that of the
+        records, and models that lack something, may be held less often.
+
+        Raises InputError where the level is none, UnknownNameError for a rung.
 
         Examples
         --------

@@ -267,7 +267,8 @@ class Rollout:
             return _sampled(_compiled(step) if many else step, read, self._count)
 
         key = ("rollout", *asked, self._static, deep, every, many, self._count)
-        return self._plant.cached(key, made)
+        found: ca.Function = self._plant.cached(key, made)
+        return found
 
     def _given(self, z: Array, delays: Array) -> Array:
         """On what all steps depend: what is sought, in its units, dead times, parameters."""
