@@ -20,6 +20,7 @@ from .dynamic.networks import NarxStructure as NarxStructure
 from .dynamic.plant_fit import PlantFit as PlantFit
 from .dynamic.plant_fit import load_plant_fit as load_plant_fit
 from .dynamic.rungs import Rung as Rung
+from .dynamic.runs import Band as Band
 from .dynamic.runs import FreeRun as FreeRun
 from .dynamic.structures import ArxStructure as ArxStructure
 from .dynamic.structures import FreeRunStructure as FreeRunStructure
@@ -29,7 +30,6 @@ from .fleet import FleetFit as FleetFit
 from .fleet import FleetMuscle as FleetMuscle
 from .fleet import Population as Population
 from .fleet import fit_fleet as fit_fleet
-from .learned.learning import Band as Band
 from .learned.learning import LearnedFit as LearnedFit
 from .learned.learning import LearnedStructure as LearnedStructure
 from .learned.learning import fit_residual as fit_residual

@@ -18,8 +18,8 @@ from pam_ocp.core.stop import TimeIsUp
 from pam_ocp.fitting import Ladder, Rung, fit_ladder
 from pam_ocp.fitting.dynamic import ladder as module
 from pam_ocp.fitting.dynamic.free_run_result import widened
-from pam_ocp.fitting.dynamic.ladder import rungs_of
-from pam_ocp.fitting.dynamic.rungs import HISTORY, RungModel, Task, model_of
+from pam_ocp.fitting.dynamic.ladder import halves, rungs_of
+from pam_ocp.fitting.dynamic.rungs import HISTORY, RungModel, Task, model_of, promised
 
 F = pam.feeds
 OUTPUTS = ("x", "muscle1.pressure")
@@ -265,8 +265,13 @@ def test_hysteresis_grows_with_pressure_and_the_force_law_is_freed_on_rungs() ->
         for entry in found["force law"].free
         for n in ([entry] if isinstance(entry, str) else entry)
     ]
-    assert {f"muscle{i}.a{k}" for i in (1, 2) for k in range(1, 7)} <= set(law)
+    own = {f"muscle{i}.a{k}" for i in (1, 2) for k in range(1, 7)} - {"muscle2.a5"}
+    assert own <= set(law)
+    assert "muscle2.a5" not in law  # a user who frees it of one muscle alone holds it
     assert len(set(law)) == len(law)
+    exponents = {"muscle1.a3", "muscle2.a3"}  # of exp(a3 kappa): the force is no line in them
+    assert found["force law"].later[-1] == exponents
+    assert {frozenset({"muscle1.a2", "muscle2.a2"})} < {*found["force law"].later[:-1]}
     for name, free in ((n, r.free) for n, r in found.items()):
         assert ("inertia" in free) == (name not in ("force law", "creep"))  # it sets the scale
     every = [f"muscle{i}.a{k}" for i in (1, 2) for k in range(1, 7)]
@@ -362,7 +367,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
         ({"rungs": ["lagg"]}, UnknownNameError, "did you mean 'lag'"),
         ({"rungs": []}, InputError, "rungs is empty"),
         ({"folds": 2}, InputError, "folds = 2"),
-        ({"folds": 60}, InputError, "too few for 180 parts"),
+        ({"folds": 60}, InputError, "too few for 360 parts"),
         ({"outputs": ["mass"]}, InputError, "mass is neither a state nor an output"),
         ({"dynamic": ["x"]}, InputError, "x is a state; only parameters"),
         (
@@ -425,6 +430,54 @@ def test_the_command_climbs_with_plants_of_the_library_and_of_ones_own(
     shown = capsys.readouterr()
     assert "* dead time" in shown.out
     assert "dead time: error" in shown.err
+
+
+def test_bands_hold_what_they_say_of_another_record(ladder: Ladder) -> None:
+    """What the chosen plant leaves is white noise, of which 90 % lie within 1.645 deviations."""
+    feed = regulator(lag=0.06, gain=0.9e5, base=2.4e5, dead_time=TRUE["dead_time"])
+    again = staircase(slide(feed=feed, damping=TRUE["damping"]), 17)
+    band = ladder.predict(again, level=0.9)
+    assert band.run.names == OUTPUTS
+    for name, noise in zip(OUTPUTS, (2e-5, 300.0), strict=True):
+        assert band.coverage[name] == pytest.approx(0.9, abs=0.04)
+        half = band.half[..., OUTPUTS.index(name)]
+        assert np.median(half) == pytest.approx(1.645 * noise, rel=0.15)
+    with pytest.raises(InputError, match="level = 90"):
+        ladder.predict(again, level=90)
+
+
+def test_bands_are_wider_where_the_plants_of_folds_differ() -> None:
+    """Against the definition of CV+ over the nearest fifth, sample by sample."""
+    rng = np.random.default_rng(3)
+    left = [np.abs(rng.standard_normal((2, n, 2))) for n in (40, 60)]
+    apart, at = rng.standard_normal((2, 3, 5, 2)), rng.standard_normal((3, 5, 2))
+    half = halves(apart, at, left, 0.9)
+    size = np.std(np.concatenate([e[0] for e in left]), axis=0)
+    every = [(f, e[0, i], e[1, i]) for f, e in enumerate(left) for i in range(e.shape[1])]
+    for n, k, y in np.ndindex(half.shape):
+        near = sorted(every, key=lambda s: np.linalg.norm((s[1] - at[n, k]) / size))[:20]
+        ends = []
+        for sign in (1.0, -1.0):
+            reached = sorted(e[y] + sign * apart[f, n, k, y] for f, _, e in near)
+            ends.append(reached[19 - 1])  # the 0.9 (20 + 1)th, rounded up
+        assert half[n, k, y] == pytest.approx(max(ends), rel=1e-12)
+
+
+def test_plants_with_other_values_run_through_the_same_functions(record: pam.Trajectory) -> None:
+    """So what is compiled is compiled once for all starts and folds of a rung."""
+    plant = slide(feed=regulator(lag=0.06, gain=0.9e5))
+    other = plant.with_values({"muscle1.lag": 0.1, "muscle2.lag": 0.1, "mass": 3.0})
+    one, two = (model(p, record, free=("muscle*.lag",)).rollout() for p in (plant, other))
+    assert one._one(True, False) is two._one(True, False)
+
+
+def test_what_freeing_unknowns_promises_is_what_least_squares_gain() -> None:
+    rng = np.random.default_rng(5)
+    slopes, errors = rng.standard_normal((30, 4)), rng.standard_normal(30)
+    for free in ([0, 2], [1, 3], [0, 1, 2, 3]):
+        rest = np.linalg.lstsq(slopes[:, free], errors, rcond=None)[1][0]
+        gain = promised(slopes.T @ errors, slopes.T @ slopes, free)
+        assert gain == pytest.approx(errors @ errors - rest, rel=1e-9)
 
 
 def test_intervals_of_a_rung_widen_with_their_level(ladder: Ladder) -> None:

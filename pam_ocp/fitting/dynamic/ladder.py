@@ -15,8 +15,10 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from ...core.arguments import with_kinds
 from ...core.errors import (
@@ -25,6 +27,7 @@ from ...core.errors import (
     OutOfTime,
     UnknownNameError,
     require_count,
+    require_finite,
     require_instance,
 )
 from ...core.executors import Place
@@ -44,7 +47,17 @@ from .evidence import evidence_of
 from .experiment import bounds_of, groups, measured_names, recorded
 from .free_run_result import BLOCKS
 from .rig import Rig, unknowns_of
-from .rungs import FIRST_RATE, Part, Rung, RungFit, Task, climbed, usual_steps
+from .rungs import (
+    FIRST_RATE,
+    Part,
+    Rung,
+    RungFit,
+    Task,
+    climbed,
+    prediction,
+    usual_steps,
+)
+from .runs import Band
 
 LADDER = (
     *("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory"),
@@ -69,6 +82,8 @@ MARGIN = 0.01
 """Models whose errors differ by less than this part count as equally good, however sure it is."""
 
 
+NEAR = 0.2
+"""Of the samples left out, the part that says how wide a band is: those nearest to its point."""
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 
@@ -115,9 +130,10 @@ def fit_ladder(
     feed : the regulator on which rungs are built: its gain, base, lags; by default ``Regulator()``.
     dynamic : parameters freed from the second rung on; by default the plant's damping.
     rungs : which to climb, of "static", "lag", "unequal lags", "dead time", "slew", "friction",
-        "memory" (slip), "memory per pressure" (in proportion to 1 + c p), "force law" (all its
-        coefficients of each muscle; a mass or inertia stays as found, since it and they have no
-        common scale) and "creep". Other parameters of these count as equal in two muscles.
+        "memory" (slip), "memory per pressure" (in proportion to 1 + c p), "force law" (the
+        coefficients of all muscles but for kinds that ``free`` names of some: those of the others
+        may set the scale; a mass or inertia stays as found) and "creep". Other parameters of these
+        count as equal in two muscles.
     outputs : what is compared; by default all states and outputs that the records hold.
     folds : of parts of the records (at least 3), each predicted once by a fit to the others. Whole
         records are the parts where there are as many, else each is cut.
@@ -246,7 +262,7 @@ def _parts(records: Sequence[Trajectory], folds: int) -> list[Part]:
     """Whole records, or each cut into as many pieces as make a part for each fold and more."""
     if len(records) >= folds:
         return [(r, 0, len(record)) for r, record in enumerate(records)]
-    pieces = 3 * folds if len(records) == 1 else folds
+    pieces = 6 * folds if len(records) == 1 else folds
     found = []
     for r, record in enumerate(records):
         if len(record) < 4 * pieces:
@@ -290,7 +306,7 @@ def rungs_of(
     parts: dict[str, Any] = {"dead_time": None, "slew": None, "venting_slew": None}
     losses: tuple[Any, ...] = ()
     own: tuple[str, ...] = ()
-    law: set[str] = set()
+    law: dict[str, bool] = {}
     for name in steps:
         one, static = added[name], name == "static"
         parts |= one.parts
@@ -303,7 +319,11 @@ def rungs_of(
             own = tuple(n for k in own for n in (_tied(plant, k) if k in LAGS else (k,)))
         chosen, starts = _present(plant, free), list(one.starts)
         if name == "force law":
-            law = _coefficients(plant) - _members(plant, chosen)
+            taken = _members(plant, chosen)
+            # what is free of one muscle alone is held of the others: it may set the scale
+            kinds = {n.rpartition(".")[2] for n in taken}
+            every = _coefficients(plant).items()
+            law = {n: straight for n, straight in every if n.rpartition(".")[2] not in kinds}
             if not law:
                 continue
             own += tuple(sorted(law))
@@ -320,7 +340,8 @@ def rungs_of(
         by_name = tuple({n: v for k, v in s.items() for n in _tied(plant, k)} for s in starts)
         by_rate = {n: p for k, p in one.fast.items() for n in _tied(plant, k)}
         label = name if not found else f"+ {name}"
-        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate))
+        sets = _sets(law) if name == "force law" else ()
+        found.append(Rung(label, plant, tuple(chosen), by_name, static, by_rate, sets))
     return found
 
 
@@ -394,14 +415,28 @@ def _members(plant: Plant, entries: Sequence[str | Sequence[str]]) -> set[str]:
     return {plant.parameters[m].name for g in groups(plant, entries) for m in g.members}
 
 
-def _coefficients(plant: Plant) -> set[str]:
-    """Names of the coefficients of all muscles' force laws."""
+def _coefficients(plant: Plant) -> dict[str, bool]:
+    """{coefficient of a muscle's force law: whether the force is a straight line in it}."""
     known = {v.name for v in plant.parameters}
-    found: set[str] = set()
+    found: dict[str, bool] = {}
     for muscle in {n.rpartition(".")[0] for n in known if "." in n}:
-        laws = [{v.name for v in k.coefficient_variables(f"{muscle}.")} for k in LAWS.values()]
-        found |= max((law for law in laws if law <= known), key=len, default=set())
+        laws = {k: [v.name for v in k.coefficient_variables(f"{muscle}.")] for k in LAWS.values()}
+        fitting = [k for k, own in laws.items() if known >= {*own}]
+        if not fitting:
+            continue
+        law = max(fitting, key=lambda k: len(laws[k]))
+        at = ca.SX.sym("p"), ca.SX.sym("kappa"), ca.SX.sym("c", len(laws[law]))
+        force = law.function()(*at)[0]
+        curved = np.array(ca.DM(ca.hessian(force, at[2])[0].sparsity(), 1)).diagonal()
+        found |= dict(zip(laws[law], (curved == 0).tolist(), strict=True))
     return found
+
+
+def _sets(law: Mapping[str, bool]) -> tuple[frozenset[str], ...]:
+    """Coefficients of all muscles that are called the same; those last in which forces curve."""
+    kinds = sorted({n.rpartition(".")[2] for n, straight in law.items() if straight})
+    sets = (frozenset(n for n in law if n.rpartition(".")[2] == k) for k in kinds)
+    return (*sets, frozenset(n for n, straight in law.items() if not straight))
 
 
 def _present(
@@ -468,15 +503,43 @@ class Ladder:
         """The chosen one, fitted to all records."""
         return self.chosen.plant
 
+    def predict(
+        self,
+        records: Trajectory | Sequence[Trajectory],
+        rung: str | None = None,
+        level: float = 0.9,
+    ) -> Band:
+        """Runs of a rung (by default the chosen one) through whole records, from what is measured
+        at their begin, with bands that hold ``level`` of what is measured there: as wide as errors
+        of what folds left out near such a point, and wider where the folds disagree (CV+, R. Barber
+        et al., Annals of Statistics 49 (2021) 486-507, over neighbours). Motion unlike that of the
+        records, and models that lack something, may be held less often.
+
+        Raises InputError where the level is none, UnknownNameError for a rung.
+
+        Examples
+        --------
+        >>> from functools import partial
+        >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
+        >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["lag"])
+        >>> min(ladder.predict(commanded).coverage.values()) > 0.8
+        True
+        """
+        if not 0 < require_finite("level", level) < 1:
+            raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
+        found, every = self._named(rung), recorded(records)
+        measured_names(found.plant, every, self.outputs)
+        run, *members = (prediction(found, z, every) for z in (found.model.z, *found.members))
+        apart = np.array([m.predicted - run.predicted for m in members])
+        return Band(run, halves(apart, run.predicted, found.left, level))
+
     def intervals(
         self, rung: str | None = None, level: float | None = None
     ) -> dict[str, tuple[float, float]]:
         """Confidence intervals of a rung's values (by default the chosen one's, at the ladder's
         level); blocks of the records count as independent, not samples.
         """
-        if rung is not None and rung.removeprefix("+ ") not in self._names:
-            raise UnknownNameError("rung", rung, self._names)
-        found = self.chosen if rung is None else self[rung]
+        found = self._named(rung)
         blocks = max(1, -(-BLOCKS // self.records)) * self.records
         t = student_t(self.level if level is None else level, blocks - 1)
         told = self.adequacy.stderr if found is self.chosen else {}
@@ -485,9 +548,12 @@ class Ladder:
             n: (c.value - halves[n], c.value + halves[n]) for n, c in found.coefficients.items()
         }
 
-    @property
-    def _names(self) -> list[str]:
-        return [r.name.removeprefix("+ ") for r in self.rungs]
+    def _named(self, rung: str | None) -> RungFit:
+        """By default the chosen one."""
+        names = [r.name.removeprefix("+ ") for r in self.rungs]
+        if rung is not None and rung.removeprefix("+ ") not in names:
+            raise UnknownNameError("rung", rung, names)
+        return self.chosen if rung is None else self[rung]
 
     def report(self) -> str:
         """The ladder as text: error of what was left out, gain, cost, and the chosen rung."""
@@ -534,6 +600,30 @@ class Ladder:
         return "\n".join(lines)
 
     __str__ = report
+
+
+def halves(
+    apart: NDArray[np.float64],
+    predicted: NDArray[np.float64],
+    left: Sequence[NDArray[np.float64]],
+    level: float,
+) -> NDArray[np.float64]:
+    """Half widths (n, K, ny) of bands around what is predicted. apart (folds, n, K, ny) : how the
+    folds differ from it. left : as in :class:`RungFit`.
+    """
+    at, errors = np.concatenate(left, axis=1)
+    fold = np.repeat(np.arange(len(left)), [e.shape[1] for e in left])
+    size = np.maximum(at.std(axis=0), 1e-300)
+    points = np.nan_to_num(predicted.reshape(-1, at.shape[1]) / size)
+    count = max(int(np.ceil(NEAR * len(at))), 1)
+    rank = min(int(np.ceil((count + 1) * level)), count) - 1
+    places = KDTree(at / size).query(points, np.arange(1, count + 1))[1]
+    half = np.empty(points.shape)
+    for i, own in enumerate(places):
+        aside = apart.reshape(len(left), -1, at.shape[1])[fold[own], i]
+        ends = (np.partition(errors[own] + a, rank, axis=0)[rank] for a in (aside, -aside))
+        half[i] = np.maximum(*ends)
+    return half.reshape(predicted.shape)
 
 
 # ---- comparison ---------------------------------------------------------------------------------

@@ -177,14 +177,22 @@ class RunUnknowns:
             for m in g.members
         }
 
-    def vector(self, plant: Plant, z: Any) -> Any:
-        """All parameters of the plant at z, a vector of CasADi."""
-        base = plant.vector("parameter")
-        place = np.zeros((len(base), len(self.groups)))
+    @cached_property
+    def natural(self) -> RunUnknowns:
+        """The same, each in its own unit."""
+        keys = [replace(r.key, scale=1.0) if r.kind == "groups" else r.key for r in self.rows]
+        sizes = {n: getattr(self, n) * self.scale for n in ("guess", "low", "high")}
+        return self.changed(key=keys, scale=np.ones(len(keys)), **sizes)
+
+    def vector(self, plant: Plant, z: Any, base: Any = None) -> Any:
+        """All parameters of the plant at z, a vector of CasADi; ``base`` those that are known."""
+        known = ca.DM(plant.vector("parameter")) if base is None else base
+        place, free = np.zeros((known.numel(), len(self.groups))), np.ones(known.numel())
         for j, group in enumerate(self.groups):
             place[list(group.members), j] = group.scale
-            base[list(group.members)] = 0.0
-        return ca.DM(base) + ca.sparsify(ca.DM(place)) @ z[: len(self.groups)]
+            free[list(group.members)] = 0.0
+        found = ca.sparsify(ca.DM(place)) @ z[: len(self.groups)]
+        return ca.sparsify(ca.DM(free)) * known + found
 
     def sensors(self, measured: Sequence[str], known: Rig, z: Any) -> tuple[list[Any], list[Any]]:
         """Gains and offsets of the sensors at z, numbers or symbols."""

@@ -31,7 +31,7 @@ ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""
 MEMORY = 3e7
 """Bytes that the states and sensitivities of the runs of one call may take."""
-MANY = 10_000
+MANY = 4_000
 """Steps of all runs from which the step is compiled, where there is a compiler. Whatever the plant,
 this pays in some tens of evaluations: both times grow with the number of its instructions (1e-3 s
 to compile one, 1e-8 s to interpret it, a sixth of that compiled).
@@ -70,11 +70,11 @@ class Rollout:
         every = np.ones(len(runs.names)) if weigh is None else weigh
         self.weights = np.sqrt(runs.weights / len(runs.names))[..., None] * every
         self._whole: dict[Any, ca.Function] = {}
-        self._sampled: dict[tuple[bool, bool], ca.Function] = {}
         self._steps: tuple[bytes, list[Array]] = (b"", [])
         self._late = _late(plant, runs, unknowns, self._rig)
         self._count = runs.steps + len(self._late)
         self._local = unknowns.shared + len(unknowns.own_starts)
+        self._scale = unknowns.scale[: self._local]
         self._reach = self._reaches()
         self._static = static
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
@@ -208,7 +208,8 @@ class Rollout:
         ny = len(self.runs.names)
         for part, _, both in self._run(z, deep):
             slopes = both[..., ny:].reshape(*both.shape[:2], self._local if deep else 0, ny)
-            yield part, both[..., :ny], slopes.transpose(0, 1, 3, 2)
+            scaled = slopes.transpose(0, 1, 3, 2) * (self._scale if deep else 1.0)
+            yield part, both[..., :ny], scaled
 
     def states(self, z: Array) -> Iterator[tuple[_Part, Array]]:
         """(part, states (m, K, nx)) at the samples."""
@@ -226,18 +227,19 @@ class Rollout:
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
         self._came_to(z, x0, s0, deep, every)
-        shared = z[: self.unknowns.shared]
+        given = self._given(z, delays)
         for part in self._parts[deep]:
             check()
             m, total = len(part.rows), runs.warm + part.samples
             start = x0[part.rows].T
             if deep:
-                start = np.vstack([start, s0[part.rows].transpose(2, 1, 0).reshape(-1, m)])
+                own = s0[part.rows] / self._scale
+                start = np.vstack([start, own.transpose(2, 1, 0).reshape(-1, m)])
             u = _windows(driven, runs, part.rows, total)
             y = np.zeros((ny + 1, m, total))  # what was measured, and whether it corrects
             y[:ny, :, : runs.warm] = runs.seen[part.rows].transpose(2, 0, 1)
             y[ny, :, : runs.warm] = 1.0
-            arguments = (start, u, y.reshape(ny + 1, -1), np.concatenate([shared, delays]))
+            arguments = (start, u, y.reshape(ny + 1, -1), given)
             x, both = (
                 np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
                 for found in native(self._along(deep, total, m, every), *arguments)
@@ -251,14 +253,28 @@ class Rollout:
         return self._whole[key]
 
     def _one(self, deep: bool, every: bool) -> ca.Function:
-        """From sample to sample, with sensitivities where it is ``deep``; made when it is used."""
-        if (deep, every) not in self._sampled:
-            given = self._plant, self.runs, self.unknowns, self._rig
-            step, read = _functions(*given, self._static, deep, every)
-            if self._count * (self.runs.length + self.runs.warm).sum() > MANY:
-                step = _compiled(step)
-            self._sampled[deep, every] = _sampled(step, read, self._count)
-        return self._sampled[deep, every]
+        """From sample to sample, with sensitivities where it is ``deep``; made when it is used,
+        once for all values that a plant may have.
+        """
+        runs, u, rig = self.runs, self.unknowns, self._rig
+        many = self._count * (runs.length + runs.warm).sum() > MANY
+        sought = [(r.kind, r.key.members if r.kind == "groups" else r.key) for r in u.rows]
+        known = (tuple(d.items()) for d in (rig.gains, rig.offsets, rig.corrections))
+        asked = runs.names, bool(runs.warm), tuple(sought[: self._local]), u.shared, *known
+
+        def made() -> ca.Function:
+            step, read = _functions(self._plant, runs, u, rig, self._static, deep, every)
+            return _sampled(_compiled(step) if many else step, read, self._count)
+
+        key = ("rollout", *asked, self._static, deep, every, many, self._count)
+        found: ca.Function = self._plant.cached(key, made)
+        return found
+
+    def _given(self, z: Array, delays: Array) -> Array:
+        """On what all steps depend: what is sought, in its units, dead times, parameters."""
+        shared = self.unknowns.shared
+        own = z[:shared] * self._scale[:shared]
+        return np.concatenate([own, delays, self._plant.vector("parameter")])
 
     def _driven(self, z: Array) -> tuple[list[Array], Array]:
         """What drives the steps of all records at the dead times of z, and these [s]."""
@@ -309,7 +325,7 @@ class Rollout:
         """
         runs, hidden = self.runs, list(self.unknowns.along)
         driven, delays = self._driven(z)
-        given = np.concatenate([z[: self.unknowns.shared], delays])
+        given = self._given(z, delays)
         order = np.lexsort((runs.first, runs.record))
         for before, row in pairwise(order if hidden else ()):
             count = int(runs.first[row] - runs.first[before])
@@ -317,7 +333,7 @@ class Rollout:
                 continue
             start = x0[before]
             if deep:
-                start = np.concatenate([start, slopes[before].T.ravel()])
+                start = np.concatenate([start, (slopes[before] / self._scale).T.ravel()])
             u = _windows(driven, runs, np.array([before]), count)
             nothing = np.zeros((len(runs.names) + 1, count))
             end = native(self._along(deep, count, 1, every), start, u, nothing, given)[0]
@@ -325,7 +341,7 @@ class Rollout:
             nx = x0.shape[1]
             x0[row, hidden] = last[hidden]
             if deep:
-                slopes[row, hidden] = last[nx:].reshape(-1, nx).T[hidden]
+                slopes[row, hidden] = last[nx:].reshape(-1, nx).T[hidden] * self._scale
 
 
 def followed(rollout: Rollout, z: Array) -> bool:
@@ -407,13 +423,15 @@ def _functions(
     deep: bool,
     every: bool,
 ) -> tuple[ca.Function, ca.Function]:
-    """Without or with sensitivities, a step: (state, inputs, (z, dead times)) -> (state), and what
-    is read at a sample: (state, inputs, (measured, whether it corrects), (z, dead times)) ->
-    (state, outputs).
+    """Without or with sensitivities, a step: (state, inputs, given) -> (state), and what is read at
+    a sample: (state, inputs, (measured, whether it corrects), given) -> (state, outputs).
 
     What drives a step are inputs at its begin and end, its length, and, where a dead time is
-    sought, what these gain per second of it; the dead times are those at which the values hold.
+    sought, what these gain per second of it. given : what is sought, in its units; the dead times
+    at which the values hold; the plant's parameters, of which those that are sought do not count.
+    So the functions are the same, and compiled once, whatever the values.
     """
+    unknowns = unknowns.natural
     nx, nu, ny = len(plant.states), len(plant.inputs), len(runs.names)
     nz = unknowns.shared
     local = nz + len(unknowns.own_starts)
@@ -421,7 +439,8 @@ def _functions(
     z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, local)
     at = ca.SX.sym("at", nu)
     u = ca.SX.sym("u", per_step)
-    p, more = unknowns.vector(plant, z), local - nz
+    base = ca.SX.sym("base", len(plant.parameters))
+    p, more = unknowns.vector(plant, z, base), local - nz
     early, late, h = _driving(unknowns, z, at, u)
 
     def along(value: ca.SX) -> ca.SX:
@@ -455,7 +474,7 @@ def _functions(
     measured = ca.SX.sym("measured", ny + 1)
     behind = (measured[:ny] - y) * measured[ny]
     corrected = x + _gains(plant, runs, unknowns, rig, z) @ behind if runs.warm else x
-    given = ca.vertcat(z, at)
+    given = ca.vertcat(z, at, base)
     if not deep:
         step = ca.Function("step", [x, u, given], [after], {"cse": True})
         read = ca.Function("read", [x, u, measured, given], [corrected, y])

@@ -25,11 +25,11 @@ from ...plants.plant import Plant
 from ...plants.undelayed import without_dead_times
 from ..statistics import Array, Coefficient
 from .experiment import ParameterGroup, groups, measured_names, with_columns, with_inputs
-from .free_run_result import fineness, spread_of
+from .free_run_result import fineness, shift, spread_of
 from .gauss_newton import Descent, descend
 from .rig import Rig, RunUnknowns, Unknown, unknowns_of
 from .rollout import Rollout, require_followed
-from .runs import Runs, runs_of, settled_starts
+from .runs import FreeRun, Runs, runs_of, settled_starts
 
 Part: TypeAlias = "tuple[int, int, int]"
 """(record, first sample, last sample + 1)."""
@@ -41,7 +41,7 @@ EVALUATIONS = 40
 """Of a fit, at most."""
 MOST_STEPS = 32
 """In a sampling interval, however small the residuals are."""
-STEP = 1.25e-3
+STEP = 5e-3
 """Longest step [s] where no number of steps is given."""
 HISTORY = 3
 """Samples at the begin of a record that tell where a run begins, and are not compared."""
@@ -59,7 +59,9 @@ class Rung:
     found there. free : as for :func:`fit_plant`. starts : values of parameters [SI], from each of
     which the fit begins once; the best goes on. static : the plant counts as at rest at each
     moment. fast : {parameters: parts}: starts are these parts of the fastest rate of pressures in
-    the rung before.
+    the rung before. later : sets of free parameters that are held at first, and freed one set after
+    the other, whichever promises most, the last one last: freed at once, they lead to a worse
+    minimum.
 
     Examples
     --------
@@ -74,6 +76,7 @@ class Rung:
     starts: tuple[Mapping[str, float], ...] = ({},)
     static: bool = False
     fast: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    later: tuple[frozenset[str], ...] = ()
 
     @property
     def complexity(self) -> float:
@@ -107,7 +110,9 @@ class RungFit:
     of each part, in parts of the variables' variances, averaged over the variables (n,).
     against : how the error (a root mean square) compares with the rung before, as (ratio - 1, half
     width of its interval). worse : whether it is significantly worse than the best rung.
-    seconds : processor time of its fit to all records. failure : why there is none.
+    seconds : processor time of its fit to all records. failure : why there is none. members :
+    what the folds found, as ``model.z``. left : of what each left out, what it predicts and the
+    sizes of its errors (2, samples, variables).
     """
 
     name: str
@@ -122,6 +127,8 @@ class RungFit:
     failure: str = ""
     model: Any = field(default=None, repr=False)
     """As it was run through the records."""
+    members: tuple[Array, ...] = field(default=(), repr=False)
+    left: tuple[Array, ...] = field(default=(), repr=False)
 
     @property
     def score(self) -> float:
@@ -199,13 +206,16 @@ class RungModel:
             self.plant, runs, self.unknowns, self.rig, weigh=self.weigh, static=self.static
         )
 
-    def fitted(self, rollout: Rollout, evaluations: int, starts: bool = True) -> Descent:
-        """starts : whether those of the records are sought, too."""
+    def fitted(
+        self, rollout: Rollout, evaluations: int, starts: bool = True, held: Sequence[int] = ()
+    ) -> Descent:
+        """starts : whether those of the records are sought, too. held : places of unknowns that
+        stay as they are.
+        """
         require_followed(rollout, self.z)
         low, high = self.unknowns.low.copy(), self.unknowns.high.copy()
-        if not starts:
-            own = slice(self.unknowns.shared, None)
-            low[own] = high[own] = self.z[own]
+        own = [*held, *(range(0) if starts else range(self.unknowns.shared, len(self.z)))]
+        low[own] = high[own] = self.z[own]
         if not self.z.size:
             return Descent(self.z, rollout.cost(self.z), 0, "nothing is free", True, 0)
         found = descend(rollout, self.z, low, high, evaluations)
@@ -321,6 +331,17 @@ def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant
     return found
 
 
+def prediction(fit: RungFit, z: Array, records: Sequence[Trajectory]) -> FreeRun:
+    """Runs through other records at z: from what was measured at their begin, the rest at rest."""
+    model: RungModel = fit.model
+    plant = fit.plant.with_values(_values(fit.plant, replace(model, z=z)))
+    nothing = np.empty(0, dtype=np.intp)
+    task = Task(records, model.outputs, (), nothing, model.steps, {})
+    again = model_of(task, plant, Rung(fit.name, plant, (), static=model.static))
+    rollout = again.rollout()
+    return rollout.runs.result(rollout.predicted(again.z))
+
+
 # ---- a rung -------------------------------------------------------------------------------------
 def climbed(
     task: Task,
@@ -341,7 +362,7 @@ def climbed(
     except FitError as error:
         nothing = RungFit(rung.name, rung.plant, {}, {}, np.empty(0), len(rung.plant.states), 0.0)
         return replace(nothing, failure=str(error), worse=True), dict(before), rate
-    losses = {i: loss for losses in found for i, loss in losses.items()}
+    losses = {i: loss for f in found for i, loss in f.losses.items()}
     squares = np.array([losses[i] for i in range(len(task.parts))])
     samples = np.array([b - a for _, a, b in task.parts], float)
     mean = (samples @ squares) / samples.sum()
@@ -356,6 +377,8 @@ def climbed(
         0 if rung.static else len(plant.states),
         seconds,
         model=model,
+        members=tuple(f.z for f in found),
+        left=_left(task, rollout.runs.measured, [f.predicted for f in found]),
     )
     fastest = 0.0 if rung.static else _fastest_pressure(model, rollout)
     return fit, {**before, **values}, fastest or rate
@@ -368,7 +391,7 @@ def _best_start(task: Task, plants: Sequence[Plant], rung: Rung) -> tuple[Plant,
     for plant in plants:
         model = model_of(task, plant, rung)
         try:
-            tried = model.fitted(model.rollout(), TRIED)
+            tried = _tried(model, rung.later)
         except FitError as error:
             failure = error
             continue
@@ -376,6 +399,32 @@ def _best_start(task: Task, plants: Sequence[Plant], rung: Rung) -> tuple[Plant,
     if not found:
         raise failure
     return min(found, key=lambda f: f[0])[1:]
+
+
+def _tried(model: RungModel, later: Sequence[frozenset[str]]) -> Descent:
+    """A few evaluations, after as many with each set less that is freed ``later``."""
+    rollout, places = model.rollout(), [_places(model, names) for names in later]
+    while places:
+        held = sorted(set().union(*places))
+        model = replace(model, z=model.fitted(rollout, EVALUATIONS, held=held).z)
+        _, right, square, _ = rollout.normal(model.z)
+        free = sorted({*range(len(right))} - {*held})
+        gains = [promised(right, square, [*free, *own]) for own in places[:-1]]
+        places.pop(int(np.argmax(gains)) if gains else -1)
+    return model.fitted(rollout, TRIED)
+
+
+def promised(right: Array, square: Array, free: list[int]) -> float:
+    """By how much the cost falls when these unknowns are free, after the normal equations."""
+    return -float(right[free] @ shift(square[np.ix_(free, free)], right[free]))
+
+
+def _places(model: RungModel, names: frozenset[str]) -> list[int]:
+    """Of the unknowns that stand for some of these parameters."""
+    own = model.plant.parameters
+    return [
+        j for j, g in enumerate(model.unknowns.groups) if names & {own[m].name for m in g.members}
+    ]
 
 
 @verb
@@ -399,12 +448,31 @@ def _accurate(model: RungModel) -> tuple[RungModel, dict[str, Coefficient]]:
         model = replace(model, steps=steps)
 
 
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """A fit without a fold, its runs (records, K, ny), and its losses by part of what it left."""
+
+    z: Array
+    predicted: Array
+    losses: dict[int, Array]
+
+
 @verb
-def _one_fold(task: Task, model: RungModel, fold: int) -> dict[int, Array]:
+def _one_fold(task: Task, model: RungModel, fold: int) -> _Fold:
     """As to a validation, where records begin is known to a fit without a part."""
     rollout = model.rollout(task.counted(fold))
-    found = model.fitted(rollout, EVALUATIONS, starts=False)
-    return task.losses(_squares(rollout, found.z), fold)
+    z = model.fitted(rollout, EVALUATIONS, starts=False).z
+    return _Fold(z, rollout.predicted(z), task.losses(_squares(rollout, z), fold))
+
+
+def _left(task: Task, measured: Array, predicted: Sequence[Array]) -> tuple[Array, ...]:
+    """What each fold predicts of what it left out, and the sizes of its errors (2, samples, ny)."""
+    found: list[list[Array]] = [[] for _ in predicted]
+    for (r, a, b), k in zip(task.parts, task.fold, strict=True):
+        own = slice(max(a - HISTORY, 0), b - HISTORY)
+        y = predicted[k][r, own]
+        found[k].append(np.stack([y, np.abs(y - measured[r, own])]))
+    return tuple(np.concatenate(errors, axis=1) for errors in found)
 
 
 def _squares(rollout: Rollout, z: Array) -> Array:

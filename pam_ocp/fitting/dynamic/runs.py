@@ -231,6 +231,29 @@ class FreeRun:
         return "\n".join([*lines, *(f"    warning: {w}" for w in self.warnings)])
 
 
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Predicted runs and where the measured ones lie: ``run.predicted`` -+ ``half`` (n, K, ny).
+
+    Examples
+    --------
+    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
+    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
+    >>> 0.8 < learned.predict(record, level=0.9).coverage["x"] <= 1.0
+    True
+    """
+
+    run: FreeRun
+    half: Array
+
+    @property
+    def coverage(self) -> dict[str, float]:
+        """The part of the measured samples that lies inside, by variable."""
+        inside = np.abs(self.run.predicted - self.run.measured) <= self.half
+        seen = ~np.isnan(self.run.measured)
+        return {n: float(inside[..., i][seen[..., i]].mean()) for i, n in enumerate(self.run.names)}
+
+
 def _root(squares: Array) -> Array:
     seen = ~np.isnan(squares)
     count = np.maximum(seen.sum(axis=(0, 1)), 1)

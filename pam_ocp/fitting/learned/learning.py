@@ -38,7 +38,7 @@ from ..dynamic.free_run_fit import fit_free_run
 from ..dynamic.free_run_result import FreeRunFit, asked_like, begun, runs_like, unknowns_like
 from ..dynamic.gauss_newton import descend
 from ..dynamic.rollout import Rollout
-from ..dynamic.runs import FreeRun
+from ..dynamic.runs import Band, FreeRun
 from ..dynamic.structures import FreeRunStructure
 from ..statistics import Array
 from .residual import Attached, Residual, Visited, attached
@@ -73,29 +73,6 @@ class Strength:
     ratio: float
     low: float
     high: float
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """Predicted runs and where the measured ones lie: ``run.predicted`` -+ ``half`` (n, K, ny).
-
-    Examples
-    --------
-    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
-    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
-    >>> 0.8 < learned.predict(record, level=0.9).coverage["x"] <= 1.0
-    True
-    """
-
-    run: FreeRun
-    half: Array
-
-    @property
-    def coverage(self) -> dict[str, float]:
-        """The part of the measured samples that lies inside, by variable."""
-        inside = np.abs(self.run.predicted - self.run.measured) <= self.half
-        seen = ~np.isnan(self.run.measured)
-        return {n: float(inside[..., i][seen[..., i]].mean()) for i, n in enumerate(self.run.names)}
 
 
 @shown
