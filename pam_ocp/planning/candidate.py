@@ -251,8 +251,6 @@ class Engine:
             gained = abs(found.outcome.objective - objective) > self.settings.tie * abs(objective)
             self._until = size * (HARDLY if gained else FAR)
             return found
-        if start == "near" and self.first.problem.objective.economical:
-            start = "finer"  # costs are flat
         return self.solve(program, place, guess, start, why)
 
     def beside(self, found: Solved, why: tuple[str, str]) -> Solved | None:
