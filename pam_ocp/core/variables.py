@@ -27,6 +27,7 @@ ZERO = 1e-9
 """So small a part of its nominal is the rounding of a zero, where people read it."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
+_CODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 
 
 def require_causality(value: Any, where: str = "") -> None:
@@ -127,8 +128,28 @@ class Variable:
             raise InputError(f"{self.name}: only states have memory, this is {self.kind}")
         if self.memory == "held" and not (math.isfinite(self.min) and math.isfinite(self.max)):
             raise InputError(f"{self.name}: a held memory needs a finite min and max")
+        if self.codes != "":
+            self._check_codes()
         if not (math.isfinite(self.max) and self.doubt(self.max, "max")):
             self._check_start()
+        if self.codes and self.start is not None and self.start % 1:
+            raise InputError(
+                f"{self.name}: start = {self.start:g}: give one of the codes 0, 1, ..."
+            )
+
+    def _check_codes(self) -> None:
+        """What is set by codes is one of them."""
+        words = self.codes.split() if isinstance(self.codes, str) else []
+        if not all(map(_CODE.match, words)) or not 2 <= len({*words}) == len(words):
+            raise InputError(
+                f"{self.name}: codes = {self.codes!r}: give at least two different words of "
+                "letters, digits and underscores, such as 'off slow fast'"
+            )
+        if self.unit != "1":
+            raise InputError(f"{self.name}: codes have no unit, this is in {self.unit}")
+        if self.causality != "output":
+            object.__setattr__(self, "min", max(self.min, 0.0))
+            object.__setattr__(self, "max", min(self.max, len(words) - 1.0))
 
     def _check_start(self) -> None:
         if self.start is not None:

@@ -13,6 +13,7 @@ from ..core.errors import InputError, require_flag
 from ..core.renamed import renamed
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
+from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle
 from ..plants.alone import muscle_alone
 from ..plants.damping import Loss
@@ -132,6 +133,7 @@ def export_fmu(
         size = block.sample_time if step_size is None else step_size
         settings = checked(fmi, size, tolerance, None, stop_time, about)
         shapes["single"] = precision == "single"
+        _require_codes(enumerations, (*block.inputs, *block.parameters, *block.outputs))
         return write_block(block, path, settings, platforms, clock, None, **shapes)
     for argument in ("matrices", "booleans"):
         if shapes[argument]:
@@ -139,6 +141,7 @@ def export_fmu(
     if precision == "single":
         raise InputError("precision = 'single': only blocks compute so; leave it out")
     plant = require_plant(system)
+    _require_codes(enumerations, (*plant.inputs, *plant.parameters))
     size = 1e-3 if step_size is None else step_size
     settings = checked(fmi, size, tolerance, fixed_step, stop_time, about)
     shown = interface.shown_outputs(plant, outputs)
@@ -157,6 +160,14 @@ def export_fmu(
     return write_fmu(
         PlantLayout(offered, shown, calculated, enumerations), path, settings, platforms, content
     )
+
+
+def _require_codes(wanted: bool, variables: Iterable[Variable]) -> None:
+    if wanted and not any(v.codes for v in variables):
+        raise InputError(
+            "enumerations = True: no variable has codes (see Variable; outputs of plants stay "
+            "numbers); leave it out"
+        )
 
 
 def checked_shapes(fmi: FmiVersion, **shapes: bool) -> dict[str, bool]:

@@ -23,6 +23,13 @@ Kind: TypeAlias = Literal["CoSimulation", "ModelExchange"]
 Array: TypeAlias = NDArray[np.float64]
 
 
+_KINDS: dict[str, Callable[[float], Any]] = {
+    "Boolean": bool,
+    "Enumeration": round,
+    "Float32": float,
+}
+"""Types of variables that FMI has functions of their own for, beside those of most numbers."""
+
 _note: Callable[[str], None] | None = None
 
 
@@ -54,8 +61,7 @@ class UnpackedFmu:
         variables = self.description.modelVariables
         self.references = {v.name: int(v.valueReference) for v in variables}
         self.variables: dict[str, Any] = {v.name: v for v in variables}
-        typed = ("Boolean", "Enumeration", "Float32")
-        self.typed = {v.name: v.type for v in variables if v.type in typed}
+        self.typed = {v.name: v.type for v in variables if v.type in _KINDS}
         self.derivatives = [d.variable.name for d in self.description.derivatives]
         self.states = [d.variable.derivative.name for d in self.description.derivatives]
 
@@ -186,8 +192,7 @@ class Runner:
         typed = self.fmu.typed.keys() & values.keys()
         for name in typed:
             call = getattr(self.inner, f"set{self._call_of(name)}")
-            value = values[name] if self.fmu.typed[name] == "Float32" else int(values[name])
-            call(self.references([name]), [value])
+            call(self.references([name]), [_KINDS[self.fmu.typed[name]](values[name])])
         if typed:
             return self.set({n: v for n, v in values.items() if n not in typed})
         write = self.inner.setReal if self.fmu.fmi == "2.0" else self.inner.setFloat64

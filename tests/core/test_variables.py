@@ -49,6 +49,11 @@ def test_a_variable_shows_its_value_in_the_unit_people_read():
         ({"name": "x", "start": math.nan}, "finite"),
         ({"name": "x", "start": 3.0, "max": 1.0}, "outside"),
         ({"name": "x", "unit": "m", "display_unit": "bar"}, "does not measure the same"),
+        ({"name": "x", "codes": ["off", "on"]}, "two different words"),
+        ({"name": "x", "codes": "off off"}, "two different words"),
+        ({"name": "x", "codes": "off on", "unit": "Pa"}, "codes have no unit"),
+        ({"name": "x", "codes": "off on", "start": 2.0}, "outside"),
+        ({"name": "x", "codes": "off on", "start": 0.5}, "give one of the codes"),
     ],
 )
 def test_a_variable_refuses_what_makes_no_sense(attributes, message):

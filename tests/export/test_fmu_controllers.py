@@ -230,8 +230,8 @@ def test_codes_of_a_plant_are_enumerations_in_both_modes(fmi: Any, tmp_path: Pat
     """A tank that fills with 0, 1 or 5 a second, half of it in one gear: by hand."""
     plant = pam.Plant("tank")
     x = plant.state("x", start=0.5)
-    speed = plant.input("speed", codes="off slow fast", min=0.0, max=2.0)
-    gear = plant.parameter("gear", 1.0, codes="half whole", min=0.0, max=1.0, tunable=True)
+    speed = plant.input("speed", codes="off slow fast")
+    gear = plant.parameter("gear", 1.0, codes="half whole", tunable=True)
     plant.der(x, speed * (1 + 1.5 * (speed - 1)) * (1 + gear) / 2)
     path = export_fmu(plant, tmp_path / "p.fmu", fmi=fmi, platforms="native", enumerations=True)
     check = check_fmu(path)
@@ -256,6 +256,12 @@ def test_codes_of_a_plant_are_enumerations_in_both_modes(fmi: Any, tmp_path: Pat
         read = runner.inner.getReal if fmi == "2.0" else runner.inner.getFloat64
         with pytest.raises(Exception, match="rror"):
             read([unit.references["speed"]])
+
+
+def test_enumerations_of_nothing_are_refused(tmp_path: Path) -> None:
+    plant = pam.HangingLoad("DMSP-20-300", mass=10.0)
+    with pytest.raises(pam.InputError, match="no variable has codes"):
+        export_fmu(plant, tmp_path / "p.fmu", platforms="native", enumerations=True)
 
 
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])

@@ -18,8 +18,9 @@ from pam_ocp.core.stop import TimeIsUp
 from pam_ocp.fitting import Ladder, Rung, fit_ladder
 from pam_ocp.fitting.dynamic import ladder as module
 from pam_ocp.fitting.dynamic.free_run_result import widened
-from pam_ocp.fitting.dynamic.ladder import halves, rungs_of
+from pam_ocp.fitting.dynamic.ladder import rungs_of
 from pam_ocp.fitting.dynamic.rungs import HISTORY, RungModel, Task, model_of, promised
+from pam_ocp.fitting.dynamic.runs import half_widths
 
 F = pam.feeds
 OUTPUTS = ("x", "muscle1.pressure")
@@ -444,6 +445,10 @@ def test_bands_hold_what_they_say_of_another_record(ladder: Ladder) -> None:
         assert np.median(half) == pytest.approx(1.645 * noise, rel=0.15)
     with pytest.raises(InputError, match="level = 90"):
         ladder.predict(again, level=90)
+    failed = replace(ladder.rungs[0], failure="it ran away", model=None)
+    broken = replace(ladder, rungs=(failed, *ladder.rungs[1:]))
+    with pytest.raises(InputError, match=r"has no fit \(it ran away\)"):
+        broken.predict(again, failed.name)
 
 
 def test_bands_are_wider_where_the_plants_of_folds_differ() -> None:
@@ -451,7 +456,7 @@ def test_bands_are_wider_where_the_plants_of_folds_differ() -> None:
     rng = np.random.default_rng(3)
     left = [np.abs(rng.standard_normal((2, n, 2))) for n in (40, 60)]
     apart, at = rng.standard_normal((2, 3, 5, 2)), rng.standard_normal((3, 5, 2))
-    half = halves(apart, at, left, 0.9)
+    half = half_widths(apart, at, left, 0.9)
     size = np.std(np.concatenate([e[0] for e in left]), axis=0)
     every = [(f, e[0, i], e[1, i]) for f, e in enumerate(left) for i in range(e.shape[1])]
     for n, k, y in np.ndindex(half.shape):

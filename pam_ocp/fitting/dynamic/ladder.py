@@ -18,7 +18,6 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from ...core.arguments import with_kinds
 from ...core.errors import (
@@ -57,7 +56,7 @@ from .rungs import (
     prediction,
     usual_steps,
 )
-from .runs import Band
+from .runs import Band, half_widths
 
 LADDER = (
     *("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory"),
@@ -82,8 +81,6 @@ MARGIN = 0.01
 """Models whose errors differ by less than this part count as equally good, however sure it is."""
 
 
-NEAR = 0.2
-"""Of the samples left out, the part that says how wide a band is: those nearest to its point."""
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 
@@ -515,7 +512,7 @@ class Ladder:
         et al., Annals of Statistics 49 (2021) 486-507, over neighbours). Motion unlike that of the
         records, and models that lack something, may be held less often.
 
-        Raises InputError where the level is none, UnknownNameError for a rung.
+        Raises InputError where the level is none or the rung failed, UnknownNameError for others.
 
         Examples
         --------
@@ -528,10 +525,12 @@ class Ladder:
         if not 0 < require_finite("level", level) < 1:
             raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
         found, every = self._named(rung), recorded(records)
+        if found.failure:
+            raise InputError(f"rung = {found.name!r} has no fit ({found.failure}); choose another")
         measured_names(found.plant, every, self.outputs)
         run, *members = (prediction(found, z, every) for z in (found.model.z, *found.members))
         apart = np.array([m.predicted - run.predicted for m in members])
-        return Band(run, halves(apart, run.predicted, found.left, level))
+        return Band(run, half_widths(apart, run.predicted, found.left, level))
 
     def intervals(
         self, rung: str | None = None, level: float | None = None
@@ -600,30 +599,6 @@ class Ladder:
         return "\n".join(lines)
 
     __str__ = report
-
-
-def halves(
-    apart: NDArray[np.float64],
-    predicted: NDArray[np.float64],
-    left: Sequence[NDArray[np.float64]],
-    level: float,
-) -> NDArray[np.float64]:
-    """Half widths (n, K, ny) of bands around what is predicted. apart (folds, n, K, ny) : how the
-    folds differ from it. left : as in :class:`RungFit`.
-    """
-    at, errors = np.concatenate(left, axis=1)
-    fold = np.repeat(np.arange(len(left)), [e.shape[1] for e in left])
-    size = np.maximum(at.std(axis=0), 1e-300)
-    points = np.nan_to_num(predicted.reshape(-1, at.shape[1]) / size)
-    count = max(int(np.ceil(NEAR * len(at))), 1)
-    rank = min(int(np.ceil((count + 1) * level)), count) - 1
-    places = KDTree(at / size).query(points, np.arange(1, count + 1))[1]
-    half = np.empty(points.shape)
-    for i, own in enumerate(places):
-        aside = apart.reshape(len(left), -1, at.shape[1])[fold[own], i]
-        ends = (np.partition(errors[own] + a, rank, axis=0)[rank] for a in (aside, -aside))
-        half[i] = np.maximum(*ends)
-    return half.reshape(predicted.shape)
 
 
 # ---- comparison ---------------------------------------------------------------------------------

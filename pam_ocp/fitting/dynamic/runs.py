@@ -254,6 +254,36 @@ class Band:
         return {n: float(inside[..., i][seen[..., i]].mean()) for i, n in enumerate(self.run.names)}
 
 
+NEAR = 0.2
+"""Of the samples left out, the part that says how wide a band is: those nearest to its point."""
+
+
+def half_widths(
+    apart: Array,
+    predicted: Array,
+    left: Sequence[Array],
+    level: float,
+) -> Array:
+    """Half widths (n, K, ny) of bands around what is predicted. apart (folds, n, K, ny) : how the
+    folds differ from it. left : as in :class:`RungFit`.
+    """
+    from scipy.spatial import KDTree  # loaded where bands are asked for
+
+    at, errors = np.concatenate(left, axis=1)
+    fold = np.repeat(np.arange(len(left)), [e.shape[1] for e in left])
+    size = np.maximum(at.std(axis=0), 1e-300)
+    points = np.nan_to_num(predicted.reshape(-1, at.shape[1]) / size)
+    count = max(int(np.ceil(NEAR * len(at))), 1)
+    rank = min(int(np.ceil((count + 1) * level)), count) - 1
+    places = KDTree(at / size).query(points, np.arange(1, count + 1))[1]
+    half = np.empty(points.shape)
+    for i, own in enumerate(places):
+        aside = apart.reshape(len(left), -1, at.shape[1])[fold[own], i]
+        ends = (np.partition(errors[own] + a, rank, axis=0)[rank] for a in (aside, -aside))
+        half[i] = np.maximum(*ends)
+    return half.reshape(predicted.shape)
+
+
 def _root(squares: Array) -> Array:
     seen = ~np.isnan(squares)
     count = np.maximum(seen.sum(axis=(0, 1)), 1)
