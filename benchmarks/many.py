@@ -84,7 +84,7 @@ def simulations(count: int, both: bool = True) -> dict[str, float]:
     def run(processes: int) -> harness.Took:
         with tempfile.TemporaryDirectory() as folder:
             ways = {"executor": processes, "into": folder}
-            return took(lambda: pam.simulate_many(plant, pushes(count), **ways, **COMMON))
+            return took(lambda: pam.simulate_many(plant, list(pushes(count)), **ways, **COMMON))
 
     two = run(2)
     found = {

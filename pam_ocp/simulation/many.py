@@ -193,8 +193,9 @@ def simulate_many(
         they can be pickled; cases that do not are simulated here. A case that takes two workers
         with it has failed; the others are not touched.
     workers : the same as a number given as ``executor``.
-    chunk : cases per task; by default so that there are some fifty tasks for each worker, 100 cases
-        with ``into``. With ``keep`` rows of a file (100 000).
+    chunk : cases per task; by default so that there are some fifty tasks for each worker; with
+        ``into`` 100 cases, fewer where there are fewer than 4000. With ``keep`` rows of a file
+        (100 000).
     progress : called as progress(done, all) after each finished task; all is None for a generator.
     into : a folder for the results, in place of memory: one Parquet file per task, which the
         workers make. A path, a URL such as "s3://bucket/runs", or a file system of fsspec or

@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT = "pam_ocp simulations 1"
-CHUNK = 100
-"""Cases per file."""
+CHUNK, FILES_OF_FEW, LEAST = 100, 40, 10
+"""Cases per file; of few cases so many files, so that workers end at about the same time, but not
+of fewer cases than this."""
 MOST_DOUBTS = 5
 """That a warning names."""
 STUDY = "study.json"
@@ -87,8 +88,9 @@ def store(
             else:
                 yield task
 
+    few = CHUNK if run.count is None else max(LEAST, run.count // FILES_OF_FEW)
     with (
-        opened_folder(folder, FORMAT, told.text, chunk, CHUNK) as size,
+        opened_folder(folder, FORMAT, told.text, chunk, min(CHUNK, few)) as size,
         working("simulations", run.count) as bar,
         closing(run(missing())) as ended,
     ):

@@ -1,5 +1,7 @@
 """simulate against SciPy, against energy, and under failure."""
 
+import math
+
 import numpy as np
 import pytest
 from conftest import BAR, scipy_states
@@ -209,6 +211,34 @@ def test_a_function_of_time_is_followed_to_a_billionth(hanging):
     signals = pam.simulate(hanging, {"muscle.command": wave}, duration=0.05, rtol=1e-6).signals
     t = np.linspace(0, 0.05, 9973)
     assert np.abs(signals(t)[:, 0] - wave(t)).max() < 3e-9 * 1e5
+
+
+def _of_numbers(t):
+    return 4e5 + 1e5 * math.sin(300 * t)  # TypeError for an array
+
+
+def _of_arrays_and_numbers(t):
+    return 4e5 + 1e5 * np.sin(300 * t)
+
+
+def _otherwise_of_arrays(t):
+    return np.full_like(t, 4e5) if np.ndim(t) else _of_numbers(t)
+
+
+def _changing_its_argument(t):
+    t *= 300
+    return 4e5 + 1e5 * np.sin(t)
+
+
+@pytest.mark.parametrize(
+    "function", [_of_numbers, _of_arrays_and_numbers, _otherwise_of_arrays, _changing_its_argument]
+)
+def test_a_function_of_time_means_what_it_says_of_numbers(hanging, function):
+    given = {"muscle.command": function}
+    signals = pam.simulate(hanging, given, duration=0.05, rtol=1e-6).signals
+    t = np.linspace(0, 0.05, 991)
+    wanted = [_of_numbers(s) for s in t.tolist()]
+    assert np.abs(signals(t)[:, 0] - wanted).max() < 3e-9 * 1e5
 
 
 @pytest.mark.parametrize("at", [0.02, 0.0234567])  # a time of the grid, and one between two
