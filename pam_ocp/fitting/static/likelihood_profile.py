@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebfit, chebval
 
 from ...core.cases import results_of
 from ...core.errors import FitError
@@ -173,6 +174,10 @@ def walked(
 # ---- by a sweep ----------------------------------------------------------------------------------
 TRIED = np.concatenate([-np.geomspace(8, 0.05, 24), [0.0], np.geomspace(0.05, 8, 24)])
 """Standard errors from the optimum at which the nonlinear coefficient is tried, beside its scan."""
+NODES = -np.cos(np.pi * np.arange(11) / 10)
+"""Chebyshev points between two values of q, on whose polynomials an end is sought."""
+SMOOTH = 1e-7
+"""Of the polynomials' last two coefficients, in parts of the largest: they follow what is told."""
 ZOOMS, POINTS = 7, 13
 """Times that the bracket of an end is narrowed, and values of q within it."""
 
@@ -226,23 +231,55 @@ class Sweep:
         coefficients, side, limit).
         """
         last, count = len(self.values) - 1, len(asked)
-        first = [int(np.argmax(self._reached(self.values, self.results, *one))) for one in asked]
+        first = [
+            int(np.argmax(self._reached(self.values, self._told(self.results, *one), *one)))
+            for one in asked
+        ]
         low = self.values[[max(j - 1, 0) for j in first]]
         high = self.values[[min(j + 1, last) for j in first]]
+        nodes = low + (high - low) * (NODES[:, None] + 1) / 2
+        results = self._projected(self.problem, nodes.T.ravel())
         best = np.zeros(count)
-        for _ in range(ZOOMS):
-            grid = np.linspace(low, high, POINTS, axis=1)
-            costs, linear, roots = self._projected(self.problem, grid.ravel())
-            for row, one in enumerate(asked):
-                part = slice(row * POINTS, (row + 1) * POINTS)
-                reached = self._reached(grid[row], (costs[part], linear[part], roots[part]), *one)
-                j = int(np.argmax(reached))
-                best[row] = one[1] * reached[j]
-                low[row], high[row] = grid[row][[max(j - 1, 0), min(j + 1, POINTS - 1)]]
+        for row, one in enumerate(asked):
+            part = slice(row * NODES.size, (row + 1) * NODES.size)
+            told = self._told(tuple(r[part] for r in results), *one)
+            best[row] = one[1] * self._farthest(nodes[:, row], told, *one)
         return [
             self._open_end(i, side, j) or (float(end), "")
             for (i, side, _), j, end in zip(asked, first, best, strict=True)
         ]
+
+    def _told(self, results: tuple[Array, ...], free: int, _: float, limit: float) -> Array:
+        """(3, m) at values of q: costs above the limit, and the best and the variance of a free
+        coefficient.
+        """
+        (cost, best, root), i = results, self.problem.free[free]
+        if i == self.place:
+            return np.stack([cost - limit, np.zeros(cost.size), np.zeros(cost.size)])
+        column = self.problem.linear.index(i)
+        return np.stack([cost - limit, best[:, column], np.sum(root[:, column] ** 2, axis=1)])
+
+    def _farthest(self, nodes: Array, told: Array, free: int, side: float, limit: float) -> float:
+        """How far the coefficient reaches between the first and the last of the nodes: on the
+        polynomials through what is told there; by new values where the law ends or bends among
+        them.
+        """
+        smooth, through = bool(np.isfinite(told).all()), np.empty(0)
+        if smooth:
+            through = chebfit(NODES, told.T, NODES.size - 1)
+            smooth = bool(np.all(np.abs(through[-2:]) <= SMOOTH * np.abs(through).max(axis=0)))
+        low, high, reached = -1.0, 1.0, np.array([-np.inf])
+        for _ in range(ZOOMS):
+            at = np.linspace(low, high, POINTS)
+            values = nodes[0] + (nodes[-1] - nodes[0]) * (at + 1) / 2
+            if smooth:
+                told = chebval(at, through)
+            else:
+                told = self._told(self._projected(self.problem, values), free, side, limit)
+            reached = self._reached(values, told, free, side, limit)
+            j = int(np.argmax(reached))
+            low, high = at[max(j - 1, 0)], at[min(j + 1, POINTS - 1)]
+        return float(reached.max())
 
     def _open_end(self, free: int, side: float, j: int) -> tuple[float, str] | None:
         """Of an interval that the law reaches farthest at an edge, value number j; None within."""
@@ -254,27 +291,17 @@ class Sweep:
         bound = float(variable.max if side > 0 else variable.min)
         return bound, "" if np.isfinite(bound) else self._open_words()
 
-    def _reached(
-        self,
-        values: Array,
-        results: tuple[Array, Array, Array],
-        free: int,
-        side: float,
-        limit: float,
-    ) -> Array:
+    def _reached(self, values: Array, told: Array, free: int, side: float, _: float) -> Array:
         """How far to a side the coefficient may go at each value (m,) of q; -inf where the cost is
         too high.
         """
-        (cost, best, root), i = results, self.problem.free[free]
-        room = limit - cost
-        if i == self.place:
+        above, best, variance = told
+        if self.problem.free[free] == self.place:
             far = side * values
         else:
-            column = self.problem.linear.index(i)
-            variance = np.sum(root[:, column] ** 2, axis=1)
             with np.errstate(invalid="ignore"):
-                far = side * best[:, column] + np.sqrt(np.maximum(room, 0.0) * variance)
-        return np.where((room >= 0) & np.isfinite(far), far, -np.inf)
+                far = side * best + np.sqrt(np.maximum(-above * variance, 0.0))
+        return np.where((above <= 0) & np.isfinite(far), far, -np.inf)
 
     def band(self, p: Array, kappa: Array, limits: Array) -> tuple[Array, Array]:
         """Lowest and highest force (n,) at places (n,) over all laws that cost no more than
