@@ -178,7 +178,7 @@ NODES = -np.cos(np.pi * np.arange(11) / 10)
 """Chebyshev points between two values of q, on whose polynomials an end is sought."""
 SMOOTH = 1e-7
 """Of the polynomials' last two coefficients, in parts of the largest: they follow what is told."""
-ZOOMS, POINTS = 7, 13
+ZOOMS, POINTS = 5, 41
 """Times that the bracket of an end is narrowed, and values of q within it."""
 
 
