@@ -25,7 +25,7 @@ import numpy as np
 import random_tasks
 
 import pam_ocp as pam
-from pam_ocp.planning.solvers.backend import Backend
+from pam_ocp.planning.solvers.solver import Backend
 from pam_ocp.planning.transcription.guess import from_solution
 from pam_ocp.planning.transcription.mesh import doubled
 from pam_ocp.planning.transcription.transcription import transcribe

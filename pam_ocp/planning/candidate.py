@@ -17,22 +17,24 @@ from ..core.errors import InputError
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.simulator import evaluated
-from .correction import Corrected, corrected, integrated, left_as
 from .problem.problem import Budget, Condition, Problem
 from .replay import (
     TOLERANCE,
+    Corrected,
     Replay,
     chosen_plant,
+    corrected,
     explained,
+    integrated,
     interval_errors,
     interval_states,
+    left_as,
     replayed,
 )
 from .result import Solved
 from .settings import SETTINGS, Settings
-from .solvers.backend import Backend
 from .solvers.ipopt_options import Start
-from .solvers.solver import SETTLED, STUCK, Outcome, Solver
+from .solvers.solver import SETTLED, STUCK, Backend, Outcome, Solver
 from .stages import Stage, stage
 from .transcription.guess import from_solution
 from .transcription.mesh import Form, Mesh

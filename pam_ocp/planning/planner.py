@@ -40,12 +40,10 @@ from .problem.problem import follows_inputs
 from .result import Plan, Solved, motion_of
 from .search import Found, Search
 from .settings import SETTINGS, UNBOUNDED
-from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import Conflict, advice, explanation
-from .solvers.side_by_side import starts_on
-from .solvers.solver import Progress
+from .solvers.solver import KEPT, Backend, Progress, SolverName
 from .stages import WorkIsSpent, as_data, recorded
-from .starts import MOST
+from .starts import MOST, starts_on
 from .transcription.mesh import Arcs, Collocation, Mesh, Method, Shooting
 from .transcription.transcription import Program, transcribe
 

@@ -21,11 +21,10 @@ from ..plants.plant import Plant, require_plant
 from ..plants.plant_data import carried
 from ..plants.plant_file import load_plant
 from ..simulation.simulator import evaluated
-from .correction import left_as
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement_data import data_of, statement_of
-from .replay import chosen_plant, explained, interval_errors, interval_states, replayed
+from .replay import chosen_plant, explained, interval_errors, interval_states, left_as, replayed
 from .result import Plan, motion_of
 from .settings import SETTINGS
 from .transcription.mesh import Form, Interval, Mesh

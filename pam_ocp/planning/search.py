@@ -26,10 +26,9 @@ from .replay import accuracy
 from .result import Solved
 from .solvers.diagnosis import Conflict, elastic, resolving
 from .solvers.ipopt_options import Start
-from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome
 from .stages import WorkIsSpent, limited, stage
-from .starts import Task, figures_of, number_of_starts, tasks
+from .starts import Task, figures_of, number_of_starts, solved_side_by_side, tasks
 from .transcription.guess import by_leading, by_rests, by_stops, from_solution, wants_balance
 from .transcription.mesh import BY_ARCS, Mesh, guarded, merged
 from .transcription.solution import unpack

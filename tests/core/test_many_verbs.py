@@ -182,7 +182,7 @@ def test_a_signal_ends_starts_wherever_they_are(where: Any) -> None:
 
 def test_a_time_limit_keeps_what_starts_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time is up behind the second of the starts that are handed out."""
-    from pam_ocp.planning.solvers import side_by_side
+    from pam_ocp.planning import starts as side_by_side
 
     whole = side_by_side.ending
 

@@ -9,8 +9,8 @@ from searches import by_scipy, engine_of, solved
 
 import pam_ocp as pam
 from pam_ocp.planning.candidate import Candidate
-from pam_ocp.planning.correction import Corrected, corrected, left_as
 from pam_ocp.planning.planner import Planner
+from pam_ocp.planning.replay import Corrected, corrected, left_as
 from pam_ocp.planning.transcription.mesh import Collocation
 from pam_ocp.planning.transcription.solution import unpack
 

@@ -494,7 +494,7 @@ UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
 
 @pytest.mark.slow
 def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatch):
-    from pam_ocp.planning.solvers import side_by_side
+    from pam_ocp.planning import starts as side_by_side
 
     alone = pam.plan(by_valve, **UP)
     workers = []
@@ -529,7 +529,7 @@ def _slowly(solve):
 
 
 def test_where_no_process_can_be_started_all_starts_are_solved_here(by_valve, monkeypatch):
-    from pam_ocp.planning.solvers import side_by_side
+    from pam_ocp.planning import starts as side_by_side
 
     def refused(*_, **__):
         raise OSError("no more processes")
@@ -560,7 +560,7 @@ def test_several_starts_are_for_valves_and_tendons_only():
 
 
 def test_ctrl_c_among_several_starts_leaves_no_process_behind(by_valve, monkeypatch):
-    from pam_ocp.planning.solvers import side_by_side
+    from pam_ocp.planning import starts as side_by_side
 
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
     monkeypatch.setattr(side_by_side, "processors", lambda: 3)

@@ -1,4 +1,4 @@
-"""IPOPT in a process of its own, talking in pickles over its standard streams; see side_by_side.py.
+"""IPOPT in a process of its own, talking in pickles over its standard streams; see starts.py.
 
 Run as a file, so that it needs to import nothing but CasADi and NumPy, and never the caller's
 script. First comes (problem, {name: options}); then, again and again, (name, arguments) of a solve.
