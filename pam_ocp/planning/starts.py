@@ -169,10 +169,10 @@ coarser meshes too.
 @contextlib.contextmanager
 def starts_on(executor: Place) -> Iterator[None]:
     """In the ``with`` starts are solved there; None: as it was. Raises InputError for no place."""
-    placed(executor)
     if executor is None:
         yield
         return
+    placed(executor)
     before = PLACE.set(executor)
     try:
         yield

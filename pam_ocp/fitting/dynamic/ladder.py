@@ -60,21 +60,13 @@ from .runs import Band, half_widths
 
 LADDER = (
     *("static", "lag", "unequal lags", "dead time", "slew", "friction", "memory"),
-    *("memory per pressure", "unequal memory", "force law", "creep"),
+    *("memory per pressure", "force law", "creep"),
 )
 """What there is to climb, in this order."""
-BEGINS = {
-    "unequal lags": "lag",
-    "memory per pressure": "memory",
-    "unequal memory": "memory per pressure",
-}
+BEGINS = {"unequal lags": "lag", "memory per pressure": "memory"}
 """Rungs that begin from another one, without which there is none."""
 LAGS = ("lag", "venting_lag")
-UNEQUAL = {
-    "unequal lags": LAGS,
-    "unequal memory": ("slip1_force", "slip2_force", "slip_per_pressure"),
-}
-"""What is equal in all muscles before these rungs, and each muscle's own on them."""
+"""Equal in all muscles on the rung "lag", and each muscle's own on "unequal lags"."""
 MASSES = {"mass", "inertia"}
 SCALES = (0.3, 1.0, 3.0, 10.0)
 """Times a free mass or inertia, and the damping with it, where a rung brings what dissipates: what
@@ -135,8 +127,7 @@ def fit_ladder(
     feed : the regulator on which rungs are built: its gain, base, lags; by default ``Regulator()``.
     dynamic : parameters freed from the second rung on; by default the plant's damping.
     rungs : which to climb, of "static", "lag", "unequal lags", "dead time", "slew", "friction",
-        "memory" (slip), "memory per pressure" (in proportion to 1 + c p), "unequal memory" (each
-        muscle's own), "force law" (the
+        "memory" (slip), "memory per pressure" (in proportion to 1 + c p), "force law" (the
         coefficients of all muscles but for kinds that ``free`` names of some: those of the others
         may set the scale; a mass or inertia stays as found) and "creep". Other parameters of these
         count as equal in two muscles.
@@ -319,11 +310,10 @@ def rungs_of(
         losses = (*(e for e in losses if type(e) not in map(type, one.losses)), *one.losses)
         own += one.free
         plant = build(feed=replace(regulator, **parts), losses=losses)
-        if name in UNEQUAL:
-            apart = UNEQUAL[name]
-            if len(_tied(plant, apart[0])) < 2:
+        if name == "unequal lags":
+            if len(_tied(plant, "lag")) < 2:
                 continue
-            own = tuple(n for k in own for n in (_tied(plant, k) if k in apart else (k,)))
+            own = tuple(n for k in own for n in (_tied(plant, k) if k in LAGS else (k,)))
         chosen, starts = _present(plant, free), list(one.starts)
         if name == "force law":
             taken = _members(plant, chosen)
@@ -386,7 +376,7 @@ def _added(regulator: Regulator) -> dict[str, _Added]:
     return {
         "static": _Added(),
         "lag": alike(lags, 0.002, 0.02, 0.1),
-        **{name: _Added() for name in UNEQUAL},
+        "unequal lags": _Added(),
         "dead time": alike(late, 0.001, 0.004, 0.02, 0.06, parts={"dead_time": line}),
         "slew": alike(("slew",), parts=slow, fast={"slew": (3.0, 0.9, 0.5, 0.25)}),
         "friction": alike(("friction_constant",), 0.0, 1.0, 8.0, losses=(friction,), damps=True),
