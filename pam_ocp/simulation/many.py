@@ -194,7 +194,7 @@ def simulate_many(
         with it has failed; the others are not touched.
     workers : the same as a number given as ``executor``.
     chunk : cases per task; by default so that there are some fifty tasks for each worker; with
-        ``into`` 100 cases, fewer where there are fewer than 4000. With ``keep`` rows of a file
+        ``into`` 100 cases, fewer where there are fewer than 1600. With ``keep`` rows of a file
         (100 000).
     progress : called as progress(done, all) after each finished task; all is None for a generator.
     into : a folder for the results, in place of memory: one Parquet file per task, which the
