@@ -24,7 +24,6 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
-from ..core.executors import Place
 from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..judge.motion import judge
@@ -49,6 +48,8 @@ from .transcription.transcription import Program, transcribe
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+    from ..core.executors import Place
 
 SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progress": "progress"}
 """Keywords that say how a solution is searched, and the fields of Backend that hold them."""

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from ..core.stop import TimeIsUp, spared
 from ..judge.costs import COSTS
 from ..judge.statement import Statement
-from .arcs_search import ArcSearch
 from .candidate import Candidate, Checked, Engine, renewed, same_form
 from .continuation import Continuation, ValveOpenings
 from .mesh_sequence import MeshSequence
@@ -208,6 +207,7 @@ class Search:
 
     def _by_arcs(self, c: Candidate) -> bool:
         """Whether intervals that end where inputs switch met the tolerance."""
+        from .arcs_search import ArcSearch  # few plans are by arcs
 
         def taken(found: Solved) -> Checked | None:
             if not found.outcome.success:

@@ -22,17 +22,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.cases import ending
 from ..core.errors import PlanError
-from ..core.executors import Place, placed
 from ..core.stop import TimeIsUp, check
-from ..core.workers import processors
 from ..numerics.blas import environment
 from ..numerics.solvers import nlpsol
 from ..plants.plant import Plant
@@ -45,6 +42,9 @@ from .stages import written
 from .transcription.guess import by_stops, wants_balance
 from .transcription.mesh import Mesh
 from .transcription.transcription import Program
+
+if TYPE_CHECKING:
+    from ..core.executors import Place
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -172,6 +172,8 @@ def starts_on(executor: Place) -> Iterator[None]:
     if executor is None:
         yield
         return
+    from ..core.executors import placed  # `plan` loads no module for other processes without need
+
     placed(executor)
     before = PLACE.set(executor)
     try:
@@ -190,6 +192,8 @@ def solved_side_by_side(
     executor = PLACE.get()
     if executor is None:
         return _by_processes(ipopt, program, tasks, first)
+    from ..core.cases import ending
+
     work: Any = _Elsewhere(*ipopt.portable({task.start for task in tasks}))
     cases = [(task.start, ipopt.arguments(program, task.guess)) for task in tasks]
     found: dict[int, Outcome] = {}
@@ -252,6 +256,8 @@ def _by_processes(
     ipopt: Ipopt, program: Program, tasks: Sequence[Task], first: float
 ) -> list[Outcome]:
     """By processes that know CasADi alone, and this one; short work by this one alone."""
+    from ..core.workers import processors
+
     queue, found = deque(range(len(tasks))), {}
     others = min(len(tasks), processors()) - 1
     workers: list[_Worker] = []

@@ -182,9 +182,9 @@ def test_a_signal_ends_starts_wherever_they_are(where: Any) -> None:
 
 def test_a_time_limit_keeps_what_starts_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time is up behind the second of the starts that are handed out."""
-    from pam_ocp.planning import starts as side_by_side
+    from pam_ocp.core import cases
 
-    whole = side_by_side.ending
+    whole = cases.ending
 
     def broken_off(*arguments: Any, **options: Any) -> Iterator[tuple[int, Any]]:
         ended = whole(*arguments, **options)
@@ -192,7 +192,7 @@ def test_a_time_limit_keeps_what_starts_found(monkeypatch: pytest.MonkeyPatch) -
         yield next(ended)
         raise TimeIsUp
 
-    monkeypatch.setattr(side_by_side, "ending", broken_off)
+    monkeypatch.setattr(cases, "ending", broken_off)
     plant = pam.HangingLoad("DMSP-20-400N", 20.0, feed=pam.feeds.SpoolValve())
     planner = pam.Planner(plant, [{"x": 0.02}, {"x": 0.04}], method=pam.Collocation(8, 3))
     plan = planner(tolerance=None, starts=6, executor=0)

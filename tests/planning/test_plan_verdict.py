@@ -506,7 +506,7 @@ def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatc
 
     monkeypatch.setattr(side_by_side._Worker, "__init__", begin)
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr(side_by_side, "processors", lambda: 3)
+    monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
     monkeypatch.setattr(side_by_side.Ipopt, "__call__", _slowly(side_by_side.Ipopt.__call__))
     beside = pam.plan(by_valve, **UP)
     assert len(alone.statistics["starts"]) == len(beside.statistics["starts"]) == 4
@@ -535,7 +535,7 @@ def test_where_no_process_can_be_started_all_starts_are_solved_here(by_valve, mo
         raise OSError("no more processes")
 
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr(side_by_side, "processors", lambda: 3)
+    monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
     monkeypatch.setattr(side_by_side.subprocess, "Popen", refused)
     assert len(pam.plan(by_valve, **UP).statistics["starts"]) == 4
 
@@ -563,7 +563,7 @@ def test_ctrl_c_among_several_starts_leaves_no_process_behind(by_valve, monkeypa
     from pam_ocp.planning import starts as side_by_side
 
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr(side_by_side, "processors", lambda: 3)
+    monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
     begun = []
     popen = side_by_side.subprocess.Popen
 
