@@ -8,22 +8,18 @@ to unit length before its rank is judged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite
-from ..core.foreign import frame
 from ..muscles.law import ForceLaw
 from ..numerics.elementwise import Elementwise
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -109,19 +105,13 @@ def even(columns: Array) -> tuple[Array, Array]:
 
 
 def spanned(columns: Array, tolerance: float = RANK_TOLERANCE) -> Array:
-    """Orthonormal columns that span the given ones (n, k), whatever lengths these have.
-
-    tolerance : singular values below this times the largest count as zero.
-    """
+    """Orthonormal columns that span the given ones (n, k); small singular values count as zero."""
     u, s, _ = np.linalg.svd(even(columns)[0], full_matrices=False)
     return np.asarray(u[:, s > tolerance * s.max(initial=1e-300)])
 
 
 def inverse(squares: Array, tolerance: float = 1e-13) -> Array:
-    """Inverses of symmetric matrices >= 0 (..., k, k); of what they determine, and no more.
-
-    tolerance : eigenvalues below this times the largest count as zero (diagonals scaled to 1).
-    """
+    """Pseudoinverses of symmetric matrices >= 0 (..., k, k), their diagonals scaled to 1."""
     d = np.sqrt(np.maximum(np.diagonal(squares, axis1=-2, axis2=-1), 0.0))
     d = np.where(d > 0, d, 1.0)
     both = d[..., :, None] * d[..., None, :]
@@ -138,6 +128,14 @@ def student_t(level: float, dof: int) -> float:
     return float(stdtrit(dof, (1 + level) / 2)) if dof > 0 else float("inf")
 
 
+def require_choice(argument: str, value: Any, known: Sequence[str]) -> Any:
+    """``value``, or an InputError when it is none of ``known``."""
+    if value not in known:
+        *first, last = map(repr, known)
+        raise InputError(f"{argument} = {value!r}: choose {', '.join(first)} or {last}")
+    return value
+
+
 def f_test(gained: float, more: int, left: float, dof: int) -> tuple[float, float]:
     """(F, the probability that chance alone makes it as large) of nested models.
 
@@ -152,8 +150,7 @@ def f_test(gained: float, more: int, left: float, dof: int) -> tuple[float, floa
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient of a fit [unit]; stderr is 0 where held,
-    infinite where the data are blind.
+    """One coefficient of a fit [unit]; stderr is 0 where held, infinite where the data are blind.
 
     Examples
     --------
@@ -168,18 +165,6 @@ class Coefficient:
     unit: str
     held: bool
     description: str = ""
-
-
-def coefficient_frame(
-    coefficients: Mapping[str, Coefficient], intervals: Mapping[str, tuple[float, float]]
-) -> pd.DataFrame:
-    """Coefficients as a DataFrame by name: value, stderr, low, high, unit, held, description."""
-    rows = [
-        (c.value, c.stderr, *intervals.get(n, (c.value, c.value)), c.unit, c.held, c.description)
-        for n, c in coefficients.items()
-    ]
-    head = ("value", "stderr", "low", "high", "unit", "held", "description")
-    return frame(rows, head, list(coefficients), "name")
 
 
 @dataclass(frozen=True)
@@ -251,13 +236,10 @@ class SerialErrors:
     order : along what, in words. probability : that errors are serially correlated at all.
     correlation : of neighbouring errors, the mean over all that the data leave possible.
     meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones
-    would
-    have. spread : standard deviation of an error, in that of independent ones.
+    would have. spread : standard deviation of an error, in that of independent ones.
     weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
-    coefficients, in
-    those of ``correlation``. dof : degrees of freedom.
+    coefficients, in those of ``correlation``. dof : degrees of freedom.
     values, spreads : (g,), each rho, and the standard deviation of an error with it.
-    """
 
     order: str
     correlation: float

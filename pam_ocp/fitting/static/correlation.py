@@ -36,26 +36,20 @@ FEWEST = 6
 
 
 def neighbours(series: Sequence[Array]) -> float:
-    """Correlation of neighbouring values over all series (each about zero);
-    0 where all are zero.
-    """
+    """Correlation of neighbouring values over all series, each about zero."""
     products = sum(float(r[1:] @ r[:-1]) for r in series)
     squares = sum(float(r @ r) for r in series)
     return products / squares if squares else 0.0
 
 
 def widening(rho: float) -> float:
-    """Factor by which a long series with this correlation of neighbours widens the error
-    of a mean.
-    """
+    """Factor by which such a correlation of neighbours widens the error of a long series' mean."""
     return float(np.sqrt((1 + rho) / (1 - min(rho, 0.999))))
 
 
 @dataclass(frozen=True)
 class Order:
-    """An order of the measurements. follows[i] : whether the i-th of that order follows the one
-    before.
-    """
+    """An order of the measurements, and whether each follows the one before."""
 
     words: str
     order: NDArray[np.intp]
@@ -217,9 +211,7 @@ def _following(new: Array, rho: float, order: Order) -> Array:
 
 
 def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Array]:
-    """Logarithm of the restricted likelihood, and the least squares of new errors,
-    for each of RHO.
-    """
+    """Logarithm of the restricted likelihood, and least squares of new errors, for each of RHO."""
     whole = _products(np.column_stack([basis, residuals]), order)
     normal, mixed, square = whole[:, :-1, :-1], whole[:, :-1, -1], whole[:, -1, -1]
     fitted = np.linalg.solve(normal, mixed[:, :, None])[:, :, 0]
@@ -230,9 +222,7 @@ def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Ar
 
 
 def _products(columns: Array, order: Order) -> Array:
-    """X^T R^-1 X (g, k, k) of columns (n, k) for each of RHO, from their differences along the
-    order.
-    """
+    """X^T R^-1 X (g, k, k) of columns (n, k) for each of RHO, by differences along the order."""
     x, late, rho = columns[order.order], order.follows, RHO[:, None, None]
     first, own, before = x[~late], x[late], x[np.nonzero(late)[0] - 1]
     cross = own.T @ before

@@ -28,12 +28,12 @@ from ...muscles.law import ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ...muscles.pneumatic_muscle import Muscle
 from ...muscles.validity import ValidityWarning
-from ..statistics import Array, Prediction, SolverStatistics
+from ..statistics import Array, Prediction, SolverStatistics, require_choice
 from ..tables.floor import Floor
 from ..tables.force_table import ForceTable
 from .branches import LackOfFit, lack_of_fit
 from .correlation import drawn_errors, scaled_errors, sequences
-from .least_squares import LeastSquares, Terms
+from .least_squares import LeastSquares, Terms, finite
 from .likelihood_profile import Ends, Sweep, profile_ends
 from .optimum import Optimum
 from .report import force_report, force_warnings
@@ -182,9 +182,7 @@ class ForceFit(Optimum):
 
     @cached_property
     def _bends(self) -> bool:
-        """Whether a band by linearisation would mislead: the one nonlinear coefficient is hardly
-        known.
-        """
+        """Whether a linearised band misleads: the one nonlinear coefficient is hardly known."""
         if len(self.problem.nonlinear) != 1 or not self.has_profile or not self.sigma > 0:
             return False
         c = self.coefficients[self.problem.names[self.problem.nonlinear[0]]]
@@ -235,8 +233,7 @@ class ForceFit(Optimum):
         time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.
         """
         require_count("n", n, 2)
-        if method not in ("residuals", "cases"):
-            raise InputError(f"method = {method!r}: choose 'residuals' or 'cases'")
+        require_choice("method", method, ("residuals", "cases"))
         if method == "residuals" and self.dof < 1:
             raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
         random = np.random.default_rng(require_count("seed", seed, 0))
@@ -354,13 +351,13 @@ class ForceFit(Optimum):
             "coefficients": {n: float(v) for n, v in self.law.values.items()},
             "held": list(self.held),
             "stderr": {n: c.stderr for n, c in self.coefficients.items() if np.isfinite(c.stderr)},
-            "intervals": {n: [_finite(e) for e in pair] for n, pair in self.intervals().items()},
+            "intervals": {n: list(map(finite, pair)) for n, pair in self.intervals().items()},
             "open": self.open_ends(),
             "correlation": None
             if serial is None
             else {"along": serial.order, "neighbours": serial.correlation},
             "rmse": self.rmse,
-            "r2": _finite(self.r2),
+            "r2": finite(self.r2),
             "warnings": list(self.warnings),
             "solver": asdict(self.solver),
             "terms": self.terms.to_json(),
@@ -419,11 +416,6 @@ def _law_named(name: Any) -> type[ForceLaw]:
         return law_named(str(name))
     except UnknownNameError as error:
         raise InputError(f"{error} Give the class of an own law: law=...") from None
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no infinity: null for an open end."""
-    return float(value) if np.isfinite(value) else None
 
 
 # ---- where a prediction is asked for -------------------------------------------------------------

@@ -264,32 +264,22 @@ class Holds:
         self.variables = [
             plant.variable(n.removeprefix("zero.").removeprefix("band.")) for n in names
         ]
-        self.own = [v.causality == "parameter" for v in self.variables]
-        start = [
-            float(v.start or 0.0) if p else 0.0
-            for v, p in zip(self.variables, self.own, strict=True)
-        ]
-        self.start = np.array(start)
+        self.own = np.array([v.causality == "parameter" for v in self.variables])
+        self.start = np.where(self.own, [float(v.start or 0.0) for v in self.variables], 0.0)
         self.nominal = np.array([v.nominal for v in self.variables])
 
     def limits(self, bounds: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
         """Lower and upper bounds of the estimates. Raises InputError, UnknownNameError."""
-        pairs = zip(self.variables, self.own, strict=True)
-        low, high = (
-            list(e)
-            for e in zip(
-                *((v.min, v.max) if p else (-np.inf, np.inf) for v, p in pairs), strict=True
-            )
-        )
-        for i, name in enumerate(self.names):
-            low[i] = 0.0 if name.startswith("band.") else low[i]
+        low = np.where(self.own, [v.min for v in self.variables], -np.inf)
+        high = np.where(self.own, [v.max for v in self.variables], np.inf)
+        low[[n.startswith("band.") for n in self.names]] = 0.0
         for name, ends in bounds.items():
             if name not in self.names:
                 raise UnknownNameError("estimate in bounds", name, self.names)
             i = self.names.index(name)
             first, second = require_ends(f"bounds[{name!r}]", ends, self.variables[i].unit)
             low[i], high[i] = max(low[i], first), min(high[i], second)
-        return np.array(low), np.array(high)
+        return low, high
 
     def __call__(self, estimates: Array) -> tuple[Array, Array]:
         """Measured less predicted (n, y), and its derivatives (n, y, k)."""
@@ -336,9 +326,7 @@ def _minimised(
     factors: Array,
     moved: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Least squares of residuals times ``factors`` (n, y) within bounds; ``moved`` (k,) estimates
-    change, by default all.
-    """
+    """Least squares of residuals times ``factors`` (n, y) within bounds; ``moved`` : or all."""
     free = np.ones(len(start), dtype=bool) if moved is None else moved
     squares = _Weighted(problem, factors, free)
     low, high = (end[None, free] for end in limits)
@@ -348,8 +336,7 @@ def _minimised(
             "the plant finds no rest at these pressures near the measured positions; give start "
             "values nearer to the truth (plant.with_values(...)) or bounds"
         )
-    found: Array = ended.coefficients[0]
-    return found
+    return np.asarray(ended.coefficients[0])
 
 
 class _End(NamedTuple):

@@ -22,16 +22,14 @@ from ...core.plausible import UnitWarning
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .least_squares import DECADES, LeastSquares, projected, sizes
-from .local_optimum import Bounded, descend
+from .local_optimum import Problem, descend
 from .optimum import Optimum
 from .search import minimise
 
 SAME_COST = 1e-9
 """Relative fall of the cost at which the others count as fitted, where one of them walks."""
 FARTHEST = 1e4
-"""Standard errors (or, if more, values of the coefficient) within which an end is sought by
-walking.
-"""
+"""Standard errors (or, if more, values of the coefficient) as far as which a walk seeks an end."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def _others(fit: Optimum, place: int, start: Array) -> tuple[Array, float]:
     return best, cost if np.all(pull <= 1.001 * problem.slack_tolerance) else beyond
 
 
-def refitted(problem: Bounded, start: Array, held: Sequence[int]) -> tuple[Array, float]:
+def refitted(problem: Problem, start: Array, held: Sequence[int]) -> tuple[Array, float]:
     """The best of the unknowns near ``start`` that are not ``held``, and what they cost."""
     free = list(problem.free)
     low, high = (
@@ -111,8 +109,7 @@ def refitted(problem: Bounded, start: Array, held: Sequence[int]) -> tuple[Array
 
 def profile_end(fit: Optimum, name: str, step: float, limit: float) -> tuple[float, str]:
     """Value of ``name``, on the side of ``step``, at which the profiled cost reaches ``limit``, or
-    why there is none; see :func:`walked`. A nonlinear coefficient is followed as far as it is
-    sought.
+    why there is none; see :func:`walked`.
     """
     place, problem = list(fit.law.values).index(name), fit.problem
     variable, best = problem.variables[place], float(fit.law.values[name])
@@ -262,9 +259,7 @@ class Sweep:
         side: float,
         limit: float,
     ) -> Array:
-        """How far to a side the coefficient may go at each value (m,) of q; -inf where the cost is
-        too high.
-        """
+        """How far the coefficient goes at each value (m,) of q; -inf where the cost is too high."""
         (cost, best, root), i = results, self.problem.free[free]
         room = limit - cost
         if i == self.place:
@@ -277,9 +272,7 @@ class Sweep:
         return np.where((room >= 0) & np.isfinite(far), far, -np.inf)
 
     def band(self, p: Array, kappa: Array, limits: Array) -> tuple[Array, Array]:
-        """Lowest and highest force (n,) at places (n,) over all laws that cost no more than
-        ``limits`` (n,).
-        """
+        """Lowest and highest force (n,) at places (n,) over laws of no more than these costs."""
         cost, best, root = self.results
         kept = cost <= max(float(limits.max()), float(cost.min()))
         with warnings.catch_warnings():
@@ -296,9 +289,7 @@ class Sweep:
         return np.asarray(low.min(axis=0)), np.asarray(high.max(axis=0))
 
     def _at_edge(self, j: int) -> bool:
-        """Whether the law degenerates at this value: the ends of the scan, and where it passes
-        zero.
-        """
+        """Whether the law degenerates at this value: an end of the scan, or beside zero."""
         if j in (0, len(self.values) - 1):
             return True
         variable = self.problem.variables[self.place]

@@ -186,13 +186,8 @@ def compare_laws(
     ['five-parameter', 'six-parameter']
     """
     require_table(table)
-    chosen: list[str | type[ForceLaw]] = (
-        [*LAWS, polynomial_law(1, 3)]
-        if laws is None
-        else [laws]
-        if isinstance(laws, str)
-        else list(laws)
-    )
+    given: Iterable[str | type[ForceLaw]] = [*LAWS, polynomial_law(1, 3)] if laws is None else laws
+    chosen = [given] if isinstance(given, str) else list(given)
     if not chosen:
         raise InputError("laws is empty: give names or classes of force laws")
     kinds = [law_class(law) for law in chosen]

@@ -23,7 +23,15 @@ from ...core.executors import Place, placed
 from ...core.variables import Variable
 from ...muscles.law import ForceLaw
 from ..estimates import Estimates, at_edge, correlation_lines
-from ..statistics import Array, Linearisation, SerialErrors, SolverStatistics, even, spanned
+from ..statistics import (
+    Array,
+    Linearisation,
+    SerialErrors,
+    SolverStatistics,
+    even,
+    require_choice,
+    spanned,
+)
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
 from .force_fit import ForceFit
@@ -65,9 +73,7 @@ class MemberFit(ForceFit):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """As of a fit alone, but for the number of levels:
-        the other tables tell more than these.
-        """
+        """As of a fit alone, but for the number of levels: the other tables tell more."""
         return (*floor_doubts(self), *unseen(self), *at_edge(self.solver.at_bound, self.law.values))
 
     @property
@@ -91,10 +97,7 @@ class MemberFit(ForceFit):
 
 
 def marginal_root(jacobian: Array, place: Any) -> Array:
-    """R (k, k) with R^T R the information on some unknowns when the others are unknown too.
-
-    The columns of the others are projected out of theirs (what is left of a QR decomposition).
-    """
+    """R (k, k) with R^T R the information on some unknowns, the others projected out (by QR)."""
     scaled, norms = even(jacobian)
     others, rest = spanned(np.delete(scaled, place, axis=1), 1e-12), scaled[:, place]
     rest = rest - others @ (others.T @ rest)
@@ -221,8 +224,7 @@ def jointly_fitted(
     """See :func:`fit_forces`; tables : {muscle: table}, or a sequence of tables."""
     began = time.perf_counter()
     named = _named(tables)
-    if noise not in ("equal", "each"):
-        raise InputError(f"noise = {noise!r}: choose 'equal' or 'each'")
+    require_choice("noise", noise, ("equal", "each"))
     problem, common, units = _stated(kind, named, shared, fixed, weights, bounds)
     optimum, factors = _settled(problem, noise)
     weighted = problem.weighted(factors)
@@ -586,9 +588,7 @@ class JointProblem:
         return [sizes(variables[z]) for z in self.nonlinear]
 
     def near(self, start: Array) -> tuple[Array, Array]:
-        """Bounds within the reach of the scan: beyond it a law degenerates,
-        and nothing is reached.
-        """
+        """Bounds within the reach of the scan: beyond it a law degenerates."""
         low, high = self.bounds()
         for i, scale in zip(self.nonlinear, self.scales, strict=True):
             if not np.isfinite(high[i] - low[i]):
