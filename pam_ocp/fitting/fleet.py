@@ -117,7 +117,6 @@ class Population(Tabled):
         return self._spread(self.within, level)
 
     def _spread(self, scatter: Scatter, level: float) -> dict[str, tuple[float, float, float]]:
-        student_t(level, 1)  # refuses a level that cannot be
         rows = np.array(scatter.spreads(level)).T.tolist()
         return {n: (r[0], r[1], r[2]) for n, r in zip(self.coefficients, rows, strict=True)}
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .statistics import Array, inverse, student_t
+from .statistics import Array, inverse, require_level, student_t
 
 STEPS = 400
 SETTLED = 1e-5
@@ -48,7 +48,7 @@ class Scatter:
         """
         from scipy.special import chdtri
 
-        size = np.diag(self.covariance)
+        level, size = require_level(level), np.diag(self.covariance)
         if self.dof < 1:
             return np.sqrt(size), np.zeros_like(size), np.full_like(size, np.inf)
         tail, whole = (1 - level) / 2, size + self.own

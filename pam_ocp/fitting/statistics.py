@@ -118,13 +118,19 @@ def inverse(squares: Array, tolerance: float = 1e-13) -> Array:
     return np.asarray(np.linalg.pinv(squares / both, rcond=tolerance, hermitian=True) / both)
 
 
+def require_level(level: float) -> float:
+    """``level``, or an InputError when it is no part between 0 and 1."""
+    level = require_finite("level", level)
+    if not 0 < level < 1:
+        raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+    return level
+
+
 def student_t(level: float, dof: int) -> float:
     """Half width of a two-sided interval in standard errors; infinite without freedom."""
     from scipy.special import stdtrit
 
-    level = require_finite("level", level)
-    if not 0 < level < 1:
-        raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+    level = require_level(level)
     return float(stdtrit(dof, (1 + level) / 2)) if dof > 0 else float("inf")
 
 

@@ -36,7 +36,7 @@ from ...core.errors import (
 from ...core.executors import Client, Place
 from ...core.stop import limited
 from ...core.trajectory import Trajectory
-from ..statistics import Array, student_t
+from ..statistics import Array, require_level, student_t
 
 
 def mean_loss(losses: Array) -> Array:
@@ -313,7 +313,7 @@ def choose(
     chosen_records = [require_instance("records", r, Trajectory, _RECORDS) for r in records]
     if rule not in RULES:
         raise InputError(f"rule = {rule!r}: choose one of {', '.join(RULES)}")
-    student_t(level, 1)  # refuses what is no level
+    require_level(level)
     drawn = secrets.randbelow(2**31) if seed is None else seed
     fold = _folds(len(chosen_records), folds, groups, drawn)
     count = int(fold.max()) + 1

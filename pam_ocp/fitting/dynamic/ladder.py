@@ -26,7 +26,6 @@ from ...core.errors import (
     OutOfTime,
     UnknownNameError,
     require_count,
-    require_finite,
     require_instance,
 )
 from ...core.executors import Place
@@ -39,7 +38,7 @@ from ...plants.feeds import DeadTime, Regulator
 from ...plants.losses import CoulombFriction, Creep, MaxwellSlip
 from ...plants.plant import Plant
 from ..estimates import coefficient_line
-from ..statistics import student_t
+from ..statistics import require_level, student_t
 from .adequacy import Adequacy, adequacy_of
 from .choice import paired
 from .evidence import evidence_of
@@ -163,7 +162,7 @@ def fit_ladder(
         else _own(build)
     )
     names = measured_names(ladder[-1].plant, chosen, outputs)
-    student_t(level, 1)  # refuses what is no level
+    require_level(level)
     parts = _parts(chosen, require_count("folds", folds, 3))
     # in turn, so that a fold has parts of early and of late
     fold = np.arange(len(parts), dtype=np.intp) % min(folds, len(parts))
@@ -522,8 +521,7 @@ class Ladder:
         >>> min(ladder.predict(commanded).coverage.values()) > 0.8
         True
         """
-        if not 0 < require_finite("level", level) < 1:
-            raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
+        require_level(level)
         found, every = self._named(rung), recorded(records)
         if found.failure:
             raise InputError(f"rung = {found.name!r} has no fit ({found.failure}); choose another")

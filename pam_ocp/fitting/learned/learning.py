@@ -21,13 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import (
-    InputError,
-    require_count,
-    require_finite,
-    require_instance,
-    require_positive,
-)
+from ...core.errors import InputError, require_count, require_instance, require_positive
 from ...core.shown import shown
 from ...core.stop import check, verb
 from ...core.trajectory import Trajectory
@@ -40,7 +34,7 @@ from ..dynamic.gauss_newton import descend
 from ..dynamic.rollout import Rollout
 from ..dynamic.runs import Band, FreeRun
 from ..dynamic.structures import FreeRunStructure
-from ..statistics import Array
+from ..statistics import Array, require_level
 from .residual import Attached, Residual, Visited, attached
 
 STRENGTHS = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -124,8 +118,7 @@ class LearnedFit:
         """Runs along records with bands that hold ``level`` of what is measured there, if these
         records are like those of the fit; wider where the members disagree.
         """
-        if not 0 < require_finite("level", level) < 1:
-            raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
+        require_level(level)
         run = self.validate(records, **options)
         wide = _sizes(self.errors, _disagreement(self.members, self.physics, run, records, options))
         rank = np.ceil((1 + 1 / max(len(self.scores), 1)) * level * len(self.scores))
@@ -339,19 +332,19 @@ class _Trial:
             weights = search.to(strength, self.evaluations)
         return self.attached.at(weights)
 
+    def left(self, fold: int) -> list[Trajectory]:
+        """The parts that a fold leaves out."""
+        return [p for p, k in zip(self.parts, self.fold, strict=True) if k == fold]
+
     def _tried(self, value: float | None, weights: Sequence[Array]) -> _Tried:
-        runs, losses = [], None
-        for i, w in enumerate(weights):
-            own = np.flatnonzero(self.fold == i)
-            left = [self.parts[j] for j in own]
-            run = runs_like(self.fit, self.attached.at(w), left, {})
-            found = _losses(run, len(left))
-            losses = (
-                np.full((len(self.parts), found.shape[1]), np.nan) if losses is None else losses
-            )
-            losses[own] = found
-            runs.append(run)
-        assert losses is not None
+        runs = [
+            runs_like(self.fit, self.attached.at(w), self.left(i), {})
+            for i, w in enumerate(weights)
+        ]
+        found = [_losses(run, len(self.left(i))) for i, run in enumerate(runs)]
+        losses = np.empty((len(self.parts), found[0].shape[1]))
+        for i, own in enumerate(found):
+            losses[self.fold == i] = own
         return _Tried(value, tuple(weights), tuple(runs), losses)
 
     def compared(self, tried: _Tried) -> Strength:
@@ -397,9 +390,7 @@ def _losses(run: FreeRun, records: int) -> Array:
 
 
 class _Search:
-    """A descent from strong penalties to weak ones along some records, whose starts stay where the
-    physics has them.
-    """
+    """A descent from strong penalties to weak ones along some records; starts stay the physics'."""
 
     def __init__(self, made: Attached, fit: FreeRunFit, records: Sequence[Trajectory]) -> None:
         self._made, self._w = made, made.begin
@@ -439,9 +430,7 @@ def _visited(fit: FreeRunFit, records: Sequence[Trajectory]) -> Visited:
 
 
 def _out_of_fold(tried: _Tried, trial: _Trial, members: Sequence[Plant]) -> tuple[Array, Array]:
-    """(root mean square of the errors by time since the start (K, ny), each error in parts of its
-    expected size (m, ny)).
-    """
+    """(root mean square of the errors by time since the start (K, ny), scores as in LearnedFit)."""
     apart = [np.abs(run.predicted - run.measured) for run in tried.runs]
     square = np.full(
         (sum(map(len, apart)), max(e.shape[1] for e in apart), apart[0].shape[2]), np.nan
@@ -452,8 +441,7 @@ def _out_of_fold(tried: _Tried, trial: _Trial, members: Sequence[Plant]) -> tupl
     errors = np.sqrt(np.nanmean(square, axis=0))
     scores = []
     for i, (run, error) in enumerate(zip(tried.runs, apart, strict=True)):
-        left = [p for p, k in zip(trial.parts, trial.fold, strict=True) if k == i]
-        spread = _disagreement(members, trial.fit, run, left, {})
+        spread = _disagreement(members, trial.fit, run, trial.left(i), {})
         own = (error / np.maximum(_sizes(errors, spread), 1e-300)).reshape(-1, error.shape[2])
         scores.append(own[~np.isnan(own).any(axis=1)])
     return errors, np.concatenate(scores)

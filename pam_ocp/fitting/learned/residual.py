@@ -21,6 +21,7 @@ from typing import Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 from scipy.cluster.vq import kmeans2
+from scipy.linalg import block_diag
 
 from ...core.errors import (
     InputError,
@@ -233,8 +234,8 @@ class Visited:
         return np.asarray(np.asarray(found, dtype=float).T)
 
     def shuffled(self, random: np.random.Generator) -> Visited:
-        """Each variable where it was, at another time than the others: along motions the terms of
-        a rate balance each other, here their size shows.
+        """Each variable where it was, at another time than the others: along motions the terms of a
+        rate balance each other, here their size shows.
         """
         return Visited(random.permuted(self.x, axis=0), random.permuted(self.u, axis=0))
 
@@ -268,10 +269,7 @@ def attached(
         if any(w.startswith(f"{label}.") for w in found.weights):
             raise InputError(f"residuals[{number}] is a second one of {residual.of}; give one")
         one = _with_one(found.plant, residual, label, visited, random)
-        blocks = found.precision, one.precision
-        sizes = [len(b) for b in blocks]
-        precision = np.zeros((sum(sizes), sum(sizes)))
-        precision[: sizes[0], : sizes[0]], precision[sizes[0] :, sizes[0] :] = blocks
+        precision = block_diag(found.precision, one.precision)
         visited = Visited(np.pad(visited.x, ((0, 0), (0, residual.memory))), visited.u)
         found = Attached(
             one.plant,
@@ -341,19 +339,11 @@ def _with_one(
     begin = values.copy()
     if residual.passive:
         begin[: len(form.begin)] += ASIDE * form.linear * random.standard_normal(len(form.begin))
-    return Attached(
-        plant.with_terms(declare), names, values, begin, _precision(form, leaky.size), memories
-    )
+    precision = block_diag(form.precision, np.eye(leaky.size))
+    return Attached(plant.with_terms(declare), names, values, begin, precision, memories)
 
 
 def _size(values: Array, nominal: float) -> float:
     """Of what varies: its standard deviation over the training motions."""
     found = float(values.std())
     return found if found > LEAST * nominal else nominal
-
-
-def _precision(form: Form, more: int) -> Array:
-    n = len(form.begin)
-    found = np.eye(n + more)
-    found[:n, :n] = form.precision
-    return found

@@ -197,13 +197,8 @@ def fit_campaign(
 
     Examples
     --------
-    >>> import warnings
-    >>> with warnings.catch_warnings(record=True) as told:
-    ...     warnings.simplefilter("always")
-    ...     campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
-    ...
-    >>> told[0].category.__name__
-    'DeprecationWarning'
+    >>> pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)["M1"].name  # and a warning
+    'M1'
     """
     warnings.warn(
         "fit_campaign(..., length_laws=LAWS) is fit_forces(..., candidates=LAWS), its columns= and "
@@ -327,9 +322,7 @@ class _Study:
 
 
 def _runs(fit: ForceFit) -> tuple[RunStudy, ...]:
-    """Each repeat against the mean of the repeats of each of its cells; against the law where
-    no cell was repeated.
-    """
+    """Each repeat against the mean of the repeats of its cells, or, without any, the law."""
     cells = fit.cells
     names = list(dict.fromkeys(cells.run))
     if len(names) < 2:
@@ -344,16 +337,9 @@ def _runs(fit: ForceFit) -> tuple[RunStudy, ...]:
         own = off[np.array([r == name for r in cells.run])]
         own = own[np.isfinite(own)]
         if own.size:
-            spread = float(np.std(own, ddof=1)) if own.size > 1 else float("nan")
-            found.append(
-                RunStudy(
-                    name,
-                    own.size,
-                    float(own.mean()),
-                    spread / own.size**0.5,
-                    float(np.sqrt(np.mean(own**2))),
-                )
-            )
+            error = float(np.std(own, ddof=1)) / own.size**0.5 if own.size > 1 else float("nan")
+            rmse = float(np.sqrt(np.mean(own**2)))
+            found.append(RunStudy(name, own.size, float(own.mean()), error, rmse))
     return tuple(found)
 
 
@@ -371,9 +357,7 @@ def _grouped(muscles: Mapping[str, MuscleStudy]) -> list[list[MuscleStudy]]:
 
 
 def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
-    """Probability that sharing costs as much by noise alone (F-test of nested fits, independent
-    errors).
-    """
+    """Probability that sharing costs as much by noise alone (F-test of nested fits)."""
     if any(f.terms.loss != "squares" for f in alone):
         return float("nan")
     free = sum(f.squares for f in alone)

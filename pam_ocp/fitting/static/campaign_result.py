@@ -217,28 +217,18 @@ def _muscle_lines(study: MuscleStudy) -> list[str]:
 
 def _length_lines(group: LengthStudy) -> list[str]:
     lines = [f"[[Diameter {_size(group.diameter)}]] {', '.join(group.muscles)}"]
-    if group.joint is not None:
-        judged = (
-            ""
-            if np.isnan(group.probability)
-            else (
-                f"; probability {group.probability:.2g} that sharing costs so much by noise alone, "
-                + ("the muscles differ" if group.probability < 0.05 else "no sign that they differ")
-            )
-        )
+    if group.joint is None:
+        lines.append(f"    no shared coefficients: {group.problem}")
+    else:
+        differ = "the muscles differ" if group.probability < 0.05 else "no sign that they differ"
+        cost = f"probability {group.probability:.2g} that sharing costs so much by noise alone"
         lines.append(
             f"    shared {', '.join(group.joint.shared) or 'nothing'}: RMSE "
-            f"{group.joint.rmse:.4g} N{judged}"
+            f"{group.joint.rmse:.4g} N{'' if np.isnan(group.probability) else f'; {cost}, {differ}'}"
         )
-    else:
-        lines.append(f"    no shared coefficients: {group.problem}")
     lines.append("    one set for all lengths: RMSE [N], and at lengths left out [N]")
     for law in group.ranked:
-        lines.append(
-            f"      {law.name:<22}{law.problem}"
-            if law.fit is None
-            else f"      {law.name:<22}{law.fit.rmse:>8.2f}{law.left_out_rmse:>8.2f}  ("
-            + ", ".join(f"{n} {v:.3g}" for n, v in law.left_out.items())
-            + ")"
-        )
+        left = ", ".join(f"{n} {v:.3g}" for n, v in law.left_out.items())
+        found = f"{law.rmse:>8.2f}{law.left_out_rmse:>8.2f}  ({left})" if law.fit else law.problem
+        lines.append(f"      {law.name:<22}{found}")
     return lines

@@ -28,7 +28,7 @@ from ...muscles.law import ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ...muscles.pneumatic_muscle import Muscle
 from ...muscles.validity import ValidityWarning
-from ..statistics import Array, Prediction, SolverStatistics, require_choice
+from ..statistics import Array, Prediction, SolverStatistics, require_choice, require_level
 from ..tables.floor import Floor
 from ..tables.force_table import ForceTable
 from .branches import LackOfFit, lack_of_fit
@@ -518,8 +518,7 @@ class Bootstrap:
         """Percentile interval of one coefficient."""
         if name not in self.names:
             raise UnknownNameError("fitted coefficient", name, self.names)
-        if not 0 < level < 1:
-            raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+        level = require_level(level)
         column = self.samples[:, self.names.index(name)]
         low, high = np.quantile(column, [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
