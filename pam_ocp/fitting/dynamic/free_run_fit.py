@@ -41,9 +41,7 @@ from .runs import LEAST_STEPS, MOST_STEPS, FreeRun, hidden_states, runs_of, sett
 ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
 POOR = 1e-3
-"""Mean squared error, in parts of the measured variance, above which fits with one unknown less are
-tried as starts.
-"""
+"""The same, from which fits with one unknown less are tried as starts."""
 FIRST = 4
 """A search over many runs begins with horizons of so many samples, which grow this many times."""
 

@@ -99,9 +99,7 @@ def spread_of(rollout: Rollout, z: Array) -> Spread:
 
 
 def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Of a normal matrix, in the directions that the runs see; which unknowns have a part in one
-    that they do not see.
-    """
+    """Of a normal matrix, in the directions that the runs see; which unknowns they do not."""
     size = np.sqrt(np.diag(square))
     values, vectors = np.linalg.eigh(square / np.outer(size, size))
     seen = values > UNSEEN * values.max(initial=0.0)
@@ -180,7 +178,10 @@ def fineness(rollout: Rollout, z: Array, spread: Spread) -> Fineness:
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = shared / stderr
     moved = np.where(np.isfinite(moved), moved, 0.0)
-    still = bool(np.all(error <= NO_NOISE * rollout.spread)) or unmoved(shared, stderr, z)
+    # small beside standard errors, or themselves; unknowns that no record sees have none
+    allowed = np.maximum(MOVED * stderr, EXACT * np.maximum(np.abs(z[: len(stderr)]), 1.0))
+    still = bool(np.all((shared <= allowed) | ~np.isfinite(stderr)))
+    still |= bool(np.all(error <= NO_NOISE * rollout.spread))
     return Fineness(gap, moved, small and still)
 
 
@@ -189,18 +190,9 @@ def shift(square: Array, right: Array) -> Array:
     return np.asarray(-inverse(square) @ right)
 
 
-def unmoved(shifts: Array, stderr: Array, z: Array) -> bool:
-    """Whether shifts of the first unknowns are small beside their standard errors, or themselves;
-    unknowns that no record sees have none.
-    """
-    allowed = np.maximum(MOVED * stderr, EXACT * np.maximum(np.abs(z[: len(stderr)]), 1.0))
-    return bool(np.all((shifts <= allowed) | ~np.isfinite(stderr)))
-
 
 def fine_runs(predicted: Array, finer: Array) -> bool:
-    """Whether halved steps change runs little, in parts of how far the runs reach themselves: what
-    was measured behind a start has no say in a prediction.
-    """
+    """Whether halved steps change runs little, in parts of how far the runs reach themselves."""
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # runs that diverge have no number at all
         gap = gaps(finer, predicted)

@@ -75,9 +75,8 @@ def descend(
     """Least squares from z; at most so many ``evaluations`` of the normal matrix.
 
     enough : relative gain of a step below which the search ends. damping : of the first step, in
-    parts of the normal matrix' diagonal. progress : called as
-    progress(evaluations, cost, z) at each new point. A time limit that ends does not raise when
-    there is a point to show.
+    parts of the normal matrix' diagonal. progress : called as progress(evaluations, cost, z) at
+    each new point. A time limit does not raise when there is a point to show.
     """
     z, growth = np.clip(z, low, high), 4.0
     best, count, damped = (problem.cost(z), z), 0, 0
@@ -128,10 +127,8 @@ def from_fewer(
     without: Callable[[int], Result],
     again: Callable[[Result], Result],
 ) -> Result:
-    """No freedom makes a fit worse: the same, or what is found from where a fit leads that has one
-    unknown less, where that is better.
-
-    without : the fit without the unknown at a place; again : with all of them, from there.
+    """The best, or what is found from where a better fit with one unknown less leads: no freedom
+    makes a fit worse. without : that fit, by place; again : with all unknowns, from there.
     """
     for place in list(places)[-FEWER:]:
         try:
@@ -148,9 +145,7 @@ def from_fewer(
 def _step(
     z: Array, gradient: Array, square: Array, damping: float, low: Array, high: Array
 ) -> Array:
-    """Minimiser of the damped model within the bounds: unknowns that a bound holds back are taken
-    out one set after the other.
-    """
+    """Minimiser of the damped model within the bounds; unknowns held back are taken out."""
     scale = np.sqrt(np.maximum(np.diag(square), 1e-12 * np.diag(square).max(initial=1e-300)))
     matrix = square / np.outer(scale, scale) + damping * np.eye(len(z))
     step, free = np.zeros(len(z)), np.ones(len(z), dtype=bool)
@@ -195,10 +190,7 @@ def _printed(stage: str, count: int, cost: float) -> None:
 
 # ---- damped Gauss-Newton -------------------------------------------------------------------------
 LEVENBERG = 1e-6
-"""Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
-
-It changes steps, not the solution. Unknowns are of size 1, residuals are in units of the noise.
-"""
+"""Added to the diagonal of the Hessian: directions that no residual sees stay where they are."""
 DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 TIMED = "Time_Limit"
 """Status of a search that a time limit ended with something to show."""

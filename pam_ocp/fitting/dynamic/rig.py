@@ -22,8 +22,8 @@ from ..statistics import Array
 from .experiment import ParameterGroup, named
 
 Delay: TypeAlias = "float | tuple[float, float] | Mapping[str, float | tuple[float, float]]"
-"""[s] of all inputs, or by input (a name or a pattern: those have one delay in common); a pair is
-the range in which it is estimated.
+"""[s] of all inputs, or by input (names, or patterns with one delay in common); a pair is the range
+in which it is estimated.
 """
 
 
@@ -67,18 +67,9 @@ class Unknown:
     high: float
 
     @classmethod
-    def sized(
-        cls,
-        kind: str,
-        key: Any,
-        name: str,
-        unit: str,
-        value: float,
-        scale: float,
-        low: float,
-        high: float,
-    ) -> Unknown:
-        """Of values in their unit."""
+    def sized(cls, kind: str, key: Any, name: str, unit: str, *size: float) -> Unknown:
+        """size : value, scale, low and high, in the unit."""
+        value, scale, low, high = size
         return cls(kind, key, name, unit, value / scale, scale, low / scale, high / scale)
 
     @classmethod

@@ -21,11 +21,9 @@ from .runs import Runs, RunSteps
 
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
-sample's row is damped.
-
-Beside a parting of the ways (stick or slide), or where the plant is unstable, a slope holds for
-changes far smaller than any step, and would outweigh all other runs. Its row keeps its direction,
-its length is limited to this; its error counts in full.
+sample's row is damped: beside a parting of the ways (stick or slide), or where the plant is
+unstable, a slope holds for changes far smaller than any step, and would outweigh all other runs.
+Its row keeps its direction, its length is limited to this; its error counts in full.
 """
 ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""
@@ -159,8 +157,8 @@ class Rollout:
         return np.asarray(error * self.weights[rows, : predicted.shape[1]])
 
     def _reaches(self) -> Array:
-        """How far local unknowns may move, in their scales, for WILD: the start of a motion that is
-        small beside its nominal by no more than it, or every row of it would be called wild.
+        """How far local unknowns may move, in their scales, for WILD: a start by its nominal or, of
+        a motion that is smaller, by that, or every row of it would be called wild.
         """
         u, found = self.unknowns, np.ones(self._local)
         order = [v.name for v in self._plant.states]
@@ -373,9 +371,7 @@ def gaps(one: Array, other: Array) -> Array:
 
 
 def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tuple[int, ...], ...]:
-    """Inputs whose jumps lie between samples, those of one dead time together; none where all run
-    along lines.
-    """
+    """Inputs whose jumps lie between samples, those of one dead time together."""
     samplings = np.array([np.ptp(e.t) / (len(e.t) - 1) for e in runs.inputs if e.held])
     if not samplings.size:
         return ()
@@ -402,9 +398,7 @@ def _numbers(steps: RunSteps, free: bool) -> Array:
 
 
 def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], samples: int) -> Array:
-    """Numbers of all steps of a part, (those of one sample, runs times samples); the last sample is
-    held.
-    """
+    """Numbers of all steps of a part, (of one sample, runs times samples); the last one holds."""
     parts = []
     for row in rows:
         own = driven[int(runs.record[row])]

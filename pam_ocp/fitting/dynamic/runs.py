@@ -10,7 +10,7 @@ inputs, the measured states set to what was measured at each start.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import casadi as ca
@@ -43,9 +43,7 @@ class RunSteps:
 
 @dataclass(frozen=True, eq=False)
 class RunInputs:
-    """t (n,), u (n, nu): samples, joined by lines or ``held``. Before the first sample its value
-    held.
-    """
+    """t (n,), u (n, nu): samples, joined by lines or ``held``; before the first its value holds."""
 
     t: Array
     u: Array
@@ -86,7 +84,9 @@ class RunInputs:
     ) -> RunSteps:
         n = len(self.t) - 1
         sampling = (self.t[-1] - self.t[0]) / n
-        whole, part = _whole_and_part(delays / sampling)
+        number = delays / sampling
+        floor = np.floor(number + 1e-9)
+        whole, part = floor.astype(np.intp), np.clip(number - floor, 0.0, 1.0)
         rank = sorted(range(len(late)), key=lambda g: part[late[g][0]])
         jumps = np.array([part[late[g][0]] for g in rank])
         ends = np.concatenate([[0.0], jumps, [1.0]])
@@ -107,15 +107,8 @@ class RunInputs:
         return RunSteps(value, value, still, still, length, (slope / shares[:, None])[between])
 
 
-def _whole_and_part(number: Array) -> tuple[NDArray[np.intp], Array]:
-    whole = np.floor(number + 1e-9)
-    return whole.astype(np.intp), np.clip(number - whole, 0.0, 1.0)
-
-
 def _shared(spans: Array, count: int) -> NDArray[np.intp]:
-    """``count`` steps over parts of an interval: one to each at least, the others to where steps
-    are longest.
-    """
+    """``count`` steps over parts of an interval: one to each, the others where steps are longest."""
     found = np.ones(len(spans), dtype=np.intp)
     for _ in range(count - len(spans)):
         found[int(np.argmax(spans / found))] += 1
@@ -318,16 +311,8 @@ class Runs:
     horizons: tuple[float, ...]
 
     def result(self, predicted: Array) -> FreeRun:
-        return FreeRun(
-            self.names,
-            self.record,
-            self.start,
-            self.t,
-            self.measured,
-            predicted,
-            self.sizes,
-            self.horizons,
-        )
+        own = {f.name: getattr(self, f.name) for f in fields(FreeRun) if f.name != "predicted"}
+        return FreeRun(**own, predicted=predicted)
 
 
 def runs_of(
@@ -341,9 +326,7 @@ def runs_of(
     warm_up: float = 0.0,
     even: bool = True,
 ) -> Runs:
-    """even : whether all records must be sampled at the same equal steps; else times along the
-    runs are nominal.
-    """
+    """even : whether records must be sampled at the same equal steps; else times are nominal."""
     chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
     require_count("history", history, 2)

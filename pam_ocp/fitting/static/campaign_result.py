@@ -224,7 +224,7 @@ def _length_lines(group: LengthStudy) -> list[str]:
         cost = f"probability {group.probability:.2g} that sharing costs so much by noise alone"
         lines.append(
             f"    shared {', '.join(group.joint.shared) or 'nothing'}: RMSE "
-            f"{group.joint.rmse:.4g} N{'' if np.isnan(group.probability) else f'; {cost}, {differ}'}"
+            f"{group.joint.rmse:.4g} N{"'' if np.isnan(group.probability) else f'; {cost}, {differ}'}"
         )
     lines.append("    one set for all lengths: RMSE [N], and at lengths left out [N]")
     for law in group.ranked:
