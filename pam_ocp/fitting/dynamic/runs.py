@@ -108,7 +108,7 @@ class RunInputs:
 
 
 def _shared(spans: Array, count: int) -> NDArray[np.intp]:
-    """``count`` steps over parts of an interval: one to each, the others where steps are longest."""
+    """``count`` steps over parts of an interval: one to each, others where steps are longest."""
     found = np.ones(len(spans), dtype=np.intp)
     for _ in range(count - len(spans)):
         found[int(np.argmax(spans / found))] += 1

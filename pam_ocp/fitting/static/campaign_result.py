@@ -220,11 +220,12 @@ def _length_lines(group: LengthStudy) -> list[str]:
     if group.joint is None:
         lines.append(f"    no shared coefficients: {group.problem}")
     else:
-        differ = "the muscles differ" if group.probability < 0.05 else "no sign that they differ"
-        cost = f"probability {group.probability:.2g} that sharing costs so much by noise alone"
+        p = group.probability
+        differ = "the muscles differ" if p < 0.05 else "no sign that they differ"
+        judged = f"; probability {p:.2g} that sharing costs so much by noise alone, {differ}"
         lines.append(
             f"    shared {', '.join(group.joint.shared) or 'nothing'}: RMSE "
-            f"{group.joint.rmse:.4g} N{"'' if np.isnan(group.probability) else f'; {cost}, {differ}'}"
+            f"{group.joint.rmse:.4g} N{'' if np.isnan(p) else judged}"
         )
     lines.append("    one set for all lengths: RMSE [N], and at lengths left out [N]")
     for law in group.ranked:
