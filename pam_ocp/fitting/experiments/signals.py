@@ -33,7 +33,7 @@ from ..dynamic.coverage import Coverage
 from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
 from ..static.force_fit import ForceFit
-from ..statistics import Array, student_t
+from ..statistics import Array, require_choice, student_t
 from .cells import CellDesign, design_cells
 from .excitation import (
     RANDOM,
@@ -227,8 +227,7 @@ def design_signal(
     plant, information, sigma = _known(known, noise)
     unknown = groups(plant, _free(known, free))
     names = [g.name for g in unknown]
-    if criterion not in ("D", "A"):
-        raise InputError(f"criterion = {criterion!r}: choose 'D' or 'A'")
+    require_choice("criterion", criterion, ("D", "A"))
     places = chosen(names, parameters, "parameter")
     excitation = excitation_of(
         plant,
@@ -337,9 +336,7 @@ class _Aim:
 
 
 def _improved(aim: _Aim, random: Sequence[Array], judged: Sequence[_Judged], tries: int) -> Array:
-    """The best of the random signals followed by IPOPT;
-    the best of all when it comes to nothing.
-    """
+    """The best of the random signals followed by IPOPT, or the best of all."""
     e = aim.excitation
     order = sorted(
         range(len(random)), key=lambda i: judged[i].value + 20 * min(judged[i].violation, 1e3)
@@ -347,11 +344,8 @@ def _improved(aim: _Aim, random: Sequence[Array], judged: Sequence[_Judged], tri
     w = ca.MX.sym("w", random[0].size)
     rows = span(e)
     matrix = ca.reshape(w, e.basis.shape[1], len(e.inputs))
-    constraints, low, high = (
-        [ca.vec(ca.DM(rows) @ matrix)],
-        [-np.ones(len(rows) * len(e.inputs))],
-        [np.ones(len(rows) * len(e.inputs))],
-    )
+    one = np.ones(len(rows) * len(e.inputs))
+    constraints, low, high = [ca.vec(ca.DM(rows) @ matrix)], [-one], [one]
     if e.watched:
         least, most = e.limits()
         constraints.append(ca.vec(e.kept(w)[:, 1:]))

@@ -69,7 +69,7 @@ _OF_DAY = re.compile(_TIME + "$")
 def seconds_of_stamps(cells: Sequence[Any], place: Any) -> tuple[Array, str]:
     """(seconds since the first stamp with NaN for empty cells, what they are) of dates or times.
 
-    place : a function of the index, for messages. Raises InputError for a cell that is none.
+    Raises InputError, with the ``place`` of its index, for a cell that is none.
     """
     parsed = [None if is_empty(c) else _parsed(c) for c in cells]
     for i, (cell, one) in enumerate(zip(cells, parsed, strict=True)):
@@ -113,8 +113,8 @@ def _parsed(cell: Any) -> _Stamp | None:
         return None, 3600 * cell.hour + 60 * cell.minute + cell.second + 1e-6 * cell.microsecond
     text = str(cell).strip()
     match = _YEAR_FIRST.match(text)
-    if _unknown_zone(text):
-        return None
+    zone = re.search(r"\d\s*([A-Z]{3,4})(?:\[.*)?$", text)
+    if zone is not None and zone[1] not in (*ZONES, "UTC"):
     if match:
         return (int(match["y"]), int(match["a"]), int(match["b"]), "y"), _of_day(match)
     match = _YEAR_LAST.match(text)
@@ -123,11 +123,6 @@ def _parsed(cell: Any) -> _Stamp | None:
         return (year, int(match["a"]), int(match["b"]), match["sign"]), _of_day(match)
     match = _OF_DAY.match(text)
     return (None, _of_day(match)) if match else None
-
-
-def _unknown_zone(text: str) -> bool:
-    name = re.search(r"\d\s*([A-Z]{3,4})(?:\[.*)?$", text)
-    return name is not None and name[1] not in (*ZONES, "UTC")
 
 
 def _of_day(match: re.Match[str]) -> float:
@@ -171,10 +166,7 @@ def _seconds(stamp: _Stamp, month_first: bool | None, since: int = 0) -> float:
 def seconds_of_numbers(
     values: Array, header: str, said: str | None, *, settled: bool = False
 ) -> tuple[Array, str]:
-    """(times, what was made of them) of numbers in seconds, or without a unit.
-
-    settled : they are seconds, since 1970 at most.
-    """
+    """(times, what was made of them) of numbers in seconds (``settled`` : surely), or of no unit."""
     known = values[~np.isnan(values)]
     if known.size < 2:
         return values, ""
@@ -258,10 +250,7 @@ def usual_step(t: Array, steps: Array | None = None) -> float:
 
 
 def find_clock(raw: RawTable, time: str | None = None) -> tuple[RawTable, str | None]:
-    """(table, header of its time; None without). A column of days beside one of times is joined.
-
-    Raises UnknownNameError where ``time`` is no column.
-    """
+    """(table, header of its time; None without). A column of days beside one of times is joined."""
     if time is not None:
         if time not in raw.columns:
             raise UnknownNameError("column of the time", time, raw.columns)
@@ -379,9 +368,8 @@ def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTabl
 
 
 def rows_before_jumps(raw: RawTable, header: str, t: Array) -> NDArray[np.intp]:
-    """Rows that a table of held inputs (FMI) repeats at the time of a jump, with the values before.
-
-    None where any repeated time is something else, as the ticks of a coarse clock.
+    """Rows that a table of held inputs (FMI) repeats at the time of a jump, with the values before;
+    none where any repeated time is something else, as the ticks of a coarse clock.
     """
     still = np.nonzero(np.diff(t) == 0)[0]
     none = still[:0]

@@ -25,7 +25,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_COLUMNS, MOST_LINE, MOST_SHEET_CELLS, require_size
-from .cells import decimal_of, is_empty, is_number, is_stamp, number, parted
+from .cells import decimal_of, is_empty, is_number, is_stamp, number, numbers_of, parted
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
@@ -344,16 +344,14 @@ def _waveform(head: dict[str, list[str]], channel: int, count: int) -> list[floa
 
 
 def _numbers(cells: Sequence[tuple[int, str]], name: str, sign: str, label: str) -> list[float]:
-    made = []
-    for line, cell in cells:
-        try:
-            made.append(number(cell, sign))
-        except ValueError:
-            raise InputError(
-                f"{label}: line {line}, column {name!r} holds {cell[:40]!r}, which is no number "
-                f"with the decimal sign {sign!r} that the file names; mend the line"
-            ) from None
-    return made
+    found, bad = numbers_of([cell for _, cell in cells], sign)
+    if bad is not None:
+        line, cell = cells[bad]
+        raise InputError(
+            f"{label}: line {line}, column {name!r} holds {cell[:40]!r}, which is no number with "
+            f"the decimal sign {sign!r} that the file names; mend the line"
+        )
+    return list(found.tolist())
 
 
 _STARTS = re.compile(
@@ -379,9 +377,8 @@ def tables_of(text: str) -> dict[str, list[Any]]:
 
 
 class _Tables(HTMLParser):
-    """Cells as they are shown; a cell that spans several stands in the first of them.
-
-    The standard library's parser takes any text in linear time, which suits files of strangers.
+    """Cells as they are shown; a cell that spans several stands in the first of them. The standard
+    library's parser takes any text in linear time, which suits files of strangers.
     """
 
     def __init__(self) -> None:

@@ -129,10 +129,8 @@ def _called(text: str, names: frozenset[str]) -> bool:
 
 # ---- cells that hold no reading ------------------------------------------------------------------
 def checked_cells(raw: RawTable, columns: Sequence[Column], missing: Any = "found") -> RawTable:
-    """The table with the decimal sign of each column, and without values that mark missing ones.
-
-    missing : "found"; None: there are none; or the values, as they stand in the file. What was done
-    is among the notes.
+    """The table with the decimal sign of each column, and without values that mark missing ones:
+    those ``missing``, as they stand in the file; "found"; or none. What was done is noted.
     """
     if raw.own:
         return raw

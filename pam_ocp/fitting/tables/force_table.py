@@ -96,8 +96,7 @@ class ForceTable:
     censored: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("pressure", "contraction", "force"):
-            unit = {"pressure": "Pa", "contraction": "1", "force": "N"}[name]
+        for name, unit in (("pressure", "Pa"), ("contraction", "1"), ("force", "N")):
             given = require_numbers(name, getattr(self, name), unit, doubted=unit == "Pa")
             array = np.array(given)
             if array.shape != (array.size,) or array.size != np.size(self.pressure):
@@ -171,9 +170,8 @@ class ForceTable:
                 )
             limit = require_positive("floor", floor, "N", zero=True)
             return replace(self, floor=None, censored=self.force <= limit)
-        fresh = (
-            self if isinstance(self.floor, Floor) else replace(self, floor="found", censored=None)
-        )
+        known = isinstance(self.floor, Floor)
+        fresh = self if known else replace(self, floor="found", censored=None)
         found, slack = fresh._floor
         if found is None:
             raise InputError(
@@ -186,10 +184,7 @@ class ForceTable:
             force=self.force - fresh._zeros(found),
             floor=replace(found, value=0.0, limit=DETECTED * found.scatter, by={}),
             censored=slack,
-            notes=(
-                *self.notes,
-                f"{found}; as the zero of the load cell it is taken off all forces",
-            ),
+            notes=(*self.notes, f"{found}; as the zero of the load cell taken off all forces"),
         )
 
     def _zeros(self, floor: Floor) -> Array:

@@ -45,7 +45,7 @@ def chosen_table(
         if name.strip() not in tables:
             raise UnknownNameError(f"table of {label}", name, tables)
     if len(wanted) == 1:
-        return tables[wanted[0].strip()], _beside(tables, wanted[0].strip())
+        return tables[wanted[0].strip()], _which(wanted[0].strip())
     if wanted:
         several = {n.strip(): tables[n.strip()] for n in wanted}
         if not clocked(several):
@@ -68,7 +68,7 @@ def chosen_table(
         raise Unsaid(
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
-    return tables[top[0]], _beside(tables, top[0])
+    return tables[top[0]], _which(top[0])
 
 
 def _renamed(tables: dict[str, Found]) -> dict[str, Found]:
@@ -128,7 +128,7 @@ def _arrays(tree: Any, level: int) -> Iterator[NDArray[Any]]:
         yield from (a for i in inner if isinstance(i, nested) for a in _arrays(i, level + 1))
 
 
-def _beside(tables: Mapping[str, Found], taken: str) -> tuple[str, ...]:
+def _which(taken: str) -> tuple[str, ...]:
     return (f"table {taken!r}",) if taken else ()
 
 
@@ -297,10 +297,8 @@ def _of_list(tree: Sequence[Any], name: str, label: str, level: int) -> Iterator
         flat = [{str(k): _plain(v) for k, v in r.items()} for r in tree]
         kept = [k for k in keys if all(r.get(k) is not _NESTED for r in flat)]
         if len(kept) >= 2 and any(isinstance(r.get(k), int | float) for r in flat for k in kept):
-            rows = {k: [r.get(k) for r in flat] for k in kept}
-            nested = len(kept) < len(keys)
-            if not nested:
-                yield name, rows
+            if len(kept) == len(keys):
+                yield name, {k: [r.get(k) for r in flat] for k in kept}
                 return
     elif len(tree) > 1 and all(isinstance(r, list | tuple) for r in tree):
         rows_ = [[_plain(c) for c in row] for row in tree]
