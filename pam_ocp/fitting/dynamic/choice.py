@@ -120,7 +120,6 @@ class Tried:
 
     Examples
     --------
-    >>> choice = pam.fitting.choose(orders, episodes, folds=3, seed=1)
     >>> [tried.name for tried in choice.tried]  # the simplest first
     ['order 1', 'order 2']
     """
@@ -151,7 +150,6 @@ class Choice:
 
     Examples
     --------
-    >>> choice = pam.fitting.choose(orders, episodes, folds=3, seed=1)
     >>> choice.name in orders, choice.nested.shape
     (True, (3, 1))
     """
@@ -222,8 +220,7 @@ class Ratios:
 
     Examples
     --------
-    >>> ratios = pam.fitting.choose(orders, episodes, folds=3, seed=1).against("order 1")
-    >>> ratios["order 1"]
+    >>> choice.against("order 1")["order 1"]
     array([[1., 1., 1.]])
     """
 
@@ -298,10 +295,7 @@ def choose(
     progress : called as progress(done, all) after each fit.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Raises
-    ------
-    InputError : arguments that cannot be.
-    FitError : no structure could be fitted to every fold.
+    Raises InputError (arguments that cannot be), FitError (no structure fits every fold).
 
     Examples
     --------

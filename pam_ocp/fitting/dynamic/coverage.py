@@ -274,9 +274,7 @@ def coverage(
     uncertainty : whether the parameters' covariance is carried along the motion, which takes a
         simulation for each of them.
 
-    Raises
-    ------
-    InputError : inputs without a duration, a fit without records.
+    Raises InputError (inputs without a duration, a fit without records).
 
     Examples
     --------

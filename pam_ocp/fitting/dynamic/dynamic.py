@@ -135,15 +135,9 @@ def fit_plant(
     time_limit : [s]. Where iterations or time end, the best until then is kept and the fit's
         ``status`` and warnings say so; OutOfTime where there is none.
 
-    Returns
-    -------
-    PlantFit; ``.plant`` has the fitted values, ``.report()`` tells what the records say.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be, NaN in a record.
-    FitError : a parameter without influence, constant inputs that cannot tell the parameters, or no
-        solution.
+    Of the result ``.plant`` has the fitted values, ``.report()`` tells what the records say. Raises
+    InputError, UnknownNameError (arguments that cannot be, NaN in a record), FitError (a parameter
+    without influence, constant inputs that cannot tell the parameters, or no solution).
 
     Examples
     --------

@@ -141,10 +141,7 @@ def fit_ladder(
     progress : called with a line for each rung.
     time_limit : [s]; rungs for which there is no time are named, OutOfTime where none was climbed.
 
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be.
-    FitError : no rung could be fitted.
+    Raises InputError, UnknownNameError (of arguments), FitError (no rung can be fitted).
 
     Examples
     --------
@@ -460,11 +457,8 @@ class Ladder:
 
     Examples
     --------
-    >>> from functools import partial
-    >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
-    >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
-    >>> ladder.best.name
-    '+ lag'
+    >>> ladder.best.name, min(ladder.predict(commanded).coverage.values()) > 0.8
+    ('+ lag', True)
     """
 
     rungs: tuple[RungFit, ...]
@@ -512,14 +506,6 @@ class Ladder:
         records, and models that lack something, may be held less often.
 
         Raises InputError where the level is none or the rung failed, UnknownNameError for others.
-
-        Examples
-        --------
-        >>> from functools import partial
-        >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
-        >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["lag"])
-        >>> min(ladder.predict(commanded).coverage.values()) > 0.8
-        True
         """
         require_level(level)
         found, every = self._named(rung), recorded(records)

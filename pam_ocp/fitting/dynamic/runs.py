@@ -230,8 +230,6 @@ class Band:
 
     Examples
     --------
-    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
-    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
     >>> 0.8 < learned.predict(record, level=0.9).coverage["x"] <= 1.0
     True
     """

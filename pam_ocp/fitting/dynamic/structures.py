@@ -311,8 +311,7 @@ class ArxStructure:
 
     Examples
     --------
-    >>> names = ["x"], ["muscle.command"]
-    >>> yardstick = pam.fitting.ArxStructure(*names, order=2, horizon=[0.1], every=0.2)
+    >>> yardstick = pam.fitting.ArxStructure(["x"], ["muscle.command"], 2, [0.1], every=0.2)
     >>> yardstick.complexity  # two of the past of each, and a constant
     5.0
     """
@@ -418,9 +417,7 @@ class SubspaceStructure:
     Examples
     --------
     >>> names = ["x"], ["muscle.command"]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> subspace = pam.fitting.SubspaceStructure(*names, order=3, past=10, **ways)
-    >>> subspace.fit(episodes).poles.shape
+    >>> pam.fitting.SubspaceStructure(*names, 3, [0.1], 0.1, past=10).fit(episodes).poles.shape
     (3,)
     """
 

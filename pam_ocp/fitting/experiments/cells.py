@@ -193,13 +193,8 @@ def design_cells(
         from some hundred cells on.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    CellDesign. Cells where the law pulls with less than three standard deviations are left out.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; too few points for the coefficients.
+    Cells where the law pulls with less than three standard deviations are left out. Raises
+    InputError, UnknownNameError (arguments that cannot be, too few points for the coefficients).
 
     Examples
     --------

@@ -71,9 +71,7 @@ class SignalDesign:
 
     Examples
     --------
-    >>> design = pam.experiments.design_signal(
-    ...     plant, ["mass"], duration=0.5, noise={"x": 1e-5}, segments=4, sample=0.02, tries=1
-    ... )
+    >>> design = pam.experiments.design_signal(dynamic_fit, duration=0.5, sample=0.02, tries=1)
     >>> design.parameters, 0.0 < design.stderr["mass"] < 1.0
     (('mass',), True)
     """
@@ -204,20 +202,13 @@ def design_signal(
     tries : how many of the best random signals are improved.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    SignalDesign, or GapSignal of a Coverage, with the signal as a Trajectory.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be.
-    FitError : a plant that RK4 cannot follow at these samples; a parameter that no signal tells.
+    Raises InputError, UnknownNameError (arguments that cannot be), FitError (a plant that RK4
+    cannot follow at these samples, a parameter that no signal tells).
 
     Examples
     --------
-    >>> design = pam.experiments.design_signal(
-    ...     plant, ["mass"], duration=0.5, noise={"x": 1e-5}, segments=4, sample=0.02, tries=1
-    ... )
+    >>> options = {"noise": {"x": 1e-5}, "segments": 4, "sample": 0.02, "tries": 1}
+    >>> design = pam.experiments.design_signal(plant, ["mass"], duration=0.5, **options)
     >>> design.trajectory.duration
     0.5
     """

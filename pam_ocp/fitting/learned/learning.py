@@ -82,8 +82,6 @@ class LearnedFit:
 
     Examples
     --------
-    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
-    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
     >>> len(learned.strengths), learned.plant is free_fit.plant
     (2, True)
     """

@@ -124,17 +124,10 @@ def fit_forces(
         :func:`pam_ocp.each`.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    JointForceFit; ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals. With
-    ``candidates`` a Campaign: muscles and groups with their fits, ``table()``, ``report()``,
-    ``plot_data()`` and ``save(folder)``; files that could not be read, and studies that the data do
-    not allow, are listed with the reason.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; no table at all; fewer cells than
-    unknowns. FitError : no stationary point of a joint fit was found.
+    Of a joint fit ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals. Of a
+    Campaign files that could not be read, and studies that the data do not allow, are listed with
+    the reason. Raises InputError, UnknownNameError (arguments that cannot be, no table at all,
+    fewer cells than unknowns), FitError (no stationary point of a joint fit).
 
     Examples
     --------

@@ -94,7 +94,6 @@ class Campaign:
 
     Examples
     --------
-    >>> campaign = pam.fit_forces({"M1": table}, candidates=[], rest_length=0.300)
     >>> list(campaign.muscles), round(campaign["M1"].fit.rmse, 1)
     (['M1'], 6.2)
     """

@@ -50,10 +50,7 @@ class HoldsFit(Estimates):
 
     Examples
     --------
-    >>> p = np.array([2e5, 3e5, 4e5, 5e5])
-    >>> x = [plant.equilibrium({"muscle.pressure": v})["x"] for v in p]
-    >>> found = pam.fitting.fit_holds(plant, {"muscle_pressure": p, "x": x}, "mass")
-    >>> round(found.values["mass"], 3)
+    >>> round(pam.fitting.fit_holds(plant, holds, "mass").values["mass"], 3)
     10.0
     """
 
@@ -253,20 +250,12 @@ def fit_holds(
     columns, units : as for :func:`read_record`.
     time_limit : [s]; OutOfTime when it is over.
 
-    Returns
-    -------
-    HoldsFit: estimates with intervals, the fitted plant, residuals, a report.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments or holds that cannot be.
-    FitError : the holds do not tell what was asked; it names the combination that stays open.
+    Raises InputError, UnknownNameError (arguments or holds that cannot be), FitError (the holds do
+    not tell what was asked; it names the combination that stays open).
 
     Examples
     --------
-    >>> p = np.array([2e5, 3e5, 4e5, 5e5])
-    >>> x = [plant.equilibrium({"muscle.pressure": v})["x"] for v in p]
-    >>> found = pam.fitting.fit_holds(plant, {"muscle_pressure [bar]": p / 1e5, "x": x}, "mass")
+    >>> found = pam.fitting.fit_holds(plant, holds, "mass")  # pressures and positions, side by side
     >>> round(found.values["mass"], 3)
     10.0
     """

@@ -75,8 +75,7 @@ class ComparedLaw(Candidate[ForceFit]):
 
     Examples
     --------
-    >>> best = pam.compare_laws(table, ["six-parameter", "five-parameter"]).laws[0]
-    >>> best.name, round(best.left_out_rmse, 1)
+    >>> comparison.best.name, round(comparison.best.left_out_rmse, 1)
     ('five-parameter', 16.4)
     """
 
@@ -111,9 +110,8 @@ class LawComparison:
 
     Examples
     --------
-    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
-    >>> found.best.name
-    'five-parameter'
+    >>> [law.name for law in comparison.laws]
+    ['five-parameter', 'six-parameter']
     """
 
     laws: tuple[ComparedLaw, ...]
@@ -170,20 +168,14 @@ def compare_laws(
     executor : where the laws are fitted, as for :func:`pam_ocp.each`.
     time_limit : [s]; laws that are not reached are listed with it as the reason.
 
-    Returns
-    -------
-    LawComparison; ``print`` it for a table. Laws whose constants are not given, or whose fit is not
-    found, are listed with the reason.
-
-    Raises
-    ------
-    InputError : no law, or a name in ``fixed`` that no law knows.
+    ``print`` the result for a table. Laws whose constants are not given, or whose fit is not found,
+    are listed with the reason. Raises InputError, UnknownNameError (no law, or a name in ``fixed``
+    that no law knows).
 
     Examples
     --------
-    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
-    >>> [law.name for law in found.laws]
-    ['five-parameter', 'six-parameter']
+    >>> pam.compare_laws(table, ["six-parameter", "five-parameter"]).best.name
+    'five-parameter'
     """
     require_table(table)
     given: Iterable[str | type[ForceLaw]] = [*LAWS, polynomial_law(1, 3)] if laws is None else laws

@@ -71,14 +71,8 @@ def fit_force(
         after measuring in random order.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    ForceFit, with coefficients, intervals and residuals.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; fewer taut cells than coefficients.
-    FitError : the solver found no stationary point.
+    Raises InputError, UnknownNameError (arguments that cannot be, fewer taut cells than
+    coefficients), FitError (no stationary point was found).
 
     Examples
     --------

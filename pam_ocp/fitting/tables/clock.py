@@ -166,7 +166,7 @@ def _seconds(stamp: _Stamp, month_first: bool | None, since: int = 0) -> float:
 def seconds_of_numbers(
     values: Array, header: str, said: str | None, *, settled: bool = False
 ) -> tuple[Array, str]:
-    """(times, what was made of them) of numbers in seconds (``settled`` : surely), or of no unit."""
+    """(times, what was made of them) of numbers in seconds (``settled`` : surely), or of none."""
     known = values[~np.isnan(values)]
     if known.size < 2:
         return values, ""

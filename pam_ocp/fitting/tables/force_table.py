@@ -321,14 +321,9 @@ def read_table(
         ReadingWarning. "zero": that is the zero of the load cell, and taken off all forces
         (:meth:`ForceTable.with_floor`). None: there is none, any positive force is one.
 
-    Returns
-    -------
-    ForceTable in SI, slack cells included.
-
-    Raises
-    ------
-    InputError, UnknownNameError : one sentence with column, row, value and remedy. What no rig
-    measures, but cannot be ruled out, is doubted in a UnitWarning with the keyword to settle it.
+    The table is in SI, slack cells included. Raises InputError, UnknownNameError: one sentence with
+    column, row, value and remedy. What no rig measures, but cannot be ruled out, is doubted in a
+    UnitWarning with the keyword to settle it.
 
     Examples
     --------

@@ -510,9 +510,7 @@ def read_folder(
     options : of :func:`read_table` or :func:`read_record`, for all files; ``kind="table"`` or
         "record" where they are taken for the other one.
 
-    Raises
-    ------
-    InputError : a folder without such files, a pattern or an option that is invalid.
+    Raises InputError (a folder without such files, a pattern or an option that is invalid).
 
     Examples
     --------

@@ -126,11 +126,9 @@ def read_record(
     sheet, skip, pick, delimiter, decimal, encoding, bad_lines, constants, pattern, empty,
     missing : as for :func:`read_table`.
 
-    Raises
-    ------
-    InputError : time that runs backwards or has a gap (and where), cells that are no numbers, units
-        that do not fit, no column of use. UnknownNameError : names that are not there. What no rig
-        measures, but cannot be ruled out, is doubted in a UnitWarning that names the remedy.
+    Raises InputError (time that runs backwards or has a gap (and where), cells that are no numbers,
+    units that do not fit, no column of use), UnknownNameError. What no rig measures, but cannot be
+    ruled out, is doubted in a UnitWarning that names the remedy.
 
     Examples
     --------
