@@ -231,9 +231,7 @@ class Noise:
         return np.asarray(found / np.sqrt(max(self.innovation, 1e-300)))
 
     def meat(self, x: Array) -> Array:
-        """x^T R x with the noise's covariance R: what all innovations, also those before the first
-        sample, make of x.
-        """
+        """x^T R x with the noise's covariance R, by what all innovations make of x."""
         from scipy.signal import lfilter
 
         if not self.order:

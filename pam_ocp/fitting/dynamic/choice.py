@@ -476,9 +476,7 @@ def _fits(
 
 @dataclass(frozen=True, eq=False)
 class _Without:
-    """Structures and records; called with a structure's name and the folds that are left out, here
-    or in another process.
-    """
+    """Called with a structure's name and the folds left out, here or in another process."""
 
     structures: Mapping[str, Structure]
     records: Sequence[Trajectory]

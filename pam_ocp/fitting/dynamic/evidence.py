@@ -57,9 +57,7 @@ NEGLIGIBLE = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """error (K, ny): modelled less measured. start (K, ny, nx), values (K, ny, k), suspects (K, ny,
-    m): slopes of it.
-    """
+    """error (K, ny): modelled less measured; start, values, suspects (K, ny, .): slopes of it."""
 
     error: Array
     start: Array
@@ -235,9 +233,7 @@ def _basis(columns: Array) -> Array:
 
 
 def solved(matrix: Array, right: Array, damping: float = 0.0) -> Array:
-    """Least squares with columns of unit length; of what is not determined, the shortest, and
-    nothing of what is not seen at all (the pressure of a slack muscle).
-    """
+    """Least squares with columns of unit length; the shortest, and nothing of what is not seen."""
     size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > UNSEEN * size.max(initial=0.0), size, np.inf)
     if damping:
@@ -349,9 +345,7 @@ def _bounded(
     high: Array,
     damping: float = 0.0,
 ) -> Array:
-    """The step within its range, of values and of starts: those that would leave it go to its edge,
-    one set after the other.
-    """
+    """The step within its range: what would leave it goes to its edge, one set after the other."""
     values, nx = blocks[0].values.shape[2], blocks[0].start.shape[2]
     fixed, held = np.zeros(len(low)), np.zeros(len(low), dtype=bool)
     while True:

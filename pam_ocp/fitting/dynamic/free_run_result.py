@@ -376,9 +376,7 @@ def asked_like(
 def unknowns_like(
     fit: FreeRunFit, plant: Plant, runs: Runs, records: int, weights: Sequence[str] = ()
 ) -> RunUnknowns:
-    """Starts of each record as in the fit, and the weights of what was learned; its memories begin
-    in the same way.
-    """
+    """Starts of each record as in the fit, and the weights and memories of what was learned."""
     states = [v.name for v in plant.states]
     along = {fit.plant.states[i].name for i in fit.unknowns.along}
     hidden = [i for i, n in enumerate(states) if n in along or ".learned.memory" in n]

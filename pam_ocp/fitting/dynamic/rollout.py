@@ -200,9 +200,7 @@ class Rollout:
         return parts
 
     def computed(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
-        """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing); local are the
-        unknowns that all runs share and a record's own starts.
-        """
+        """(part, outputs (m, K, ny), slopes (m, K, ny, unknowns of all runs and of the record))."""
         ny = len(self.runs.names)
         for part, _, both in self._run(z, deep):
             slopes = both[..., ny:].reshape(*both.shape[:2], self._local if deep else 0, ny)

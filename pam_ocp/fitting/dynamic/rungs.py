@@ -209,9 +209,7 @@ class RungModel:
     def fitted(
         self, rollout: Rollout, evaluations: int, starts: bool = True, held: Sequence[int] = ()
     ) -> Descent:
-        """starts : whether those of the records are sought, too. held : places of unknowns that
-        stay as they are.
-        """
+        """starts : whether those of the records are sought, too. held : unknowns that stay."""
         require_followed(rollout, self.z)
         low, high = self.unknowns.low.copy(), self.unknowns.high.copy()
         own = [*held, *(range(0) if starts else range(self.unknowns.shared, len(self.z)))]
@@ -239,9 +237,7 @@ def _runs(
 
 
 def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
-    """Dead times are those of inputs, and exact, where each record has equal steps or its inputs
-    run along lines; else delay lines are integrated.
-    """
+    """Dead times are exact where steps are equal or inputs run along lines, else delay lines."""
     own = {g.name for g in groups(plant, rung.free)}
     wanted = groups(plant, rung.free, {n: b for n, b in task.bounds.items() if n in own})
     late = _dead_times(task, plant, wanted)
@@ -282,9 +278,7 @@ def _at_outlets(record: Trajectory, lines: Sequence[DelayLine]) -> Trajectory:
 def _dead_times(
     task: Task, plant: Plant, wanted: Sequence[ParameterGroup]
 ) -> list[ParameterGroup] | None:
-    """The unknowns that are dead times; None where delay lines have to be integrated: inputs held
-    over unequal steps, a dead time that is to be equal to something else.
-    """
+    """The unknowns that are dead times; None where delay lines have to be integrated."""
     held = [np.diff(r.t) for r in task.records if r.interpolation == "previous"]
     times = {line.time for line in plant.delay_lines}
     found = [(g, [plant.parameters[m].name in times for m in g.members]) for g in wanted]
@@ -429,9 +423,7 @@ def _places(model: RungModel, names: frozenset[str]) -> list[int]:
 
 @verb
 def _accurate(model: RungModel) -> tuple[RungModel, dict[str, Coefficient]]:
-    """Each variable weighed by its residuals, with steps so short that halving them changes little;
-    and the values with standard errors.
-    """
+    """Variables weighed by their residuals, steps as short as is needed; and standard errors."""
     rollout = model.rollout()
     model = replace(model, z=model.fitted(rollout, EVALUATIONS).z)
     sizes = np.sqrt(np.nanmean(_squares(rollout, model.z), axis=(0, 1)))

@@ -36,9 +36,7 @@ PRESLIDING = 0.05
 
 @dataclass(frozen=True)
 class Suspect:
-    """A parameter at zero. subject : what it changes. It counts in ``size`` [unit]; what has no
-    unit is a share.
-    """
+    """A parameter at zero, which counts in ``size`` [unit]. subject : what it changes."""
 
     cause: str
     subject: str
@@ -48,9 +46,7 @@ class Suspect:
 
 @dataclass(frozen=True, eq=False)
 class Suspected:
-    """The plant with suspects as its last parameters, records with the inputs that these need, and
-    the delays of those inputs.
-    """
+    """The plant with suspects as its last parameters, and what these need of records and delays."""
 
     plant: Plant
     records: Sequence[Trajectory]
@@ -60,9 +56,7 @@ class Suspected:
 
 
 class _Builder:
-    """Declares the plant once more, with more inputs and parameters. meant : what stands for each
-    variable in its equations.
-    """
+    """Declares the plant once more, with suspects. meant : what stands for each variable."""
 
     def __init__(self, plant: Plant) -> None:
         again = Redeclared(plant)

@@ -220,9 +220,7 @@ def _way(
     degree: int,
     given: tuple[ca.MX, ca.MX, ca.MX, ca.MX],
 ) -> _Way:
-    """The motion by a method. given : initial states, parameters, jumps in nominals (a column),
-    inputs.
-    """
+    """The motion by a method. given : initial states, parameters, jumps in nominals, inputs."""
     x0, p, jumps, u = given
     plant, experiments = problem.plant, problem.experiments
     x_nominal = plant.vector("state", attribute="nominal")
@@ -268,9 +266,7 @@ def _jumps(
 
 
 def _input_errors(experiments: Sequence[Experiment], mesh: _Mesh) -> ca.DM:
-    """Matrix from errors of measured inputs (in standard deviations) to all coefficients, a column
-    of ``mesh.u`` after the other.
-    """
+    """Matrix from errors of measured inputs (in standard deviations) to all coefficients."""
     rows, columns, values, first, count = [], [], [], 0, 0
     for e in experiments:
         if e.errors is not None:
@@ -472,9 +468,7 @@ class SimulatedProgram:
         return np.concatenate(parts), np.empty(0)
 
     def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """By central differences, one-sided at bounds, and from ``base``, errors at w where these
-        are known: for a search these are enough.
-        """
+        """By central differences, one-sided at bounds, and from ``base``, known errors at w."""
         columns = []
         for i in range(w.size):
             size = STEP * max(1.0, abs(w[i]))

@@ -28,9 +28,9 @@ from ...core.stop import check
 from ...core.trajectory import Trajectory
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant, Values
-from ...simulation.simulator import simulate
 from ..dynamic.coverage import Band, Coverage, Reach
-from ..dynamic.experiment import ParameterGroup
+from ..dynamic.experiment import ParameterGroup, played
+from ..dynamic.rig import RunUnknowns, Unknown
 from ..statistics import Array
 
 FAINT = 1e-6
@@ -109,10 +109,8 @@ class Excitation:
         plant, k, n = self.plant, len(self.groups), self.count
         w = ca.MX.sym("w", self.basis.shape[1], len(self.inputs))
         off = ca.MX.sym("off", self.unknowns)
-        directions = np.zeros((len(plant.parameters), k))
-        for column, group in enumerate(self.groups):
-            directions[list(group.members), column] = group.scale
-        p = ca.DM(plant.vector("parameter")) + ca.DM(directions) @ off[:k]
+        groups = RunUnknowns(tuple(map(Unknown.of_group, self.groups)))
+        p = groups.vector(plant, ca.DM(groups.guess) + off[:k])
         begin = ca.MX(ca.DM(self.start / self._nominal))
         begin = begin if self.known_start else begin + off[k:]
         early, late, at = self._signals(w)
@@ -123,9 +121,7 @@ class Excitation:
 
     @cached_property
     def information(self) -> ca.Function:
-        """w (d nu) -> Fisher information (k, k) of the unknowns, in the groups' scales and
-        nominals.
-        """
+        """w (d nu) -> Fisher information (k, k) of the unknowns, in groups' scales and nominals."""
         w = ca.MX.sym("w", self.basis.shape[1] * len(self.inputs))
         off = ca.MX.sym("off", self.unknowns)
         seen = self._along([self.plant.expression(n) / size for n, size in self.noise.items()])
@@ -392,7 +388,7 @@ def close_gap(
             n: _signal(t, ends, _reach_of(gap, n), missing[n], random) for n, ends in ranges.items()
         }
         held = {
-            v.name: float(gap.seen[0][v.name][0])
+            v.name: np.full(len(t), gap.seen[0][v.name][0])
             for v in plant.inputs
             if v.name not in drive and v.name in gap.seen[0]
         }
@@ -442,14 +438,11 @@ def _signal(
     return np.asarray(np.clip(steady + wave, *ends))
 
 
-def _motion(gap: Coverage, drive: Mapping[str, object], t: Array) -> Trajectory | None:
+def _motion(gap: Coverage, drive: Mapping[str, Any], t: Array) -> Trajectory | None:
     first = gap.seen[0]
-    start = {}
-    for v in gap.plant.states:
-        if v.name in first:
-            start[v.name] = float(np.clip(first[v.name][0], v.min, v.max))
+    start = {v.name: float(first[v.name][0]) for v in gap.plant.states if v.name in first}
     try:
-        return simulate(gap.plant, dict(drive), t=t, start=start, interpolation="linear", rtol=1e-5)
+        return played(gap.plant, Trajectory(t, drive), start, 1e-5)
     except SimulationError:
         return None
 

@@ -442,9 +442,7 @@ def _free(known: Any, free: Sequence[str | Sequence[str]] | None) -> Sequence[st
 def _before(
     fit: PlantFit | None, unknown: Sequence[ParameterGroup]
 ) -> tuple[dict[str, float], Array]:
-    """Standard errors before, and the information (k, k) that belongs to them in the groups'
-    scales.
-    """
+    """Standard errors before, and their information (k, k) in the groups' scales."""
     errors = {g.name: float("inf") for g in unknown}
     information = np.zeros((len(unknown), len(unknown)))
     if fit is None:

@@ -233,9 +233,7 @@ def fit_residual(
 # ---- learning ------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A strength: weights of each fold, and the runs along what each left out, with their parts'
-    losses (parts, criteria).
-    """
+    """A strength: weights of the folds, runs along what each left out, losses (parts, criteria)."""
 
     value: float | None
     weights: tuple[Array, ...]

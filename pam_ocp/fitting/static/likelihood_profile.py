@@ -219,9 +219,7 @@ class Sweep:
         return projected(*problem.triangles(values[:, None])[1:])
 
     def ends(self, asked: Sequence[tuple[int, float, float]]) -> list[tuple[float, str]]:
-        """Ends of intervals, and why they are infinite, each for (number among the free
-        coefficients, side, limit).
-        """
+        """Ends of intervals, for (number among the free coefficients, side, limit), or why none."""
         last, count = len(self.values) - 1, len(asked)
         first = [int(np.argmax(self._reached(self.values, self.results, *one))) for one in asked]
         low = self.values[[max(j - 1, 0) for j in first]]

@@ -171,9 +171,7 @@ def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, 
 
 
 class Effort(NamedTuple):
-    """points : of the scan with two or more nonlinear unknowns (always the same ones). followed :
-    how many local minima of it are followed up.
-    """
+    """points : of the scan with several nonlinear unknowns. followed : local minima of it."""
 
     points: int
     followed: int

@@ -169,9 +169,7 @@ def is_unit(text: str) -> bool:
 
 
 def matching(names: frozenset[str], headers: Iterable[str]) -> list[str]:
-    """The headers that bear one of the names; only where none does, those that say besides that
-    it was measured (``p_meas``, ``Druck Ist``).
-    """
+    """The headers that bear one of the names, or else those that also say "measured"."""
     parsed = {h: parse_header(h)[0] for h in headers}
     exact = [h for h, name in parsed.items() if name in names]
     if exact:

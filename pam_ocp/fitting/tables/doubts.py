@@ -173,9 +173,7 @@ def _emptied(raw: RawTable, header: str, gone: NDArray[np.bool_]) -> RawTable:
 
 
 def _sentinels(numbers: Array, column: Column) -> NDArray[np.bool_]:
-    """Which numbers mark a missing value: no measure is as large; of the usual marks, and apart
-    from all others; or beyond what can be, the same again and again, and far apart.
-    """
+    """Which numbers mark a missing value: beyond all, usual marks apart from others, or absurd."""
     known = ~np.isnan(numbers)
     gone = known & (np.abs(numbers) >= BEYOND_NUMBERS)
     values, counts = np.unique(numbers[known & ~gone], return_counts=True)

@@ -201,9 +201,7 @@ def part_names(branch: Sequence[str], file: Sequence[str], n: int) -> list[str]:
 
 # ---- the hinge -----------------------------------------------------------------------------------
 def _hinges(cells: _Cells) -> list[_Hinge]:
-    """Hinges, the best first: of least cost over numbers of slack cells to begin with, then over
-    degrees.
-    """
+    """Hinges, the best first: of least cost over numbers of slack cells, then over degrees."""
     order, n = np.argsort(cells.y, kind="stable"), len(cells.y)
     below = int(np.sum(cells.y <= 0))
     sizes = np.linspace(max(below, 1), max(0.85 * n, below), STARTS).astype(int)

@@ -511,9 +511,7 @@ def joined_tables(tables: Sequence[ForceTable]) -> ForceTable:
 
 
 def joined_floor(tables: Sequence[ForceTable]) -> dict[str, Any]:
-    """``floor`` and ``censored`` of tables behind each other: found anew, for one file may hold one
-    length, unless one of them says more.
-    """
+    """``floor`` and ``censored`` of tables together: found anew, unless one of them says more."""
     if all(t.floor == "found" and t.censored is None for t in tables):
         return {}
     floors = [t.floor for t in tables if isinstance(t.floor, Floor)]

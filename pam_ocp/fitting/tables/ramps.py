@@ -256,9 +256,7 @@ def _stairs(piece: _Piece) -> list[Rows]:
 
 
 def _scatter(groups: list[Rows], moving: Array, force: Array) -> tuple[float, float, list[float]]:
-    """(correlation of neighbouring rows' errors, factor by which it widens the error of a cell's
-    mean, standard deviation of each cell's rows about a line).
-    """
+    """(correlation of neighbours, factor by which a mean's error widens, scatter of each cell)."""
     found, products, counts = [], [], []
     for rows in groups:
         x = moving[rows] - moving[rows].mean()

@@ -229,9 +229,7 @@ def loaded(source: Any, how: Reading) -> RawTable:
 def record_parts(
     raw: RawTable, plant: Plant | None, words: RecordArguments, seen: Understood | None = None
 ) -> tuple[list[Trajectory], list[str]]:
-    """(records between the cuts, what was left out or mended); ``seen`` is told what was understood
-    until an error. Raises InputError.
-    """
+    """(records between the cuts, notes); ``seen`` is told what was understood until an error."""
     seen, between = seen or Understood(raw), words.interpolation
     if HELD in raw.columns:
         between = between or interpolation_of(raw.numbers(HELD), raw.label)
