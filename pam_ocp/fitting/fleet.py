@@ -311,7 +311,7 @@ class _Muscle:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """All muscles, with the coefficients that are sought."""
+    """All muscles of a law, with the coefficients that are sought."""
 
     law: type[ForceLaw]
     free: tuple[int, ...]
@@ -319,8 +319,7 @@ class _Cells:
 
     @property
     def names(self) -> list[str]:
-        every = [v.name for v in self.law.coefficient_variables()]
-        return [every[i] for i in self.free]
+        return [self.law.coefficient_variables()[i].name for i in self.free]
 
 
 def _measured(
