@@ -244,13 +244,33 @@ def solve(
     IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
     where that does not settle, with the exact Hessian.
     """
-    if not isinstance(program, FitProgram) or not program.defects.numel():
-        return _descended(program, weights, guess, iterations or 300, report, stage)
-    seen = _Seen(report, stage)
-    first = _interior_point(program, weights, guess, False, iterations or 150, seen)
-    if first.found or first.timed or iterations is not None:
-        return first
-    return _interior_point(program, weights, guess, True, 100, _Seen(report, stage + ", curved"))
+    if isinstance(program, FitProgram) and program.defects.numel():
+        seen = _Seen(report, stage)
+        first = _interior_point(program, weights, guess, False, iterations or 150, seen)
+        if first.found or first.timed or iterations is not None:
+            return first
+        seen = _Seen(report, stage + ", curved")
+        return _interior_point(program, weights, guess, True, 100, seen)
+
+    def told(count: int, cost: float, _: Array) -> None:
+        if report is not None:
+            report(stage, count, cost / 2)
+
+    found = descend(
+        _Squares(program, weights),
+        guess,
+        program.low,
+        program.high,
+        iterations or 300,
+        enough=EXACT,
+        damping=CAREFUL,
+        progress=told,
+    )
+    if found.timed:
+        with spared(GRACE):
+            return _solution(program, found.z, TIMED, found.evaluations)
+    status = DONE[0] if found.converged else "Maximum_Iterations_Exceeded"
+    return _solution(program, found.z, status, found.evaluations)
 
 
 class _Seen:
@@ -344,33 +364,6 @@ class _Squares:
         return float(r @ r), slope.T @ r, slope.T @ slope, 0
 
 
-def _descended(
-    program: Program,
-    weights: Array,
-    guess: Array,
-    evaluations: int,
-    report: Report | None,
-    stage: str,
-) -> GaussNewtonResult:
-    def told(count: int, cost: float, _: Array) -> None:
-        if report is not None:
-            report(stage, count, cost / 2)
-
-    found = descend(
-        _Squares(program, weights),
-        guess,
-        program.low,
-        program.high,
-        evaluations,
-        enough=EXACT,
-        damping=CAREFUL,
-        progress=told,
-    )
-    if found.timed:
-        with spared(GRACE):
-            return _solution(program, found.z, TIMED, found.evaluations)
-    status = DONE[0] if found.converged else "Maximum_Iterations_Exceeded"
-    return _solution(program, found.z, status, found.evaluations)
 
 
 def _solution(program: Program, found: Array, status: str, iterations: int) -> GaussNewtonResult:

@@ -259,7 +259,7 @@ class Rollout:
         asked = runs.names, bool(runs.warm), tuple(sought[: self._local]), u.shared, *known
 
         def made() -> ca.Function:
-            step, read = _functions(self._plant, runs, u, rig, self._static, deep, every)
+            step, read = _functions(self, deep, every)
             return _sampled(_compiled(step) if many else step, read, self._count)
 
         key = ("rollout", *asked, self._static, deep, every, many, self._count)
@@ -406,15 +406,7 @@ def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], sample
 
 
 # ---- expressions --------------------------------------------------------------------------
-def _functions(
-    plant: Plant,
-    runs: Runs,
-    unknowns: RunUnknowns,
-    rig: Rig,
-    static: bool,
-    deep: bool,
-    every: bool,
-) -> tuple[ca.Function, ca.Function]:
+def _functions(rollout: Rollout, deep: bool, every: bool) -> tuple[ca.Function, ca.Function]:
     """Without or with sensitivities, a step: (state, inputs, given) -> (state), and what is read at
     a sample: (state, inputs, (measured, whether it corrects), given) -> (state, outputs).
 
@@ -423,7 +415,8 @@ def _functions(
     at which the values hold; the plant's parameters, of which those that are sought do not count.
     So the functions are the same, and compiled once, whatever the values.
     """
-    unknowns = unknowns.natural
+    plant, runs, static = rollout._plant, rollout.runs, rollout._static
+    unknowns, rig = rollout.unknowns.natural, rollout._rig
     nx, nu, ny = len(plant.states), len(plant.inputs), len(runs.names)
     nz = unknowns.shared
     local = nz + len(unknowns.own_starts)

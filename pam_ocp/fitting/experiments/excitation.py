@@ -362,13 +362,7 @@ class GapSignal:
 
 
 def close_gap(
-    gap: Coverage,
-    duration: float,
-    sample: float = 0.01,
-    inputs: Mapping[str, tuple[float, float]] | Sequence[str] | None = None,
-    limits: Mapping[str, tuple[float, float]] | None = None,
-    tries: int = 8,
-    seed: int = 0,
+    gap: Coverage, duration: float, sample: float, inputs: Any, limits: Any, tries: int, seed: int
 ) -> GapSignal:
     """See :func:`design_signal`, which calls this for a :class:`Coverage`."""
     plant = gap.plant

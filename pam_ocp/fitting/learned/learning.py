@@ -241,6 +241,7 @@ class _Tried:
     losses: Array
 
 
+@dataclass(frozen=True, eq=False)
 class _Shrunk:
     """The mean squared error of runs over the weights, with a penalty; see ``Normal``.
 
@@ -249,41 +250,36 @@ class _Shrunk:
     that is to be made with them.
     """
 
-    def __init__(
-        self,
-        rollout: Rollout,
-        starts: Array,
-        centre: Array,
-        precision: Array,
-        width: float | None = None,
-    ) -> None:
-        self._rollout, self._starts, self._width = rollout, starts, width
-        self._centre, self._precision = centre, precision
+    rollout: Rollout
+    starts: Array
+    centre: Array
+    precision: Array
+    width: float | None = None
 
     def _errors(self, w: Array) -> Array:
-        return self._rollout.residuals(np.concatenate([w, self._starts]))
+        return self.rollout.residuals(np.concatenate([w, self.starts]))
 
     def cost(self, w: Array, /) -> float:
-        away = w - self._centre
-        return float(np.sum(self._errors(w) ** 2) + away @ self._precision @ away)
+        away = w - self.centre
+        return float(np.sum(self._errors(w) ** 2) + away @ self.precision @ away)
 
     def normal(self, w: Array, /) -> tuple[float, Array, Array, int]:
-        n, away = len(w), w - self._centre
-        if self._width is None:
-            z = np.concatenate([w, self._starts])
-            cost, gradient, square, damped = self._rollout.normal(z)
+        n, away = len(w), w - self.centre
+        if self.width is None:
+            z = np.concatenate([w, self.starts])
+            cost, gradient, square, damped = self.rollout.normal(z)
             gradient, square = gradient[:n], square[:n, :n]
         else:
             errors = self._errors(w)
             slopes = np.empty((len(errors), n))
             for k in range(n):
                 beside = w.copy()
-                beside[k] += self._width
-                slopes[:, k] = (self._errors(beside) - errors) / self._width
+                beside[k] += self.width
+                slopes[:, k] = (self._errors(beside) - errors) / self.width
             cost, gradient, square = float(errors @ errors), slopes.T @ errors, slopes.T @ slopes
             damped = 0
-        cost += float(away @ self._precision @ away)
-        return cost, gradient + self._precision @ away, square + self._precision, damped
+        cost += float(away @ self.precision @ away)
+        return cost, gradient + self.precision @ away, square + self.precision, damped
 
 
 class _Trial:

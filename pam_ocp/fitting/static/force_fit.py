@@ -166,10 +166,8 @@ class ForceFit(Optimum):
         pressure, contraction = _places(p, kappa)
         away = _beyond(self.table, pressure, contraction)
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
-        force, error = (
-            force.reshape(pressure.shape),
-            self.linearisation.stderr(gradient).reshape(pressure.shape),
-        )
+        force = force.reshape(pressure.shape)
+        error = self.linearisation.stderr(gradient).reshape(pressure.shape)
         t = self.linearisation.reach(level)
         with np.errstate(invalid="ignore"):
             half = np.where(error > 0, t * error, 0.0)
@@ -335,12 +333,9 @@ class ForceFit(Optimum):
         """Write law, coefficients, data and statistics;
         :meth:`from_json` reads them back exactly.
         """
-        table: dict[str, Any] = {
-            n: getattr(self.table, n).tolist() for n in ("pressure", "contraction", "force")
-        }
-        table |= {
-            n: list(getattr(self.table, n)) for n in ("branch", "run") if getattr(self.table, n)
-        }
+        kept = ("pressure", "contraction", "force", "branch", "run")
+        columns = {n: np.asarray(getattr(self.table, n)) for n in kept}
+        table: dict[str, Any] = {n: c.tolist() for n, c in columns.items() if c.size}
         table["censored"] = self.table.slack.tolist()
         floor, serial = self.table.floor_found, self.serial
         content = {

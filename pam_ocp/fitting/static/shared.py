@@ -275,13 +275,9 @@ def _settled(problem: JointProblem, noise: str) -> tuple[Minimum, list[float]]:
 
 def _separate(problem: JointProblem) -> Array | None:
     """Nonlinear unknowns that the tables alone would have: every one's for what is shared."""
-    alone = []
-    for part in problem.parts:
-        try:
-            alone.append(minimise(part).coefficients)
-        except FitError:  # a table too poor to be fitted alone gives no start
-            continue
-    if len(alone) < len(problem.parts):
+    try:
+        alone = [minimise(part).coefficients for part in problem.parts]
+    except FitError:  # a table too poor to be fitted alone gives no start
         return None
     starts = []
     for lead in range(len(alone)):
@@ -309,8 +305,7 @@ def _stated(
     ]
     free = [n for n in every if n not in helds[0]]
     common = tuple(free) if shared == "all" else _shared(shared, every, free)
-    if weights is None:
-        weights = [None] * len(tables)
+    weights = [None] * len(tables) if weights is None else weights
     if len(weights) != len(tables):
         raise InputError(
             f"weights: {len(weights)} for {len(tables)} tables; give one (or None) each"
