@@ -279,10 +279,7 @@ def fit_fleet(
 # ---- what was measured ---------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Muscle:
-    """Taut cells of a muscle's records behind each other; weights are their own.
-
-    starts : where each record begins. begin : all coefficients of the law, or None.
-    """
+    """Taut cells of a muscle's records behind each other, which begin at ``starts``."""
 
     key: Key
     p: Array

@@ -42,9 +42,8 @@ class Scatter:
     diagonal: bool
 
     def spreads(self, level: float) -> tuple[Array, Array, Array]:
-        """Standard deviation of each parameter between units, and its interval (three (k,)).
-
-        From chi2 of the whole scatter, less what units alone are uncertain by.
+        """Standard deviation of each parameter between units, and its interval, by chi2 (three
+        (k,)).
         """
         from scipy.special import chdtri
 
@@ -60,8 +59,8 @@ class Scatter:
     def predicted(self, a: Array, x: Array, group: NDArray[np.intp]) -> tuple[Array, Array]:
         """Each unit's parameters (n, k) and their covariances, shrunken towards its group's mean.
 
-        The covariance also holds that the means and the size of B are uncertain, the latter by
-        the mean over its chi2 (C. Morris, J. Am. Stat. Assoc. 78 (1983) 47-55).
+        That the means and the size of B are uncertain adds to the covariance (C. Morris, J. Am.
+        Stat. Assoc. 78 (1983) 47-55).
         """
         from scipy.special import chdtri
 
@@ -86,12 +85,10 @@ class Scatter:
 def between(
     a: Array, x: Array, group: NDArray[np.intp], free: NDArray[np.bool_], begin: Array | None = None
 ) -> Scatter:
-    """The scatter of units about the means of their groups.
+    """The scatter of units about the means of their groups, searched from ``begin``.
 
-    a, x : (n, k, k), (n, k), what each unit says. group : (n,), numbers that rise from 0.
-    free : (k,), which parameters units have of their own; of the others all units of a group have
-    the same.
-    begin : B to start from.
+    a, x : (n, k, k), (n, k), what each unit says. group : (n,), numbers that rise from 0. free :
+    (k,), which parameters units have of their own.
     """
     n, k = x.shape
     count = int(group.max()) + 1
@@ -194,8 +191,8 @@ def _predicted(
 def shrunken_variances(squares: Array, dof: Array) -> Array:
     """Variances of units out of sums of squares (n,), drawn towards what they have in common.
 
-    An inverse gamma distribution of the variances by the moments of their logarithms (G. Smyth,
-    Stat. Appl. Genet. Mol. Biol. 3 (2004), Article 3, 6.2).
+    Inverse gamma, by the moments of logarithms (G. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004),
+    Article 3, 6.2).
     """
     from scipy.optimize import brentq
     from scipy.special import digamma, polygamma

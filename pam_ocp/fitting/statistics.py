@@ -143,10 +143,8 @@ def require_choice(argument: str, value: Any, known: Sequence[str]) -> Any:
 
 
 def f_test(gained: float, more: int, left: float, dof: int) -> tuple[float, float]:
-    """(F, the probability that chance alone makes it as large) of nested models.
-
-    gained : what ``more`` freedoms take off the sum of squares, of which ``left`` with ``dof``
-    degrees of freedom stay.
+    """(F, the probability that chance makes it as large) of ``more`` freedoms that ``gained`` of a
+    sum of squares, of which ``left`` stays with ``dof``.
     """
     from scipy.special import fdtrc
 
@@ -371,9 +369,8 @@ class Linearisation:
         return np.where(self.blind(directions), np.inf, error)
 
     def hardly_seen(self) -> Iterator[tuple[bool, Array, str]]:
-        """Combinations that the data do not (True) or hardly (False) see: change, and in words.
-
-        The change is one standard error, or 10 % of the largest participant where that is infinite.
+        """Combinations that the data do not (True) or hardly (False) see: one standard error's
+        change, or 10 % of the largest participant where that is infinite, and in words.
         """
         norms, s, vt = self.decomposition
         for value, vector in zip(s, vt, strict=True):

@@ -185,8 +185,7 @@ def record_noise(series: Sequence[Array]) -> tuple[float, float]:
     """(standard deviation of white noise on a smooth signal, relative standard error of its
     square).
 
-    By the median of its absolute differences, so that jumps of the signal do not count; the least
-    over the orders, as what a difference leaves of the signal only adds.
+    By the median of absolute differences, which jumps do not move; the least over the orders.
     """
     found, count = [], 0
     for order in ORDERS:
@@ -253,10 +252,7 @@ class Noise:
 
 
 def noise_of(series: Sequence[Array], most: int = DEEPEST, lost: float = 0.0) -> Noise:
-    """Of residuals (each a series about zero), the order by Schwarz' criterion.
-
-    lost : degrees of freedom that the fit took from them.
-    """
+    """Of residuals (series about zero) less ``lost`` degrees of freedom, by Schwarz' criterion."""
     n = sum(len(s) for s in series)
     deepest = max(0, min(most, n // 20, min(len(s) for s in series) // 4))
     covariance = np.array(

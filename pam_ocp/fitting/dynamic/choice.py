@@ -61,9 +61,8 @@ def paired(differences: Array, level: float) -> tuple[float, float, float]:
 def rmse_ratios(losses: Array, reference: Array, level: float = 0.95) -> Array:
     """(ratio, low, high) of RMSEs by criterion (m, 3), of losses of the same records (n, m).
 
-    The interval is that of a ratio of means (W. Cochran, Sampling Techniques, 1977, ch. 6), from
-    differences record by record, on the scale of its logarithm: it holds both ways round. NaN by a
-    criterion that fewer than two records allow.
+    The interval of a ratio of means (W. Cochran, Sampling Techniques, 1977, ch. 6) on the scale of
+    its logarithm: it holds both ways round. NaN where fewer than two records allow a criterion.
     """
     found = np.full((losses.shape[1], 3), np.nan)
     for k, (own, other) in enumerate(zip(losses.T, reference.T, strict=True)):
@@ -522,8 +521,7 @@ def _pick(
 ) -> tuple[str, dict[str, tuple[float, float, float]]]:
     """The name that the rule takes, and (score, behind the best, its standard error) of each.
 
-    The criteria weigh alike: each is counted in parts of the least mean loss that any structure has
-    by it.
+    The score is the mean over the criteria, each in parts of the least mean loss by it.
     """
     means = {n: mean_loss(x) for n, x in losses.items()}
     usable = [n for n, m in means.items() if np.all(np.isfinite(m))]

@@ -61,10 +61,7 @@ MOST = 4000
 
 @dataclass(frozen=True)
 class Reach:
-    """A variable's range in the records (seen) and where it is to go (asked) [its unit].
-
-    outside : share of the samples that lie outside of what was seen.
-    """
+    """Ranges of a variable, and the share of the samples asked for ``outside`` of what was seen."""
 
     name: str
     unit: str

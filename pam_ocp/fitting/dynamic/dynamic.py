@@ -269,9 +269,8 @@ def _told(task: FitTask, found: PlantEstimate) -> PlantFit:
 
 
 def _deferred(task: FitTask, found: PlantEstimate, fit: PlantFit) -> tuple[PlantEstimate, PlantFit]:
-    """The estimate of the exact motion: what the integration is off by is added to the measured
-    values, and the fit made anew, until both agree (deferred correction): residuals are then those
-    of an accurate simulation, whatever the degree.
+    """The estimate of the exact motion, by deferred correction: what the integration is off by is
+    added to the measured values, and the fit made anew, until both agree.
     """
     exact = [e.measured for e in task.experiments]
     for _ in range(CORRECTIONS):

@@ -58,9 +58,8 @@ class NoInfluence(FitError):
 class Asked:
     """What is asked of records, whatever the plant's values and the method.
 
-    delays : [s], lowest and highest. sensors : names by argument of :func:`unknowns_of`. noise : in
-    nominals, where it is known. iterations : of the solver in each search, at most: the best until
-    then counts.
+    delays : [s], lowest and highest. sensors : by argument of :func:`unknowns_of`. noise : in
+    nominals, where it is known. iterations : of the solver in each search, at most.
     """
 
     names: Sequence[str]

@@ -69,8 +69,8 @@ class Motion:
 class Evidence:
     """Motions with their slopes in ``names`` (scaled values) and in ``suspects``.
 
-    shifts : where the least squares of these motions have the values, less those of the fit.
-    integration : RMS of what halved steps change, of each measured variable.
+    shifts : of the values at the least squares of these motions. integration : RMS of what halved
+    steps change, of each measured variable.
     """
 
     outputs: tuple[str, ...]
@@ -213,9 +213,7 @@ def _blocks(
 def projected(
     motions: Sequence[Motion], weights: Array, more: Callable[[Motion], Array]
 ) -> tuple[Array, Array]:
-    """(error (n,), columns (n, .)) of all motions, weighed, their starts projected out.
-
-    weights : (ny,) of the measured variables. more : the columns (K, ny, .) of a motion.
+    """(error (n,), columns (n, .)) of all motions, times ``weights``, their starts projected out.
     """
     errors, columns = [], []
     for m in motions:

@@ -36,10 +36,7 @@ from ..statistics import Array
 
 @dataclass(frozen=True)
 class ParameterGroup:
-    """One unknown: a parameter of the plant, or several that are to be equal.
-
-    members : positions among the plant's parameters. scale : its size in the solver.
-    """
+    """One unknown: a parameter of the plant, or several (``members``) that are to be equal."""
 
     name: str
     members: tuple[int, ...]
@@ -53,10 +50,10 @@ class ParameterGroup:
 
 @dataclass(frozen=True, eq=False)
 class InputErrors:
-    """What unknown errors of samples, in standard deviations, add to the inputs' coefficients.
+    """What unknown errors of samples add to the inputs' coefficients (n, degree + 1, nu).
 
-    rows : positions in the coefficients (n, degree + 1, nu), flat. columns : numbers of the errors.
-    values : factors [unit of the input]. count : of the errors.
+    rows : positions in these, flat. columns : numbers of the errors, ``count`` in all. values :
+    factors [unit of the input per standard deviation].
     """
 
     rows: NDArray[np.intp]
@@ -283,8 +280,6 @@ def prepare(
     input_noise: Mapping[str, float] | None = None,
 ) -> Experiment:
     """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states.
-
-    input_noise : {measured input: standard deviation}; these count as samples, nothing more.
     """
     whole = with_inputs(plant, record, constant)
     missing = [v.name for v in plant.inputs if v.name not in whole]
@@ -408,8 +403,7 @@ def decided(
     """A fit, how inputs count as having run where that was not known, and what decided it, in
     words.
 
-    fitted : records to a fit and its deviance. Called once where all records say how inputs ran, or
-    where none of them moves.
+    fitted : records to a fit and its deviance; called once where no input's way is open.
     """
     if all(r.interpolation_known or not _moves(plant, r) for r in records):
         return fitted(records)[0], "linear", ""

@@ -110,9 +110,8 @@ def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
 def widened(usual: Array, scores: Array, noise: float) -> Array:
     """Covariance (k, k) of least squares with serially correlated errors.
 
-    usual : inverse of the normal matrix J^T J. scores : J^T r of each block (blocks, k). noise :
-    mean square of the errors r. Where there are few blocks to an unknown, only their mean widening
-    counts, and no narrowing.
+    usual : (J^T J)^-1. scores : J^T r of each block (blocks, k). noise : mean square of the errors
+    r. Where blocks are few to an unknown, only their mean widening counts, and no narrowing.
     """
     blocks, k = len(scores), max(len(usual), 1)
     meat = scores.T @ scores * blocks / max(blocks - 1, 1)
@@ -153,11 +152,7 @@ EXACT = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Fineness:
-    """What halved steps change.
-
-    gap : root mean square of each variable, in its unit. moved : of each unknown that is the same
-    for all records, in standard errors. fine : whether all of it is small.
-    """
+    """What halved steps change: RMS of each variable, and each unknown in standard errors."""
 
     gap: Array
     moved: Array

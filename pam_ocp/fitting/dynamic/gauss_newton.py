@@ -75,8 +75,8 @@ def descend(
     """Least squares from z; at most so many ``evaluations`` of the normal matrix.
 
     enough : relative gain of a step below which the search ends. damping : of the first step, in
-    parts of the normal matrix' diagonal. progress : called as progress(evaluations, cost, z) at
-    each new point. A time limit does not raise when there is a point to show.
+    parts of the normal matrix' diagonal. progress : called with (evaluations, cost, z) at new
+    points. A time limit does not raise when there is a point to show.
     """
     z, growth = np.clip(z, low, high), 4.0
     best, count, damped = (problem.cost(z), z), 0, 0
@@ -237,12 +237,10 @@ def solve(
 ) -> GaussNewtonResult:
     """Least squares from a guess; with a limit of ``iterations`` only as far as these lead.
 
-    report : called with ``stage``, iterations and cost at each of them. A time limit ends the
-    search with the best that was seen, where there is any.
-
-    Without states among the unknowns (single shooting, simulation) by :func:`descend`, else by
-    IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
-    where that does not settle, with the exact Hessian.
+    Without states among the unknowns by :func:`descend`, else by IPOPT: first without the
+    residuals' curvature (Gauss-Newton), and where that does not settle with the exact Hessian.
+    report : called with ``stage``, iterations and cost. A time limit ends with the best that was
+    seen.
     """
     if isinstance(program, FitProgram) and program.defects.numel():
         seen = _Seen(report, stage)

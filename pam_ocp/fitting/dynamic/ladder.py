@@ -277,10 +277,7 @@ def rungs_of(
     dynamic: Sequence[str | Sequence[str]] | None = None,
     names: Sequence[str] = LADDER,
 ) -> list[Rung]:
-    """The rungs of :func:`fit_ladder` for an arrangement; see there.
-
-    One start of each is (nearly) the rung before, so that no rung fits worse than it.
-    """
+    """The rungs of :func:`fit_ladder`; one start of each is (nearly) the rung before."""
     regulator = require_instance(
         "feed", feed or Regulator(), Regulator, "give a Regulator or PairRegulator"
     )
@@ -340,9 +337,9 @@ def rungs_of(
 
 @dataclass(frozen=True)
 class _Added:
-    """What a rung has beyond the one before: parameters that it frees, values of them from which
-    the fit begins, parts of the regulator, losses. fast : see :class:`Rung`. damps : whether a free
-    mass is tried lighter and heavier, as where the plant moves for the first time.
+    """What a rung has beyond the one before.
+
+    fast : see :class:`Rung`. damps : whether a free mass is tried lighter and heavier.
     """
 
     free: tuple[str, ...] = ()

@@ -420,10 +420,10 @@ def _corrections(
     sampling: float,
     pushed: Mapping[str, tuple[str, int]],
 ) -> list[Unknown]:
-    """Gains that are sought.
+    """Gains that are sought: of a measured state, of its velocity in one sampling interval, of
+    others.
 
-    A measured state takes up a part of its own error (from none to all), its velocity what of it
-    lies within one sampling interval; others begin at zero.
+    A measured state takes up none to all of its own error; others begin at zero.
     """
     order = [v.name for v in plant.states]
     velocities = {v: p for p, v in plant.positions.items() if p in measured}
@@ -475,8 +475,8 @@ def disturbed(
     which they are forgotten; and by what each is corrected, in what unit of gain: 1/s where the
     pushed state itself is measured, 1/s^2 where its position is.
 
-    ``w`` gets a state ``w.disturbance`` (d) and a parameter ``w.disturbance_rate`` (r): w' = ... +
-    d, d' = -r d. It begins at zero, so that the plant by itself is what it was.
+    ``w`` gets a state ``w.disturbance`` (d), zero at first, and a parameter ``w.disturbance_rate``
+    (r): w' = ... + d, d' = -r d.
     """
     positions = {w: q for q, w in plant.positions.items()}
     again = Redeclared(plant)

@@ -112,9 +112,8 @@ class Rollout:
         return np.asarray(found.reshape(n * k * ny, -1))
 
     def normal(self, z: Array, other: Array | None = None) -> tuple[float, Array, Array, int]:
-        """(cost, J^T r, J^T J, number of runs with damped rows); nothing larger is ever held.
-
-        other : residuals (n, K, ny) in place of those at z.
+        """(cost, J^T r, J^T J, number of runs with damped rows); ``other`` residuals in place of
+        those at z.
         """
         cost, gradient, square, damped = 0.0, np.zeros(len(z)), np.zeros((len(z), len(z))), 0
         for rows, errors, slopes, wild in self.blocks(z):
@@ -215,10 +214,7 @@ class Rollout:
     def _run(
         self, z: Array, deep: bool, every: bool = False
     ) -> Iterator[tuple[_Part, Array, Array]]:
-        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it.
-
-        every : also the states that the outputs do not depend on, which else stay where they begin.
-        """
+        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it."""
         runs, ny = self.runs, len(self.runs.names)
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)

@@ -173,11 +173,11 @@ class Task:
 # ---- a model ------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class RungModel:
-    """A rung from a plant's values on, run through whole records. What is not measured begins at
-    rest; where positions, velocities and pressures begin is unknown in each record, too.
+    """A rung run through whole records from guesses ``x0`` (records, nx) of the starts, dead times
+    apart.
 
-    plant, records : as they are run, dead times apart. x0 (records, nx) : guesses of the starts.
-    z : where a search begins, or ended.
+    What is not measured begins at rest; where positions, velocities and pressures begin is unknown
+    in each record, too. z : where a search begins, or ended.
     """
 
     plant: Plant
@@ -306,9 +306,7 @@ def _values(plant: Plant, model: RungModel) -> dict[str, float]:
 
 
 def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant]:
-    """The plants from which the fit of a rung begins.
-
-    before : values found on the rung before. rate : the fastest of a pressure there [Pa/s].
+    """The plants from which a rung's fit begins, its fastest pressure having had ``rate`` [Pa/s].
     """
     known = {v.name: v for v in rung.plant.parameters}
     kept = {n: v for n, v in before.items() if n in known}

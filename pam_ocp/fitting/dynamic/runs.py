@@ -397,10 +397,7 @@ def _horizons(given: Any, sampling: float) -> tuple[int, ...] | None:
 def _spans(
     record: int, last: int, horizons: tuple[int, ...] | None, stride: int | None, before: int
 ) -> list[tuple[int, int, int]]:
-    """(record, sample of the start, samples after it) of each run; ``last`` sample of the record.
-
-    A run is as long as the longest horizon where the record is, and else as what is left of it.
-    """
+    """(record, sample of the start, samples after it) of each run, as long as the record allows."""
     if horizons is None:
         return [(record, before, last - before)] if last > before else []
     assert stride is not None
@@ -483,9 +480,8 @@ def hidden_states(
 
 
 def settled_starts(plant: Plant, runs: Runs, records: int, places: Sequence[int]) -> Array:
-    """Guesses (records, len(places)): the measured states and their velocities as at the first run
-    of a record, the others at rest under its first inputs; at the plant's start values where they
-    do not come to rest.
+    """Guesses (records, len(places)): measured states and velocities as at a record's first run,
+    others at rest under its first inputs, or at the plant's start where they find no rest.
     """
     if not places:
         return np.empty((records, 0))

@@ -204,10 +204,7 @@ def _smooth(x: Array) -> Array:
 def sensor_suspects(
     outputs: Sequence[tuple[str, str]], modelled: Sequence[Array], measured: Sequence[Array]
 ) -> list[tuple[Suspect, list[Array]]]:
-    """What sensors may do, with its slope (K, ny) in each motion: they show modelled values.
-
-    outputs : (name, unit). modelled, measured : (K, ny) of each motion.
-    """
+    """What sensors may do, with its slope (K, ny) in each motion; ``outputs`` : (name, unit)."""
     total = float(sum(map(len, modelled)))
     firsts = np.cumsum([0, *map(len, modelled)])
     found: list[tuple[Suspect, list[Array]]] = []

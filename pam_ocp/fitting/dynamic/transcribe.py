@@ -201,9 +201,8 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """The motion along all intervals: unknown points, where intervals begin, what is to be zero.
-
-    inside : the points that ``read`` takes besides the begin (none for shooting), a column each.
+    """The motion along all intervals; ``inside`` : the points that ``read`` takes besides the
+    begin.
     """
 
     points: ca.MX
@@ -251,8 +250,8 @@ def _jumps(
 ) -> ca.DM:
     """Matrix from jumps (in standard deviations) to the begins of all intervals (nominals).
 
-    White noise of intensity q adds the variance q^2 h during an interval of length h; the next one
-    begins with it. The first of each record has none: its initial state is free.
+    White noise of intensity q adds the variance q^2 h in an interval of length h. Each record's
+    first begin has none.
     """
     nx, n = len(x_nominal), mesh.h.size
     later = np.nonzero(mesh.begin >= records)[0]
@@ -406,10 +405,7 @@ def _rolled(
     mesh: _Mesh,
     given: tuple[ca.MX, ca.MX],
 ) -> ca.MX:
-    """The states at all ends of intervals, each record integrated from its initial state.
-
-    given : inputs and parameters.
-    """
+    """The states at all ends of intervals, each record integrated from its initial state."""
     u, p = given
     first, parts = 0, []
     for r, e in enumerate(experiments):

@@ -167,10 +167,8 @@ class Excitation:
 
 
 def criterion_of(total: int, chosen: Sequence[int], weights: Sequence[float] | None) -> ca.Function:
-    """Information (k, k) -> ln det of the chosen block of the covariance, or sum(weights
+    """Information (k, k) -> ln det C_ss = ln(det M_rr / det M), r all but s; or sum(weights
     variances).
-
-    The determinant of a block of the inverse: det C_ss = det M_rr / det M, r all the others.
     """
     m = ca.SX.sym("m", total, total)
     if weights is not None:
@@ -269,10 +267,7 @@ def excitation(
 def ranges_of(
     plant: Plant, inputs: Any, usual: Mapping[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
-    """{input: (low, high)} that may be played, within its bounds.
-
-    inputs : the user's ranges or names, None for all of ``usual``. Raises InputError.
-    """
+    """{input: (low, high)} that may be played, of the user's ranges or names, within its bounds."""
     if inputs is None:
         inputs = usual
     if not isinstance(inputs, Mapping):

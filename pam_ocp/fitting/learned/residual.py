@@ -242,9 +242,10 @@ class Visited:
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A plant with residuals. weights : names of their parameters. centre, precision : of the
-    penalty (weights - centre)' precision (weights - centre); at ``centre`` the plant is what it
-    was. begin : where a search begins.
+    """A plant with residuals; ``weights`` : names of their parameters.
+
+    The penalty is (weights - centre)' precision (weights - centre); at ``centre`` the plant is what
+    it was, from ``begin`` a search goes.
     """
 
     plant: Plant

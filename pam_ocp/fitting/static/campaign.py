@@ -398,10 +398,7 @@ def collected(
     diameter: float | Mapping[str, float] | None,
     reading: Mapping[str, Any],
 ) -> tuple[list[Measured], dict[str, str]]:
-    """The tables of a campaign, and the files that could not be read, with the reason.
-
-    Raises InputError where there is none.
-    """
+    """The tables of a campaign, and the files that could not be read, with the reason."""
     found: list[Measured] = []
     failed: dict[str, str] = {}
     for name, one in _sources(source):

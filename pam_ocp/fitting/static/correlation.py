@@ -57,10 +57,9 @@ class Order:
 
 
 def sequences(*tables: ForceTable) -> list[Order]:
-    """Orders in which errors of the cells of tables (one behind the other) may be correlated.
-
-    Row after row; row after row within a ramp (contraction level, branch and run); along pressure
-    in each of these. Nothing follows from table to table.
+    """Orders in which errors of cells may be correlated: row after row; the same within a ramp
+    (contraction level, branch and run); along pressure in each of these. Nothing follows from table
+    to table.
     """
     found = [_joined(orders) for orders in zip(*(_orders(t) for t in tables), strict=True)]
     distinct: list[Order] = []
@@ -109,8 +108,7 @@ def serial_errors(
 ) -> SerialErrors | None:
     """Whether residuals are serially correlated in one of ``orders``; None when not.
 
-    jacobian, residuals : weighted, (n, k) and (n,), of the measurements alone; rows of other kinds
-    (priors) may stand behind them in the Jacobian, whose errors follow nothing.
+    jacobian, residuals : weighted, of the measurements; rows of priors may follow in the Jacobian.
     """
     n = len(residuals)
     basis = spanned(jacobian[:n])
@@ -150,9 +148,8 @@ def serial_errors(
 
 
 def surprise(residuals: Array, orders: Sequence[Order], price: float) -> float:
-    """-2 ln L of residuals, up to a constant, and ``price`` for a correlation where that pays.
-
-    Errors are normal, of unknown variance, and independent or AR(1) in one of ``orders``.
+    """-2 ln L of normal residuals, independent or AR(1) in one of ``orders``, with a ``price`` for
+    that.
     """
     n, size = len(residuals), max(float(residuals @ residuals), 1e-300)
     found = [n * np.log(size / n)]
@@ -168,8 +165,7 @@ def drawn_errors(
 ) -> Array:
     """New errors (n,), correlated as those of a fit are; their correlation is drawn, too.
 
-    What is new in each residual is drawn with replacement (a sieve bootstrap: P. Buehlmann,
-    Bernoulli 3 (1997) 123-148). sigma : standard deviation of independent errors.
+    A sieve bootstrap (P. Buehlmann, Bernoulli 3 (1997) 123-148). sigma : of independent errors.
     """
     i = int(random.choice(serial.values.size, p=serial.weights))
     rho, late = float(serial.values[i]), order.follows

@@ -423,11 +423,7 @@ REACH = (-1.0, 1.0)
 
 
 def _places(p: Any, kappa: Any) -> tuple[Array, Array]:
-    """Gauge pressures [Pa] and contractions, broadcast: numbers, or texts as "3 bar" and "10 %".
-
-    Warns (UnitWarning) where another unit was probably meant. Raises InputError for what no muscle
-    can be.
-    """
+    """Gauge pressures [Pa] and contractions, broadcast: numbers, or texts as "3 bar" and "10 %"."""
     pressure = np.asarray(require_numbers("p", p, "Pa", doubted=True))
     kappas = np.asarray(require_numbers("kappa", kappa, "1"))
     low = pressure < -AMBIENT

@@ -139,9 +139,8 @@ class HoldModel:
     def solved(
         self, estimates: Array, start: Array, moved: Sequence[int] | None = None
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Where the plant rests (n, sought), and which of the holds were found.
-
-        moved : numbers of the states that are sought, by default all; the others stay.
+        """Where the plant rests (n, sought), and which holds were found; only states ``moved`` are
+        free.
         """
         places = list(range(len(self.sought)) if moved is None else moved)
         z, part, nominal = start.copy(), np.ones(len(start)), self.nominal[places]
@@ -174,8 +173,8 @@ class HoldModel:
     def predicted(self, estimates: Array, start: Array | None) -> tuple[Array, Array, Array]:
         """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z.
 
-        start : where to begin; None for the linear model at the measured positions, which also
-        stands in where Newton's method finds no rest.
+        Without a ``start``, and where Newton's method finds no rest, by the linear model at the
+        measured positions.
         """
         z = self.anchored(estimates) if start is None else self.solved(estimates, start)[0]
         residual, slopes, by, y, y_z, y_by = self.at(z, estimates)
@@ -350,9 +349,8 @@ class _End(NamedTuple):
 def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
     """The best optimum that is found; the problem rests there.
 
-    A muscle that goes slack on the way makes several optima. A fit is begun at the plant's values,
-    over the linear model at the measured positions, which needs no rest to be found, and at the
-    optima of the poorer fits, which hold one estimate more at the plant's values. These count
+    A muscle that goes slack on the way makes several optima. Begun at the plant's values, over the
+    linear model at the measured positions, and at the optima of the poorer fits, which count
     themselves: a richer fit is never worse.
     """
     model, first = problem.model, problem.start

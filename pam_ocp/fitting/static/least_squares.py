@@ -44,10 +44,7 @@ BISQUARE = 4.685
 def nonlinear_coefficients(
     law: type[ForceLaw], held: frozenset[str] = frozenset()
 ) -> tuple[str, ...]:
-    """The fewest coefficients which, once fixed, leave the law linear in all others together.
-
-    By the second derivative: two that share a non-zero entry cannot both be linear; held ones may.
-    """
+    """The fewest coefficients which, once fixed, leave the law linear in all others together."""
     function = law.function()
     c = ca.SX.sym("c", function.size1_in(2))
     tension = function(ca.SX.sym("p"), ca.SX.sym("kappa"), c)[0]
@@ -255,8 +252,7 @@ class LeastSquares:
 
     def near(self, start: Array) -> tuple[Array, Array]:
         """Bounds of the free coefficients near ``start`` (all): the law's own; what the scan left
-        at its edge stays there: the law degenerates (exp(a3 kappa) becomes a straight line, or a
-        step), the linear coefficients grow without end, and no optimum is reached by going on.
+        at its edge stays there, as the law degenerates beyond and has no optimum.
         """
         lower, upper = self.bounds()
         for place, i in enumerate(self.free):
@@ -354,10 +350,9 @@ class LeastSquares:
     def linear_in(
         self, values: Array, rows: Callable[[Array], tuple[Array, Array]]
     ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """What is left for the linear coefficients at nonlinear ``values`` (m, k), they being 0.
-
-        rows : ``evaluate`` or ``with_priors``. Returns coefficients (m, all), targets (m, n),
-        columns (m, n, linear) and which of the m are finite.
+        """Coefficients (m, all) with the linear ones 0, targets (m, n), columns (m, n, linear), and
+        which of the m are finite, at nonlinear ``values`` (m, k); rows by ``evaluate`` or
+        ``with_priors``.
         """
         c = np.tile(self.base, (len(values), 1))
         c[:, list(self.nonlinear)] = values
@@ -368,11 +363,9 @@ class LeastSquares:
         return c, target, columns, np.asarray(good)
 
     def triangles(self, values: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """What is left for the linear coefficients at nonlinear ``values`` (m, k), in short.
-
-        Returns coefficients (m, all), the linear ones 0; R (m, <= linear + 1, linear + 1) with
-        |R (-c, 1)| the residual of linear coefficients c (QR of columns and target, block by
-        block); and which of the m are finite.
+        """Coefficients (m, all), the linear ones 0; R (m, <= linear + 1, linear + 1) with |R (-c,
+        1)| the residual of linear coefficients c (QR of columns and target, block by block); which
+        are finite.
         """
         m, columns = len(values), [1 + i for i in self.linear]
         c = np.tile(self.base, (m, 1))
@@ -394,9 +387,8 @@ class LeastSquares:
         return c, found, good
 
     def project(self, values: Array) -> tuple[Array, Array]:
-        """Best linear coefficients for nonlinear ``values`` (m, k): costs (m,), all (m, c).
-
-        Inequalities are left out; a robust loss is met by reweighting.
+        """Costs (m,), all (m, c) with the best linear coefficients at ``values`` (m, k), no
+        inequalities.
         """
         if self.terms.loss == "squares":
             c, whole, good = self.triangles(values)
@@ -465,9 +457,8 @@ def sizes(variable: Variable) -> Array:
 
 # ---- scales of robust fits -----------------------------------------------------------------------
 def spread(residuals: Array, fitted: int) -> float:
-    """Standard deviation of normal errors from the median of the largest n - fitted residuals.
-
-    A fit of k coefficients by absolute values leaves k residuals at zero, which say nothing.
+    """Standard deviation of normal errors: the median of the largest n - fitted residuals (as k are
+    0).
     """
     size = np.sort(np.abs(residuals))[min(fitted, residuals.size - 1) :]
     return float(np.median(size) / 0.6745)

@@ -46,9 +46,7 @@ def profile_ends(
 ) -> dict[str, Ends]:
     """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
 
-    A standard error that is larger than that of independent errors widens the interval as much.
-
-    executor : where coefficients walk. A sweep takes milliseconds for all, and is done here.
+    executor : where coefficients walk; a sweep takes milliseconds for all, and is done here.
     """
     placed(executor)
     plain = dict(zip(fit.free, fit.linearisation.independent.stderr().tolist(), strict=True))
@@ -78,8 +76,8 @@ def _end(fit: Optimum, walk: tuple[str, float, float]) -> tuple[float, str]:
 def _others(fit: Optimum, place: int, start: Array) -> tuple[Array, float]:
     """The best of all but coefficient number ``place``, near ``start``, and what they cost.
 
-    Inequalities make several optima, so censored cells ask for a whole fit. Where the law cannot
-    be slack there, the place is out of reach: it costs more than any limit (but a finite sum).
+    Censored cells ask for a whole fit; a place where the law cannot be slack costs more than any
+    limit.
     """
     problem, beyond = fit.problem, float(np.finfo(float).max)
     if not problem.censored:
@@ -130,12 +128,10 @@ def walked(
     bounds: tuple[float, float],
     reach: float,
 ) -> tuple[float, str]:
-    """Value of unknown number ``place``, on the side of ``step``, at which the cost reaches
-    ``limit``, the others fitted anew from step to step.
+    """Where the cost reaches ``limit`` on the side of ``step`` of unknown number ``place``.
 
     others : the best of the others near given unknowns, and what they cost. bounds : of the
-    unknown, which may come first. reach : how far it is followed. Infinite, with the reason, where
-    the cost stays below the limit or cannot be computed.
+    unknown. reach : how far it is followed. Infinite, with the reason, where the cost stays below.
     """
     from scipy.optimize import brentq
 
@@ -176,8 +172,7 @@ ZOOMS, POINTS = 7, 13
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Profile intervals and bands of a law with one nonlinear coefficient q, over its whole range:
-    costs and ends of all linear coefficients over values of q.
+    """Profile intervals and bands of a law with one nonlinear coefficient q, over all of its range.
 
     For a given q the cost is least + (c - best)^2/variance in each linear coefficient c.
     """

@@ -91,9 +91,8 @@ def descend(
 ) -> Descended:
     """Follow starts (m, all) to the least squares next to them, priors included.
 
-    low, high : bounds of the free coefficients, (m, free). settled : relative fall of the cost in
-    one step at which a descent ends; by default it goes on to a stationary point. Costs are
-    infinite where the law gives no finite force at the start.
+    low, high : (m, free). settled : relative fall of the cost at which a descent ends, by default
+    none. Costs are infinite where the law gives no finite force at the start.
     """
     return _Descent(problem, starts, low, high, settled).run()
 
@@ -241,8 +240,8 @@ def _solver(
 ) -> Nlp:
     """min sum rho(w (F - y)/unit)/2 over scaled coefficients; built once per law and size.
 
-    Huber's loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|. So
-    IPOPT sees a smooth problem whose solution is that of the loss itself. Tukey's is smooth itself.
+    Huber's loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|:
+    smooth.
     """
     total = law.function().size1_in(2)
     z, base = ca.MX.sym("z", len(free)), ca.MX.sym("base", total)

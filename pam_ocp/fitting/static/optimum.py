@@ -116,10 +116,7 @@ class Optimum(Estimates):
 
     @property
     def sigma(self) -> float:
-        """Standard deviation s of a measurement of weight 1 [N]; NaN without freedom.
-
-        After a robust fit from the median of the absolute residuals, or the scale of the bisquare.
-        """
+        """Standard deviation s of a measurement of weight 1 [N], robust after a robust fit."""
         if not self.dof:
             return float("nan")
         if self.terms.loss == "bisquare":

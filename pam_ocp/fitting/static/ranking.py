@@ -33,11 +33,7 @@ Fit = TypeVar("Fit", ForceFit, JointForceFit)
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Generic[Fit]):
-    """A law that was tried.
-
-    fit : None, with the reason in ``problem``, where there is none.
-    left_out : what was left out of a fit (a level, a muscle) -> RMSE [N] there.
-    """
+    """A law tried: its fit (None by a ``problem``), RMSE [N] by what was ``left_out`` of a fit."""
 
     name: str
     fit: Fit | None

@@ -82,10 +82,7 @@ def _normal_factor(share: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Trim:
-    """Which cells are left out: the ``count`` largest residuals, at most half of a level.
-
-    groups : the cells of each contraction level.
-    """
+    """Which cells are left out: the ``count`` largest residuals, at most half of a level."""
 
     count: int
     groups: tuple[NDArray[np.intp], ...]

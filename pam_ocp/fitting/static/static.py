@@ -218,10 +218,7 @@ def _prior(where: str, value: Any) -> tuple[float, float]:
 
 
 def _settled(problem: LeastSquares, noise: float | None) -> tuple[LeastSquares, Array | None]:
-    """The problem with the scales that its loss and its priors need, from the data themselves.
-
-    Also where to begin, for a loss that has more than one optimum.
-    """
+    """The problem with the scales that its loss and priors need from the data; where to begin."""
     terms = problem.terms
     if terms.priors and noise is None:
         bare = replace(problem, terms=replace(terms, priors=(), loss="squares"))

@@ -323,10 +323,9 @@ def without_units(
     places: Sequence[Any],
     headers: Mapping[int, str] | None = None,
 ) -> tuple[dict[int, list[Any]], dict[int, str], str | None]:
-    """(columns of plain numbers, their units, decimal sign) of those columns whose cells name a
-    unit; the others are not in it. A bare number has the unit of the others.
+    """(columns of plain numbers, their units, decimal sign) of columns whose cells name a unit.
 
-    places : of each row, for messages. Raises InputError where one column mixes units.
+    A bare number has the unit of the others; ``places`` : of each row, for messages.
     """
     found: dict[int, list[Any]] = {}
     units: dict[int, str] = {}

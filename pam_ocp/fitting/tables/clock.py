@@ -67,10 +67,7 @@ _OF_DAY = re.compile(_TIME + "$")
 
 
 def seconds_of_stamps(cells: Sequence[Any], place: Any) -> tuple[Array, str]:
-    """(seconds since the first stamp with NaN for empty cells, what they are) of dates or times.
-
-    Raises InputError, with the ``place`` of its index, for a cell that is none.
-    """
+    """(seconds since the first stamp with NaN for empty cells, what they are) of dates or times."""
     parsed = [None if is_empty(c) else _parsed(c) for c in cells]
     for i, (cell, one) in enumerate(zip(cells, parsed, strict=True)):
         if one is None and not is_empty(cell):
@@ -271,10 +268,7 @@ def find_clock(raw: RawTable, time: str | None = None) -> tuple[RawTable, str | 
 def read_clock(
     raw: RawTable, header: str, wanted: str | None
 ) -> tuple[Array, str, tuple[Doubt, ...]]:
-    """(times [s] with NaN for empty cells, what they were, whether that is doubted).
-
-    Raises InputError.
-    """
+    """(times [s] with NaN for empty cells, what they were, whether that is doubted)."""
     cells = raw.columns[header]
     there = [c for c in list(cells)[:200] if c is not None and c != ""]
 
@@ -296,10 +290,7 @@ def read_clock(
 
 
 def doubts_of_clock(header: str, t: Array, said: str | None, wanted: str | None) -> list[Doubt]:
-    """Doubts of the unit of times [s]: steps, or a length, that records of such rigs do not have.
-
-    said, wanted : the units that the file and the user name.
-    """
+    """Doubts of the unit of times [s], by steps and length; the file and the user may name it."""
     steps = np.diff(t)
     if wanted is not None or t.size < 3 or not np.any(steps > 0):
         return []
@@ -335,9 +326,8 @@ def doubts_of_clock(header: str, t: Array, said: str | None, wanted: str | None)
 
 
 def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTable, Array]:
-    """Table and times without what can be mended: stamps that repeat, single wrong ones, wraps.
-
-    factor : seconds per count of the column. What was done is among the notes of the table.
+    """Table and times without stamps that repeat, single wrong ones, wraps at ``factor`` s per
+    count.
     """
     if t.size and t.min() == t.max():
         return raw, t
@@ -433,10 +423,7 @@ def _glitches(t: Array) -> NDArray[np.intp]:
 def parts_of(
     raw: RawTable, header: str, t: Array, max_gap: float | None, cut: bool
 ) -> list[tuple[int, int]]:
-    """(first, behind last) of the parts between gaps and backward steps.
-
-    Raises InputError where there are several and they are not to be cut.
-    """
+    """(first, behind last) of the parts between gaps and backward steps."""
     if len(t) < 2:
         raise InputError(f"{raw.label}: {len(t)} sample; a record needs at least 2")
     steps = np.diff(t)

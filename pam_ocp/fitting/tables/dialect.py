@@ -79,10 +79,7 @@ def grid_of_text(
     delimiter: str | None = None,
     decimal: str | None = None,
 ) -> Grid:
-    """The cells of a text. skip : lines at its beginning that are left out.
-
-    Raises InputError for what the csv module does not read.
-    """
+    """The cells of a text. skip : lines at its beginning that are left out."""
     lines: list[tuple[int, str]] = []
     comments: list[str] = []
     for i, line in enumerate(text.splitlines(), start=1):
@@ -164,10 +161,7 @@ MOSTLY = 0.7
 
 
 def _pairs(lines: Sequence[tuple[int, str]]) -> tuple[list[Sequence[Any]], list[int]] | None:
-    """Rows of a text of ``t=0.01 p=1.2 bar F=200`` below their keys; None where it is none.
-
-    Lines that are none become rows of one cell.
-    """
+    """Rows of a text of ``t=0.01 p=1.2 bar F=200`` below their keys; None where it is none."""
     sample = [line for _, line in lines[:SAMPLE]]
     if sum(len(_PAIR.findall(line)) >= 2 for line in sample) < MOSTLY * len(sample):
         return None
@@ -265,10 +259,7 @@ def is_lvm(text: str) -> bool:
 
 
 def segments_of(text: str, label: str) -> dict[str, Any]:
-    """{segment: {column: numbers}}; where channels have times of their own, a part for each.
-
-    Raises InputError for cells that are no numbers.
-    """
+    """{segment: {column: numbers}}; where channels have times of their own, a part for each."""
     lines = text.splitlines()
     ends = [i for i, line in enumerate(lines) if line.startswith(_END)]
     if not ends:

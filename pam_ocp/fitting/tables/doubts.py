@@ -104,9 +104,8 @@ class Understood:
 
 
 def kind_of(name: str, measured: str | None, *, told: bool) -> str:
-    """The kind of quantity, a key of MEASURED, of a column called ``name``; "" where not known.
-
-    measured : SI unit where it is known. told : a plant says the unit, so the name alone is none.
+    """The kind, a key of MEASURED, of a column; "" where not known, or where a plant ``told`` its
+    unit.
     """
     words = [
         w.strip("0123456789") for w in name.replace(".", " ").replace("_", " ").lower().split()
@@ -330,10 +329,7 @@ def _turned(column: Column, si: str) -> str:
 
 
 def above_ambient(column: Column, si: Array, command: Array | None = None) -> list[Doubt]:
-    """The doubt whether a pressure that never falls below the atmosphere's is absolute.
-
-    command : of the same muscle in the same record, which counts from the atmosphere.
-    """
+    """The doubt whether a pressure (whose ``command`` is gauge) never below ambient is absolute."""
     if column.settled or not si.size or column.shift:
         return []
     low = float(np.percentile(si, 5)) if si.size >= FEW_ROWS else float(si.min())

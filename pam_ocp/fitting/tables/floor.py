@@ -151,8 +151,8 @@ def find_floor(
 ) -> tuple[Floor, Mask] | None:
     """The floor, and the cells at it (those of a negative reading included); None without evidence.
 
-    Evidence is that the surface, fitted to the other cells, lies far below the readings (the law
-    would push), that these do not follow it, and that they crowd together as taut ones do not.
+    The surface through the other cells must lie far below the readings, these not follow it, and
+    crowd together as taut ones do not.
     """
     y, n, top = force, len(force), float(np.max(force, initial=0.0))
     if np.sum(y > 0) < FEWEST or not min(np.ptp(contraction), np.ptp(pressure)) > 0:

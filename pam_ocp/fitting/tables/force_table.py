@@ -366,10 +366,7 @@ class TableArguments(Reading):
 
 
 def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:
-    """The table that columns hold; ``seen`` is told what was understood until an error.
-
-    Raises InputError.
-    """
+    """The table that columns hold; ``seen`` is told what was understood until an error."""
     seen = seen or Understood(raw)
     columns = assigned(raw, words.columns, words.units, words.ambient_pressure)
     seen.meanings |= {column.header: (q, column.scale) for q, column in columns.items()}

@@ -96,10 +96,7 @@ class RawTable:
     def header(
         self, quantity: str, spellings: Collection[str], columns: Mapping[str, str]
     ) -> str | None:
-        """The header of a quantity: the user's choice, else the one spelled so; None without.
-
-        Raises InputError where two are.
-        """
+        """The header of a quantity: the user's choice, else the one spelled so; None without."""
         if quantity in columns:
             return columns[quantity]
         free = [h for h in self.columns if h not in columns.values()]
@@ -123,10 +120,7 @@ class RawTable:
         return self.signs.get(header) or self.decimal or decimal_of(self.columns[header])
 
     def numbers(self, header: str) -> NDArray[np.float64]:
-        """A column in the unit in which it stands, NaN for empty cells.
-
-        Raises InputError for a cell that is no number, or an infinite one.
-        """
+        """A column in the unit in which it stands, NaN for empty cells."""
         cells = self.columns[header]
         found, bad = numbers_of(cells, self.sign(header))
         if bad is None:
@@ -161,9 +155,8 @@ MOST_LOST = 0.5
 
 
 def complete(raw: RawTable, headers: Sequence[str], empty: str = "drop") -> RawTable:
-    """The rows that have numbers in all of these columns; how many have not is noted.
-
-    empty : "drop", or "refuse". Raises InputError where most rows would go.
+    """The rows with numbers in all of these columns; others are dropped, noted, or refused
+    (``empty``).
     """
     missing = {h: np.isnan(raw.numbers(h)) for h in headers}
     gone = np.any(list(missing.values()), axis=0) if missing else np.zeros(len(raw), bool)

@@ -286,10 +286,7 @@ COUNTED = "time [s]"
 
 
 def _clock_of(raw: RawTable, words: RecordArguments) -> tuple[RawTable, str]:
-    """(table, header of its time), which is counted where the user says how long a row takes.
-
-    Raises InputError where there is none.
-    """
+    """(table, header of its time), which is counted where the user says how long a row takes."""
     raw, header = find_clock(raw, words.time)
     if header is not None:
         return raw, header

@@ -104,10 +104,7 @@ def is_source(source: Any) -> bool:
 
 
 def sources_of(source: Any) -> list[Any]:
-    """Several sources: of a list, a folder (its readable files by name), or a pattern.
-
-    Raises InputError where there are none.
-    """
+    """Several sources: of a list, a folder (its readable files by name), or a pattern."""
     if not isinstance(source, str | Path):
         found = [s for one in source for s in ([one] if is_source(one) else sources_of(one))]
         if not found:

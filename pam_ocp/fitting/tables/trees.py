@@ -36,7 +36,7 @@ def chosen_table(
     """(the table of a tree, which it is).
 
     pick : its name, as ``run.data`` or ``runs[2]``, or several to be put on one clock; needed where
-    there are several that do not have clocks of their own. Raises an InputError that names them.
+    there are several that do not have clocks of their own.
     """
     _require_few(label, list(_arrays(tree, 0)))
     tables = _renamed(dict(_tables(rewritten(tree), "", label, 0)))
@@ -176,10 +176,7 @@ def _of_mapping(
 
 
 def _columns(tree: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """The columns of a mapping: its rows of the commonest length; {} where fewer than two are.
-
-    A matrix of as many rows gives several columns.
-    """
+    """The columns of a mapping: its rows of the commonest length (two at least; also matrices')."""
     vectors = {str(k): v for k, v in ((k, _vector(v)) for k, v in tree.items()) if v is not None}
     lengths = Counter(len(v) for v in vectors.values() if len(v) > 1 and not _is_text(v))
     if not lengths:
