@@ -156,11 +156,8 @@ def fit_forces(
     if weights is not None or bounds is not None or noise != "equal":
         raise InputError("weights, bounds and noise belong to a joint fit; leave candidates away")
     placed(executor)
-    measured, failed = collected(tables, rest_length, diameter, reading or {})
+    parts, failed = collected(tables, rest_length, diameter, reading or {})
     study = _Study(kind, fixed, loss, errors)
-    parts: dict[str, list[Any]] = {}
-    for one in measured:
-        parts.setdefault(one.muscle, []).append(one)
     muscles: dict[str, MuscleStudy] = {}
     studied = results_of(study.muscle, [*parts.items()], executor=executor, chunk=1, what="muscles")
     for name, found in zip(parts, studied, strict=True):
@@ -214,11 +211,9 @@ def _of_muscles(tables: Any, rest_length: Any, reading: Mapping[str, Any] | None
     if several and not any(isinstance(t, str | Path | Mapping) for t in every):
         return tables
     measured, failed = collected(tables, rest_length, None, reading or {})
-    if failed:
-        name, why = next(iter(failed.items()))
+    for name, why in failed.items():
         raise InputError(f"{name}: {why}")
-    names = dict.fromkeys(one.muscle for one in measured)
-    return {n: joined([one for one in measured if one.muscle == n]) for n in names}
+    return {name: joined(own) for name, own in measured.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,8 +392,8 @@ def collected(
     rest_length: float | Mapping[str, float] | None,
     diameter: float | Mapping[str, float] | None,
     reading: Mapping[str, Any],
-) -> tuple[list[Measured], dict[str, str]]:
-    """The tables of a campaign, and the files that could not be read, with the reason."""
+) -> tuple[dict[str, list[Measured]], dict[str, str]]:
+    """The tables of each muscle, and the files that could not be read, with the reason."""
     found: list[Measured] = []
     failed: dict[str, str] = {}
     for name, one in _sources(source):
@@ -414,7 +409,10 @@ def collected(
     if not found:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(failed.items())[:3])
         raise InputError(f"no table of a campaign could be read: {reasons or 'there is no file'}")
-    return found, failed
+    muscles: dict[str, list[Measured]] = {}
+    for part in found:
+        muscles.setdefault(part.muscle, []).append(part)
+    return muscles, failed
 
 
 def _sources(source: Any) -> list[tuple[str, Any]]:

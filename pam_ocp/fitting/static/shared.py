@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.cases import results_of
 from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.executors import Place, placed
-from ...core.variables import Variable
 from ...muscles.law import ForceLaw
 from ..estimates import Estimates, at_edge, correlation_lines
 from ..statistics import (
@@ -360,29 +360,23 @@ def _member(
     c = problem.coefficients(optimum.coefficients[None])[i][0]
     names = part.names
     free = tuple(names[j] for j in part.free)
-    root = marginal_root(linear.jacobian, place)
-    marginal = Linearisation(
-        free,
-        linear.values[place],
-        [linear.units[j] for j in place],
-        root / factor,
-        linear.scale / factor,
-        linear.dof,
-        serial=_marginal_serial(linear, root / factor, place, factor),
+    root, unknowns = marginal_root(linear.jacobian, place) / factor, place.tolist()
+    marginal = replace(
+        linear,
+        names=free,
+        values=linear.values[place],
+        units=[linear.units[j] for j in unknowns],
+        jacobian=root,
+        scale=linear.scale / factor,
+        serial=_marginal_serial(linear, root, place, factor),
     )
+    at_bound = [linear.names[j] in solver.at_bound for j in unknowns]
     return MemberFit(
         law=part.law(**dict(zip(names, c.tolist(), strict=True))),
         table=table,
         held=tuple(n for n in names if n not in free),
         weights=None if np.all(part.weights == 1) else part.weights,
-        solver=replace(
-            solver,
-            at_bound=tuple(
-                own
-                for own, z in zip(free, place, strict=True)
-                if linear.names[z] in solver.at_bound
-            ),
-        ),
+        solver=replace(solver, at_bound=tuple(compress(free, at_bound))),
         terms=PLAIN,
         marginal=marginal,
     )
@@ -498,13 +492,12 @@ class JointProblem:
     @cached_property
     def nonlinear(self) -> list[int]:
         """Positions in z of the coefficients in which the law is not linear."""
-        found = {
-            int(z)
-            for part, place in zip(self.parts, self.places, strict=True)
-            for i, z in zip(part.free, place, strict=True)
-            if i in part.nonlinear
-        }
-        return sorted(found)
+        return sorted({z for part, i, z in self._each() if i in part.nonlinear})
+
+    def _each(self) -> Iterator[tuple[LeastSquares, int, int]]:
+        """(a table's problem, one of its free coefficients, where in z it stands)."""
+        for part, place in zip(self.parts, self.places, strict=True):
+            yield from ((part, i, z) for i, z in zip(part.free, place.tolist(), strict=True))
 
     def coefficients(self, z: Array) -> list[Array]:
         """All coefficients of each law (m, all) at unknowns (m, count)."""
@@ -568,18 +561,15 @@ class JointProblem:
     def bounds(self) -> tuple[Array, Array]:
         """Of z: the narrowest of all tables that share an unknown."""
         low, high = np.full(self.count, -np.inf), np.full(self.count, np.inf)
-        for part, place in zip(self.parts, self.places, strict=True):
-            for i, z in zip(part.free, place, strict=True):
-                low[z] = max(low[z], part.variables[i].min)
-                high[z] = min(high[z], part.variables[i].max)
+        for part, i, z in self._each():
+            low[z] = max(low[z], part.variables[i].min)
+            high[z] = min(high[z], part.variables[i].max)
         return low, high
 
     @cached_property
     def scales(self) -> list[Array]:
         """Values at which each nonlinear unknown is scanned."""
-        variables: dict[int, Variable] = {}
-        for part, place in zip(self.parts, self.places, strict=True):
-            variables |= {int(z): part.variables[i] for i, z in zip(part.free, place, strict=True)}
+        variables = {z: part.variables[i] for part, i, z in self._each()}
         return [sizes(variables[z]) for z in self.nonlinear]
 
     def near(self, start: Array) -> tuple[Array, Array]:
