@@ -455,16 +455,14 @@ def _functions(rollout: Rollout, deep: bool, every: bool) -> tuple[ca.Function, 
     measured = ca.SX.sym("measured", ny + 1)
     behind = (measured[:ny] - y) * measured[ny]
     corrected = x + _gains(plant, runs, unknowns, rig, z) @ behind if runs.warm else x
-    given = ca.vertcat(z, at, base)
-    if not deep:
-        step = ca.Function("step", [x, u, given], [after], {"cse": True})
-        read = ca.Function("read", [x, u, measured, given], [corrected, y])
-        return step, read
-    slopes = along(corrected) if runs.warm else s
-    wide, after = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(after_slopes))
-    both = ca.vertcat(corrected, ca.vec(slopes)), ca.vertcat(y, ca.vec(ca.densify(along(y))))
-    step = ca.Function("deep_step", [wide, u, given], [after], {"cse": True})
-    read = ca.Function("deep_read", [wide, u, measured, given], [*both])
+    given, state = ca.vertcat(z, at, base), x
+    if deep:
+        slopes = along(corrected) if runs.warm else s
+        state, after = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(after_slopes))
+        y = ca.vertcat(y, ca.vec(ca.densify(along(y))))
+        corrected = ca.vertcat(corrected, ca.vec(slopes))
+    step = ca.Function("step", [state, u, given], [after], {"cse": True})
+    read = ca.Function("read", [state, u, measured, given], [corrected, y])
     return step, read
 
 
