@@ -182,8 +182,7 @@ def _sentence(a: Adequacy) -> str:
 
 # ---- noise --------------------------------------------------------------------------------------
 def record_noise(series: Sequence[Array]) -> tuple[float, float]:
-    """(standard deviation of white noise on a smooth signal, relative standard error of its
-    square).
+    """Standard deviation of white noise on a smooth signal; relative standard error of its square.
 
     By the median of absolute differences, which jumps do not move; the least over the orders.
     """
@@ -245,8 +244,7 @@ class Noise:
         """Part of the samples that would tell as much of a mean if they were independent."""
         if not self.order:
             return 1.0
-        impulse = np.zeros((1, 1)) + 1.0
-        variance = float(self.meat(impulse)[0, 0])
+        variance = float(self.meat(np.ones((1, 1)))[0, 0])
         long = self.innovation / max(1 - float(self.coefficients.sum()), 1e-3) ** 2
         return float(min(max(variance / long, 1e-3), 1.0))
 
@@ -504,10 +502,10 @@ class _Cause:
 
 
 def _likeliest(case: _Case, base: _Regressed) -> _Cause:
-    """That which takes up most, if any is more than autoregressive noise may
-    seem to be: by score tests of the residuals whitened as such. Which it is the least squares
-    with each of them tell: where much is missing slopes do not reach so far, as values have moved
-    to make up for it.
+    """That which takes up most, if any is more than autoregressive noise may seem to be.
+
+    By score tests of residuals whitened as such; of those that pass, by the least squares with
+    each: where much is missing slopes do not reach so far, as values have moved to make up for it.
     """
     noises = case.noises(base)
     white = case.regressed((), noises)
@@ -540,12 +538,12 @@ def _verdict(
     k = len(e.names)
     rms = dict(zip(e.outputs, base.sigma.tolist(), strict=True))
     follows = {n: neighbours([r[:, j] for r in base.residuals]) for j, n in enumerate(e.outputs)}
-    shifts = (cause.fit.values[:k] - base.values[:k]) * -e.scale if cause.chosen else np.zeros(k)
+    shifts = (base.values[:k] - cause.fit.values[:k]) * e.scale
     # the noise that the values were found in: with all that the model leaves out
     noises = case.noises(base)
-    covariance = _covariance(case, noises, weights)
-    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * e.scale
-    if given is not None:
+    if given is None:
+        stderr = np.sqrt(np.maximum(np.diag(_covariance(case, noises, weights)), 0.0)) * e.scale
+    else:
         stderr = np.array([given[n] for n in e.names])
     apart = np.abs(e.shifts * e.scale)
     # values of a search that did not end are apart, too
@@ -553,17 +551,14 @@ def _verdict(
     off = shifts**2 + np.where(counts, apart**2, 0.0)
     stderr = np.sqrt(stderr**2 + off)
     subject, amount, unit = _subject(case, cause)
-    part = 0.0
-    if cause.chosen:
-        part = 1 - case.regressed(cause.chosen).squares / max(base.squares, 1e-300)
-    n = sum(len(r) for r in base.residuals)
-    effective = sum(x.effective * n for x in noises)
+    part = 1 - cause.fit.squares / max(base.squares, 1e-300)
+    effective = sum(x.effective for x in noises) * sum(map(len, base.residuals))
     return Adequacy(
         cause.name,
         subject,
         amount,
         unit,
-        float(part),
+        part,
         tests,
         noise,
         rms,
@@ -580,8 +575,7 @@ def _covariance(case: _Case, noises: Sequence[Noise], weights: Array) -> Array:
     if not k:
         return np.empty((0, 0))
     for m in case.motions:
-        one = [Motion(m.error, m.start, m.values, m.suspects)]
-        _, columns = projected(one, weights, lambda x: x.values)
+        _, columns = projected([m], weights, lambda x: x.values)
         projections.append(columns.reshape(*m.error.shape, k))
     every, size = even(np.concatenate([p.reshape(-1, k) for p in projections]))
     usual = inverse(every.T @ every)
