@@ -185,7 +185,6 @@ def shift(square: Array, right: Array) -> Array:
     return np.asarray(-inverse(square) @ right)
 
 
-
 def fine_runs(predicted: Array, finer: Array) -> bool:
     """Whether halved steps change runs little, in parts of how far the runs reach themselves."""
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
