@@ -244,6 +244,7 @@ class SerialErrors:
     weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
     coefficients, in those of ``correlation``. dof : degrees of freedom.
     values, spreads : (g,), each rho, and the standard deviation of an error with it.
+    """
 
     order: str
     correlation: float

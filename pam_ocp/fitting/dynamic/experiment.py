@@ -279,8 +279,7 @@ def prepare(
     constant: Mapping[str, float],
     input_noise: Mapping[str, float] | None = None,
 ) -> Experiment:
-    """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states.
-    """
+    """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states."""
     whole = with_inputs(plant, record, constant)
     missing = [v.name for v in plant.inputs if v.name not in whole]
     if missing:
@@ -360,9 +359,7 @@ def visited(
     return with_columns(record, columns)
 
 
-def played(
-    plant: Plant, motion: Trajectory, start: Mapping[str, float], rtol: float
-) -> Trajectory:
+def played(plant: Plant, motion: Trajectory, start: Mapping[str, float], rtol: float) -> Trajectory:
     """The plant under the inputs of a motion, from a start that is brought within its bounds."""
     inputs = {v.name: (motion.t, motion[v.name]) for v in plant.inputs if v.name in motion}
     begin = {}

@@ -362,8 +362,6 @@ class _Squares:
         return float(r @ r), slope.T @ r, slope.T @ slope, 0
 
 
-
-
 def _solution(program: Program, found: Array, status: str, iterations: int) -> GaussNewtonResult:
     if not np.all(np.isfinite(found)):
         raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")

@@ -306,8 +306,7 @@ def _values(plant: Plant, model: RungModel) -> dict[str, float]:
 
 
 def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant]:
-    """The plants from which a rung's fit begins, its fastest pressure having had ``rate`` [Pa/s].
-    """
+    """The plants from which a rung's fit begins, its fastest pressure having had ``rate`` [Pa/s]."""
     known = {v.name: v for v in rung.plant.parameters}
     kept = {n: v for n, v in before.items() if n in known}
     ways = [dict(s) for s in rung.starts]

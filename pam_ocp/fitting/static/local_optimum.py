@@ -78,7 +78,7 @@ class Problem(Squares, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Descended:
-        """Where starts came to; ``resting`` : free coefficients at a bound (m, free)."""
+    """Where starts came to; ``resting`` : free coefficients at a bound (m, free)."""
 
     coefficients: Array
     cost: Array

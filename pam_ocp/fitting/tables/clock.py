@@ -112,6 +112,7 @@ def _parsed(cell: Any) -> _Stamp | None:
     match = _YEAR_FIRST.match(text)
     zone = re.search(r"\d\s*([A-Z]{3,4})(?:\[.*)?$", text)
     if zone is not None and zone[1] not in (*ZONES, "UTC"):
+        return None
     if match:
         return (int(match["y"]), int(match["a"]), int(match["b"]), "y"), _of_day(match)
     match = _YEAR_LAST.match(text)

@@ -292,11 +292,11 @@ def _of_list(tree: Sequence[Any], name: str, label: str, level: int) -> Iterator
     if len(tree) > 1 and all(isinstance(r, Mapping) for r in tree):
         keys = list(dict.fromkeys(str(k) for r in tree for k in r))
         flat = [{str(k): _plain(v) for k, v in r.items()} for r in tree]
-        kept = [k for k in keys if all(r.get(k) is not _NESTED for r in flat)]
-        if len(kept) >= 2 and any(isinstance(r.get(k), int | float) for r in flat for k in kept):
-            if len(kept) == len(keys):
-                yield name, {k: [r.get(k) for r in flat] for k in kept}
-                return
+        cells = [v for r in flat for v in r.values()]
+        nested = any(v is _NESTED for v in cells)
+        if len(keys) >= 2 and not nested and any(isinstance(v, int | float) for v in cells):
+            yield name, {k: [r.get(k) for r in flat] for k in keys}
+            return
     elif len(tree) > 1 and all(isinstance(r, list | tuple) for r in tree):
         rows_ = [[_plain(c) for c in row] for row in tree]
         if all(c is not _NESTED for row in rows_ for c in row) and max(map(len, rows_)) >= 2:
