@@ -454,8 +454,8 @@ class Ladder:
 
     Examples
     --------
-    >>> ladder.best.name, min(ladder.predict(commanded).coverage.values()) > 0.8
-    ('+ lag', True)
+    >>> ladder.best.name
+    '+ lag'
     """
 
     rungs: tuple[RungFit, ...]
