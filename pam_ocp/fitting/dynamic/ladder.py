@@ -454,8 +454,8 @@ class Ladder:
 
     Examples
     --------
-    >>> ladder.best.name
-    '+ lag'
+    >>> ladder.best.name, min(ladder.predict(commanded, "lag").coverage.values()) > 0.8
+    ('+ lag', True)
     """
 
     rungs: tuple[RungFit, ...]
