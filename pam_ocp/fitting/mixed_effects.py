@@ -27,11 +27,10 @@ NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How units scatter about the means of their groups, and what follows for both.
-
-    covariance : B (k, k). means, errors : of the groups (g, k), and their covariances (g, k, k).
-    own : variance (k,) of what a unit alone says, harmonic mean. dof : units less groups.
-    diagonal : whether there were too few units for correlations.
+    """How units scatter about the means of their groups, and what follows for both. covariance : B
+    (k, k). means, errors : of the groups (g, k), and their covariances (g, k, k). own : variance
+    (k,) of what a unit alone says, harmonic mean. dof : units less groups. diagonal : whether there
+    were too few units for correlations.
     """
 
     covariance: Array
@@ -58,7 +57,6 @@ class Scatter:
 
     def predicted(self, a: Array, x: Array, group: NDArray[np.intp]) -> tuple[Array, Array]:
         """Each unit's parameters (n, k) and their covariances, shrunken towards its group's mean.
-
         That the means and the size of B are uncertain adds to the covariance (C. Morris, J. Am.
         Stat. Assoc. 78 (1983) 47-55).
         """
@@ -85,10 +83,9 @@ class Scatter:
 def between(
     a: Array, x: Array, group: NDArray[np.intp], free: NDArray[np.bool_], begin: Array | None = None
 ) -> Scatter:
-    """The scatter of units about the means of their groups, searched from ``begin``.
-
-    a, x : (n, k, k), (n, k), what each unit says. group : (n,), numbers that rise from 0. free :
-    (k,), which parameters units have of their own.
+    """The scatter of units about the means of their groups, searched from ``begin``. a, x : (n, k,
+    k), (n, k), what each unit says. group : (n,), numbers that rise from 0. free : (k,), which
+    parameters units have of their own.
     """
     n, k = x.shape
     count = int(group.max()) + 1
@@ -190,7 +187,6 @@ def _predicted(
 
 def shrunken_variances(squares: Array, dof: Array) -> Array:
     """Variances of units out of sums of squares (n,), drawn towards what they have in common.
-
     Inverse gamma, by the moments of logarithms (G. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004),
     Article 3, 6.2).
     """

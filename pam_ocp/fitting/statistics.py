@@ -273,11 +273,9 @@ class SerialErrors:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """A least-squares problem near its optimum.
-
-    names, values, units : of the k fitted parameters. jacobian : weighted derivatives (n, k).
-    scale : standard deviation of a residual. dof : degrees of freedom.
-    active : gradients (m, k) of constraints that hold as equalities at the optimum.
+    """A least-squares problem near its optimum. names, values, units : of the k fitted parameters.
+    jacobian : weighted derivatives (n, k). scale : standard deviation of a residual. dof : degrees
+    of freedom. active : gradients (m, k) of constraints that hold as equalities at the optimum.
     serial : serially correlated errors, which widen the covariance; None for independent ones.
     """
 

@@ -183,7 +183,6 @@ def _sentence(a: Adequacy) -> str:
 # ---- noise --------------------------------------------------------------------------------------
 def record_noise(series: Sequence[Array]) -> tuple[float, float]:
     """Standard deviation of white noise on a smooth signal; relative standard error of its square.
-
     By the median of absolute differences, which jumps do not move; the least over the orders.
     """
     found, count = [], 0
@@ -275,10 +274,8 @@ def adequacy_of(
     evidence: Evidence | None, weights: Array, stderr: Mapping[str, float] | None = None
 ) -> Adequacy:
     """weights : (ny,) with which the fit counted its residuals. stderr : of its values, where these
-    are not those of the least squares of the motions.
-
-    Without tests where there is no evidence, or the residuals are those of the integration or of
-    rounding: records without noise.
+    are not those of the least squares of the motions. Without tests where there is no evidence, or
+    the residuals are those of the integration or of rounding: records without noise.
     """
     if evidence is None:
         return LOST
@@ -306,10 +303,9 @@ def residual_adequacy(
     stderr: Mapping[str, float],
     apart: Mapping[str, float] | None = None,
 ) -> Adequacy:
-    """By the residuals of a fit alone, (K, ny) in each record.
-
-    lost : degrees of freedom that the fit took. stderr : of its values; apart : how far from them
-    the least squares lie, as far as that is known.
+    """By the residuals of a fit alone, (K, ny) in each record. lost : degrees of freedom that the
+    fit took. stderr : of its values; apart : how far from them the least squares lie, as far as
+    that is known.
     """
     every, shares = np.concatenate(residuals), lost / len(names)
     dof = every.size - lost
@@ -502,10 +498,9 @@ class _Cause:
 
 
 def _likeliest(case: _Case, base: _Regressed) -> _Cause:
-    """That which takes up most, if any is more than autoregressive noise may seem to be.
-
-    By score tests of residuals whitened as such; of those that pass, by the least squares with
-    each: where much is missing slopes do not reach so far, as values have moved to make up for it.
+    """That which takes up most, if any is more than autoregressive noise may seem to be. By score
+    tests of residuals whitened as such; of those that pass, by the least squares with each: where
+    much is missing slopes do not reach so far, as values have moved to make up for it.
     """
     noises = case.noises(base)
     white = case.regressed((), noises)

@@ -59,10 +59,9 @@ def paired(differences: Array, level: float) -> tuple[float, float, float]:
 
 
 def rmse_ratios(losses: Array, reference: Array, level: float = 0.95) -> Array:
-    """(ratio, low, high) of RMSEs by criterion (m, 3), of losses of the same records (n, m).
-
-    The interval of a ratio of means (W. Cochran, Sampling Techniques, 1977, ch. 6) on the scale of
-    its logarithm: it holds both ways round. NaN where fewer than two records allow a criterion.
+    """(ratio, low, high) of RMSEs by criterion (m, 3), of losses of the same records (n, m). The
+    interval of a ratio of means (W. Cochran, Sampling Techniques, 1977, ch. 6) on the scale of its
+    logarithm: it holds both ways round. NaN where fewer than two records allow a criterion.
     """
     found = np.full((losses.shape[1], 3), np.nan)
     for k, (own, other) in enumerate(zip(losses.T, reference.T, strict=True)):
@@ -519,9 +518,8 @@ def _gathered(
 def _pick(
     prices: Mapping[str, float], losses: Mapping[str, Array], rule: Rule, level: float
 ) -> tuple[str, dict[str, tuple[float, float, float]]]:
-    """The name that the rule takes, and (score, behind the best, its standard error) of each.
-
-    The score is the mean over the criteria, each in parts of the least mean loss by it.
+    """The name that the rule takes, and (score, behind the best, its standard error) of each. The
+    score is the mean over the criteria, each in parts of the least mean loss by it.
     """
     means = {n: mean_loss(x) for n, x in losses.items()}
     usable = [n for n, m in means.items() if np.all(np.isfinite(m))]

@@ -56,10 +56,9 @@ class NoInfluence(FitError):
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What is asked of records, whatever the plant's values and the method.
-
-    delays : [s], lowest and highest. sensors : by argument of :func:`unknowns_of`. noise : in
-    nominals, where it is known. iterations : of the solver in each search, at most.
+    """What is asked of records, whatever the plant's values and the method. delays : [s], lowest
+    and highest. sensors : by argument of :func:`unknowns_of`. noise : in nominals, where it is
+    known. iterations : of the solver in each search, at most.
     """
 
     names: Sequence[str]

@@ -68,10 +68,9 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Motions with their slopes in ``names`` (scaled values) and in ``suspects``.
-
-    shifts : of the values at the least squares of these motions. integration : RMS of what halved
-    steps change, of each measured variable.
+    """Motions with their slopes in ``names`` (scaled values) and in ``suspects``. shifts : of the
+    values at the least squares of these motions. integration : RMS of what halved steps change, of
+    each measured variable.
     """
 
     outputs: tuple[str, ...]
@@ -252,7 +251,6 @@ def _least_squares(
     least: float = GAINED,
 ) -> tuple[Array, Array, list[Array]]:
     """Values and starts of the least squares of these motions, from those given; what is modelled.
-
     runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little
     off cost a step more, not accuracy. sensors : whose errors are sought, too; they are linear.
     least : gain of a round, below which it is the last.

@@ -50,10 +50,9 @@ class ParameterGroup:
 
 @dataclass(frozen=True, eq=False)
 class InputErrors:
-    """What unknown errors of samples add to the inputs' coefficients (n, degree + 1, nu).
-
-    rows : positions in these, flat. columns : numbers of the errors, ``count`` in all. values :
-    factors [unit of the input per standard deviation].
+    """What unknown errors of samples add to the inputs' coefficients (n, degree + 1, nu). rows :
+    positions in these, flat. columns : numbers of the errors, ``count`` in all. values : factors
+    [unit of the input per standard deviation].
     """
 
     rows: NDArray[np.intp]
@@ -101,12 +100,10 @@ class InputErrors:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One record, its clock that of the inputs.
-
-    t, measured : times (K,) and samples (K, ny) that are compared. mesh : (n + 1,) times; the
-    inputs are polynomials of ``coefficients`` (n, degree + 1, nu) between them.
-    states : a guess (n + 1, nx) at the mesh. errors : how errors of the inputs' samples change the
-    coefficients; None where the samples are exact.
+    """One record, its clock that of the inputs. t, measured : times (K,) and samples (K, ny) that
+    are compared. mesh : (n + 1,) times; the inputs are polynomials of ``coefficients`` (n, degree +
+    1, nu) between them. states : a guess (n + 1, nx) at the mesh. errors : how errors of the
+    inputs' samples change the coefficients; None where the samples are exact.
     """
 
     record: Trajectory
@@ -398,9 +395,7 @@ def decided(
     fitted: Callable[[Sequence[Trajectory]], tuple[Result, float]],
 ) -> tuple[Result, Interpolation, str]:
     """A fit, how inputs count as having run where that was not known, and what decided it, in
-    words.
-
-    fitted : records to a fit and its deviance; called once where no input's way is open.
+    words. fitted : records to a fit and its deviance; called once where no input's way is open.
     """
     if all(r.interpolation_known or not _moves(plant, r) for r in records):
         return fitted(records)[0], "linear", ""

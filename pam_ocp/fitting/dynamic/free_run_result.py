@@ -108,10 +108,9 @@ def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def widened(usual: Array, scores: Array, noise: float) -> Array:
-    """Covariance (k, k) of least squares with serially correlated errors.
-
-    usual : (J^T J)^-1. scores : J^T r of each block (blocks, k). noise : mean square of the errors
-    r. Where blocks are few to an unknown, only their mean widening counts, and no narrowing.
+    """Covariance (k, k) of least squares with serially correlated errors. usual : (J^T J)^-1.
+    scores : J^T r of each block (blocks, k). noise : mean square of the errors r. Where blocks are
+    few to an unknown, only their mean widening counts, and no narrowing.
     """
     blocks, k = len(scores), max(len(usual), 1)
     meat = scores.T @ scores * blocks / max(blocks - 1, 1)

@@ -72,11 +72,10 @@ def descend(
     damping: float = FIRST,
     progress: Callable[[int, float, Array], None] | None = None,
 ) -> Descent:
-    """Least squares from z; at most so many ``evaluations`` of the normal matrix.
-
-    enough : relative gain of a step below which the search ends. damping : of the first step, in
-    parts of the normal matrix' diagonal. progress : called with (evaluations, cost, z) at new
-    points. A time limit does not raise when there is a point to show.
+    """Least squares from z; at most so many ``evaluations`` of the normal matrix. enough : relative
+    gain of a step below which the search ends. damping : of the first step, in parts of the normal
+    matrix' diagonal. progress : called with (evaluations, cost, z) at new points. A time limit does
+    not raise when there is a point to show.
     """
     z, growth = np.clip(z, low, high), 4.0
     best, count, damped = (problem.cost(z), z), 0, 0
@@ -207,7 +206,6 @@ DEFECT = 1e3
 @dataclass(frozen=True, eq=False)
 class GaussNewtonResult:
     """Scaled unknowns w, residuals without weights (K, ny) in nominals, and the solver's account.
-
     jumps : of disturbed states, in their standard deviations.
     """
 
@@ -235,12 +233,10 @@ def solve(
     report: Report | None = None,
     stage: str = "fit",
 ) -> GaussNewtonResult:
-    """Least squares from a guess; with a limit of ``iterations`` only as far as these lead.
-
-    Without states among the unknowns by :func:`descend`, else by IPOPT: first without the
-    residuals' curvature (Gauss-Newton), and where that does not settle with the exact Hessian.
-    report : called with ``stage``, iterations and cost. A time limit ends with the best that was
-    seen.
+    """Least squares from a guess; with a limit of ``iterations`` only as far as these lead. Without
+    states among the unknowns by :func:`descend`, else by IPOPT: first without the residuals'
+    curvature (Gauss-Newton), and where that does not settle with the exact Hessian. report : called
+    with ``stage``, iterations and cost. A time limit ends with the best that was seen.
     """
     if isinstance(program, FitProgram) and program.defects.numel():
         seen = _Seen(report, stage)

@@ -337,9 +337,8 @@ def rungs_of(
 
 @dataclass(frozen=True)
 class _Added:
-    """What a rung has beyond the one before.
-
-    fast : see :class:`Rung`. damps : whether a free mass is tried lighter and heavier.
+    """What a rung has beyond the one before. fast : see :class:`Rung`. damps : whether a free mass
+    is tried lighter and heavier.
     """
 
     free: tuple[str, ...] = ()

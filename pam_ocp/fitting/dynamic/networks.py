@@ -198,10 +198,9 @@ def _count(network: _Network) -> int:
 # ---- fitted networks ----------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class NetworkModel:
-    """A trained network, or several whose predictions are averaged.
-
-    before : samples of the past that it reads, the start included. held_out : loss of each member
-    on the windows that stopped its training, in parts of outputs that stay where they are.
+    """A trained network, or several whose predictions are averaged. before : samples of the past
+    that it reads, the start included. held_out : loss of each member on the windows that stopped
+    its training, in parts of outputs that stay where they are.
     """
 
     network: _Network
@@ -349,9 +348,8 @@ def _rates(steps: int, largest: float) -> Single:
 def _split(
     count: int, members: int, apart: bool, random: np.random.Generator
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Windows of each member for training, and those held out (members, JUDGES).
-
-    The latter are one piece of the row of all windows, ``apart`` another for each member.
+    """Windows of each member for training, and those held out (members, JUDGES). The latter are one
+    piece of the row of all windows, ``apart`` another for each member.
     """
     out = min(max(1, round(HELD_OUT * count)), count - 1)
     shifts = random.integers(count) + np.arange(members) * out * apart

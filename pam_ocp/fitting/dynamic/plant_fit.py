@@ -379,9 +379,8 @@ class PlantFit(FittedPlant):
 
 
 def _strays(evidence: Evidence, rmse: Array) -> float:
-    """How large residuals of motions with free starts are in those of the fit.
-
-    Larger: the integration does not follow the plant (a memory, a play). Smaller: no matter.
+    """How large residuals of motions with free starts are in those of the fit. Larger: the
+    integration does not follow the plant (a memory, a play). Smaller: no matter.
     """
     every = np.concatenate([m.error for m in evidence.motions])
     ratio = np.sqrt(np.mean(every**2, axis=0)) / np.maximum(rmse, 1e-300)

@@ -45,11 +45,10 @@ class _Part:
 
 
 class Rollout:
-    """Runs, residuals and their exact Jacobian in the scaled unknowns z.
-
-    A residual is an error in units of the variable's spread times the root of its sample's weight,
-    so their sum of squares is the mean squared error. weigh : factors of the measured variables on
-    top of that. static : the plant counts as at rest under its inputs at each sample.
+    """Runs, residuals and their exact Jacobian in the scaled unknowns z. A residual is an error in
+    units of the variable's spread times the root of its sample's weight, so their sum of squares is
+    the mean squared error. weigh : factors of the measured variables on top of that. static : the
+    plant counts as at rest under its inputs at each sample.
     """
 
     def __init__(

@@ -174,10 +174,8 @@ class Task:
 @dataclass(frozen=True, eq=False)
 class RungModel:
     """A rung run through whole records from guesses ``x0`` (records, nx) of the starts, dead times
-    apart.
-
-    What is not measured begins at rest; where positions, velocities and pressures begin is unknown
-    in each record, too. z : where a search begins, or ended.
+    apart. What is not measured begins at rest; where positions, velocities and pressures begin is
+    unknown in each record, too. z : where a search begins, or ended.
     """
 
     plant: Plant

@@ -50,11 +50,10 @@ class RunInputs:
     held: bool
 
     def steps(self, delays: Array, late: Sequence[tuple[int, ...]], count: int) -> RunSteps:
-        """In ``count`` steps of each sampling interval.
-
-        delays : of each input [s]. late : inputs that are late, those of one delay together. Held
-        ones jump inside of the intervals: there a step ends and the next begins, so that none has
-        to do with two values and their motion depends on the delay without jumps.
+        """In ``count`` steps of each sampling interval. delays : of each input [s]. late : inputs
+        that are late, those of one delay together. Held ones jump inside of the intervals: there a
+        step ends and the next begins, so that none has to do with two values and their motion
+        depends on the delay without jumps.
         """
         if self.held:
             return self._between_jumps(delays, late, count)
@@ -284,12 +283,11 @@ def _root(squares: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """What runs start from and are compared with.
-
-    first : sample of its record (n,) where each begins, ``warm`` samples before its start, and
-    length (n,) the samples after the start. x0 (n, nx) at ``first`` as measured; seen (n, warm, ny)
-    what was measured from there on. weights (n, K): of each sample, so that the horizons weigh
-    alike and each is a mean. inputs : of each record. steps : to a sample, at least.
+    """What runs start from and are compared with. first : sample of its record (n,) where each
+    begins, ``warm`` samples before its start, and length (n,) the samples after the start. x0 (n,
+    nx) at ``first`` as measured; seen (n, warm, ny) what was measured from there on. weights (n,
+    K): of each sample, so that the horizons weigh alike and each is a mean. inputs : of each
+    record. steps : to a sample, at least.
     """
 
     names: tuple[str, ...]

@@ -38,10 +38,8 @@ METHODS = get_args(FitMethod)
 @dataclass(frozen=True, eq=False)
 class FitProblem:
     """A plant, records and what is sought: parameters, one delay at most, sensors, and where every
-    state begins in each record.
-
-    known_delay : [s], where the delay is no unknown. process : positions of states that are
-    disturbed, and the intensities [unit/sqrt(s)].
+    state begins in each record. known_delay : [s], where the delay is no unknown. process :
+    positions of states that are disturbed, and the intensities [unit/sqrt(s)].
     """
 
     plant: Plant
@@ -109,11 +107,10 @@ class FitProgram:
         return measured.reshape(-1, weights.size), jumps
 
     def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """d(weighted residuals)/d(head), along solutions of defects(head, states) = 0:
-        d(states) = -(d defects/d states)^-1 (d defects/d head) d(head).
-
-        The rest of the covariance is that of least squares in the head alone. Jumps of disturbed
-        states are unknown too: their columns are projected out of the head's.
+        """d(weighted residuals)/d(head), along solutions of defects(head, states) = 0: d(states) =
+        -(d defects/d states)^-1 (d defects/d head) d(head). The rest of the covariance is that of
+        least squares in the head alone. Jumps of disturbed states are unknown too: their columns
+        are projected out of the head's.
         """
         from scipy.sparse.linalg import splu
 
@@ -248,10 +245,9 @@ def _way(
 def _jumps(
     mesh: _Mesh, records: int, process: Sequence[tuple[int, float]], x_nominal: Array
 ) -> ca.DM:
-    """Matrix from jumps (in standard deviations) to the begins of all intervals (nominals).
-
-    White noise of intensity q adds the variance q^2 h in an interval of length h. Each record's
-    first begin has none.
+    """Matrix from jumps (in standard deviations) to the begins of all intervals (nominals). White
+    noise of intensity q adds the variance q^2 h in an interval of length h. Each record's first
+    begin has none.
     """
     nx, n = len(x_nominal), mesh.h.size
     later = np.nonzero(mesh.begin >= records)[0]

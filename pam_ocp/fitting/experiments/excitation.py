@@ -40,11 +40,10 @@ FAINT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A record of K + 1 samples every ``sample`` s under inputs mid + half (basis @ w).
-
-    basis : (K + 1, d) values at the samples, or (K, d) in the intervals when inputs are held.
-    w : (d, nu) is what a design chooses. mid, half : of the inputs' ranges (nu,).
-    noise : {measured variable: standard deviation}. watched : {variable: (low, high)} to keep.
+    """A record of K + 1 samples every ``sample`` s under inputs mid + half (basis @ w). basis : (K
+    + 1, d) values at the samples, or (K, d) in the intervals when inputs are held. w : (d, nu) is
+    what a design chooses. mid, half : of the inputs' ranges (nu,). noise : {measured variable:
+    standard deviation}. watched : {variable: (low, high)} to keep.
     """
 
     plant: Plant

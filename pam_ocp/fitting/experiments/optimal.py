@@ -43,11 +43,9 @@ def chosen(free: Sequence[str], parameters: Sequence[str] | None, called: str) -
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """What a design makes small, as a function of the covariance C (k, k).
-
-    chosen : positions of the parameters whose ln det C[chosen, chosen] counts (D- or D_s-optimal).
-    weight : W (k, k) of the mean variance trace(W C) (A-, c- and I-optimal); then ``chosen`` does
-        not count.
+    """What a design makes small, as a function of the covariance C (k, k). chosen : positions of
+    the parameters whose ln det C[chosen, chosen] counts (D- or D_s-optimal). weight : W (k, k) of
+    the mean variance trace(W C) (A-, c- and I-optimal); then ``chosen`` does not count.
     """
 
     chosen: tuple[int, ...]
@@ -112,12 +110,11 @@ def exchange(
     seed: int = 0,
     executor: Place = None,
 ) -> Selection:
-    """The n of the candidates' ``rows`` (m, k) that make the criterion smallest, given M0.
-
-    Every point is exchanged against the best of all candidates until no exchange helps (modified
-    Fedorov algorithm: R. Cook, C. Nachtsheim, Technometrics 22 (1980) 315-324), from several
-    starts. repeats : how often one candidate may be chosen. Raises InputError for too few
-    candidates, or where no n of them determine the parameters.
+    """The n of the candidates' ``rows`` (m, k) that make the criterion smallest, given M0. Every
+    point is exchanged against the best of all candidates until no exchange helps (modified Fedorov
+    algorithm: R. Cook, C. Nachtsheim, Technometrics 22 (1980) 315-324), from several starts.
+    repeats : how often one candidate may be chosen. Raises InputError for too few candidates, or
+    where no n of them determine the parameters.
     """
     if len(rows) * repeats < n:
         raise InputError(

@@ -56,11 +56,10 @@ WORST = 1e6
 
 @dataclass(frozen=True)
 class Strength:
-    """A strength of the penalty; ``value`` None is no residual.
-
-    ratio : mean squared error on what was left out, in parts of that without a residual. low, high
-    : the 95 % interval of what this is in a typical part of the records (of the geometric mean), by
-    which a residual counts as better: parts where everything is hard weigh no more than others.
+    """A strength of the penalty; ``value`` None is no residual. ratio : mean squared error on what
+    was left out, in parts of that without a residual. low, high : the 95 % interval of what this is
+    in a typical part of the records (of the geometric mean), by which a residual counts as better:
+    parts where everything is hard weigh no more than others.
     """
 
     value: float | None
@@ -243,11 +242,10 @@ class _Tried:
 
 @dataclass(frozen=True, eq=False)
 class _Shrunk:
-    """The mean squared error of runs over the weights, with a penalty; see ``Normal``.
-
-    width : of the secants that stand for slopes; None for exact ones. Friction that sticks makes
-    errors so rough a function of the weights that derivatives hold for a thousandth of the step
-    that is to be made with them.
+    """The mean squared error of runs over the weights, with a penalty; see ``Normal``. width : of
+    the secants that stand for slopes; None for exact ones. Friction that sticks makes errors so
+    rough a function of the weights that derivatives hold for a thousandth of the step that is to be
+    made with them.
     """
 
     rollout: Rollout

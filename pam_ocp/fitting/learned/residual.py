@@ -37,11 +37,10 @@ from ..statistics import Array
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A function of d scaled variables with n weights.
-
-    value : (variables (d,), weights (n,)) -> scalar. begin : where a search begins, and from where
-    weights are shrunk back to: a function that is zero. linear : which weights (n,) are zero there.
-    precision : (n, n), positive definite; the penalty is (w - begin)' precision (w - begin).
+    """A function of d scaled variables with n weights. value : (variables (d,), weights (n,)) ->
+    scalar. begin : where a search begins, and from where weights are shrunk back to: a function
+    that is zero. linear : which weights (n,) are zero there. precision : (n, n), positive definite;
+    the penalty is (w - begin)' precision (w - begin).
     """
 
     value: Callable[[ca.SX, ca.SX], ca.SX]
@@ -242,10 +241,9 @@ class Visited:
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A plant with residuals; ``weights`` : names of their parameters.
-
-    The penalty is (weights - centre)' precision (weights - centre); at ``centre`` the plant is what
-    it was, from ``begin`` a search goes.
+    """A plant with residuals; ``weights`` : names of their parameters. The penalty is (weights -
+    centre)' precision (weights - centre); at ``centre`` the plant is what it was, from ``begin`` a
+    search goes.
     """
 
     plant: Plant

@@ -106,9 +106,8 @@ def _joined(orders: Sequence[Order]) -> Order:
 def serial_errors(
     jacobian: Array, residuals: Array, orders: Sequence[Order]
 ) -> SerialErrors | None:
-    """Whether residuals are serially correlated in one of ``orders``; None when not.
-
-    jacobian, residuals : weighted, of the measurements; rows of priors may follow in the Jacobian.
+    """Whether residuals are serially correlated in one of ``orders``; None when not. jacobian,
+    residuals : weighted, of the measurements; rows of priors may follow in the Jacobian.
     """
     n = len(residuals)
     basis = spanned(jacobian[:n])
@@ -163,9 +162,8 @@ def surprise(residuals: Array, orders: Sequence[Order], price: float) -> float:
 def drawn_errors(
     serial: SerialErrors, order: Order, residuals: Array, sigma: float, random: np.random.Generator
 ) -> Array:
-    """New errors (n,), correlated as those of a fit are; their correlation is drawn, too.
-
-    A sieve bootstrap (P. Buehlmann, Bernoulli 3 (1997) 123-148). sigma : of independent errors.
+    """New errors (n,), correlated as those of a fit are; their correlation is drawn, too. A sieve
+    bootstrap (P. Buehlmann, Bernoulli 3 (1997) 123-148). sigma : of independent errors.
     """
     i = int(random.choice(serial.values.size, p=serial.weights))
     rho, late = float(serial.values[i]), order.follows
@@ -228,7 +226,6 @@ def _products(columns: Array, order: Order) -> Array:
 
 def _meats(jacobian: Array, order: Order, rho: Array) -> Array:
     """J^T R J (g, k, k) for each correlation. With z_i = J_i + rho z_(i-1), R = sums of rho^|i-j|.
-
     The recursion runs over pairs, fours, ... of rows (prefix sums, W. Hillis, G. Steele, Comm. ACM
     29 (1986) 1170-1183), until rho to that power counts for nothing.
     """

@@ -39,12 +39,11 @@ BLOCK = 4096
 
 @dataclass(frozen=True, eq=False)
 class HoldModel:
-    """The equilibria of n holds as functions of k parameters.
-
-    given : values (n,) of inputs and states. measured : what is compared. parameters : of the
-    plant, to be estimated. zeroed : given variables whose sensor may have a zero, in the order of
-    the estimates behind the parameters. side : (n,), the way in which each hold was come to.
-    start : (n, states that are sought), where Newton's method begins.
+    """The equilibria of n holds as functions of k parameters. given : values (n,) of inputs and
+    states. measured : what is compared. parameters : of the plant, to be estimated. zeroed : given
+    variables whose sensor may have a zero, in the order of the estimates behind the parameters.
+    side : (n,), the way in which each hold was come to. start : (n, states that are sought), where
+    Newton's method begins.
     """
 
     plant: Plant
@@ -171,10 +170,9 @@ class HoldModel:
         return self.solved(estimates, self.start, other)[0] if other else self.start.copy()
 
     def predicted(self, estimates: Array, start: Array | None) -> tuple[Array, Array, Array]:
-        """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z.
-
-        Without a ``start``, and where Newton's method finds no rest, by the linear model at the
-        measured positions.
+        """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z. Without
+        a ``start``, and where Newton's method finds no rest, by the linear model at the measured
+        positions.
         """
         z = self.anchored(estimates) if start is None else self.solved(estimates, start)[0]
         residual, slopes, by, y, y_z, y_by = self.at(z, estimates)
@@ -347,11 +345,10 @@ class _End(NamedTuple):
 
 
 def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
-    """The best optimum that is found; the problem rests there.
-
-    A muscle that goes slack on the way makes several optima. Begun at the plant's values, over the
-    linear model at the measured positions, and at the optima of the poorer fits, which count
-    themselves: a richer fit is never worse.
+    """The best optimum that is found; the problem rests there. A muscle that goes slack on the way
+    makes several optima. Begun at the plant's values, over the linear model at the measured
+    positions, and at the optima of the poorer fits, which count themselves: a richer fit is never
+    worse.
     """
     model, first = problem.model, problem.start
     wrong: list[FitError] = []

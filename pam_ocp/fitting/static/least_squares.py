@@ -131,10 +131,9 @@ def finite(value: float) -> float | None:
 
 
 class Sums(NamedTuple):
-    """What Newton's method wants of a sum of squares.
-
-    cost (m,): |r|^2. right (m, all): J^T r, downhill. normal (m, all, all): J^T J. second
-    (m, all, all): what the second derivatives of r add to it.
+    """What Newton's method wants of a sum of squares. cost (m,): |r|^2. right (m, all): J^T r,
+    downhill. normal (m, all, all): J^T J. second (m, all, all): what the second derivatives of r
+    add to it.
     """
 
     cost: Array
@@ -466,7 +465,6 @@ def spread(residuals: Array, fitted: int) -> float:
 
 def robust_scale(terms: Terms, residuals: Array, fitted: int) -> float:
     """The factor s of the covariance s^2 (J^T J)^-1 of a robust fit (weighted residuals [N]).
-
     Huber, bisquare: P. Huber, Robust Statistics (1981), eq. 7.6.6, corrected for small samples.
     Absolute values: 1/(2 f(0)), the density f of the residuals by a normal kernel of Silverman's
     width (asymptotic; G. Bassett, R. Koenker, J. Am. Stat. Assoc. 73 (1978) 618-622).

@@ -45,7 +45,6 @@ def profile_ends(
     fit: Optimum, names: Sequence[str], reach: float, executor: Place = None
 ) -> dict[str, Ends]:
     """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
-
     executor : where coefficients walk; a sweep takes milliseconds for all, and is done here.
     """
     placed(executor)
@@ -75,7 +74,6 @@ def _end(fit: Optimum, walk: tuple[str, float, float]) -> tuple[float, str]:
 
 def _others(fit: Optimum, place: int, start: Array) -> tuple[Array, float]:
     """The best of all but coefficient number ``place``, near ``start``, and what they cost.
-
     Censored cells ask for a whole fit; a place where the law cannot be slack costs more than any
     limit.
     """
@@ -128,10 +126,9 @@ def walked(
     bounds: tuple[float, float],
     reach: float,
 ) -> tuple[float, str]:
-    """Where the cost reaches ``limit`` on the side of ``step`` of unknown number ``place``.
-
-    others : the best of the others near given unknowns, and what they cost. bounds : of the
-    unknown. reach : how far it is followed. Infinite, with the reason, where the cost stays below.
+    """Where the cost reaches ``limit`` on the side of ``step`` of unknown number ``place``. others
+    : the best of the others near given unknowns, and what they cost. bounds : of the unknown. reach
+    : how far it is followed. Infinite, with the reason, where the cost stays below.
     """
     from scipy.optimize import brentq
 
@@ -173,7 +170,6 @@ ZOOMS, POINTS = 7, 13
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """Profile intervals and bands of a law with one nonlinear coefficient q, over all of its range.
-
     For a given q the cost is least + (c - best)^2/variance in each linear coefficient c.
     """
 

@@ -89,10 +89,9 @@ class Descended:
 def descend(
     problem: Squares, starts: Array, low: Array, high: Array, settled: float = 0.0
 ) -> Descended:
-    """Follow starts (m, all) to the least squares next to them, priors included.
-
-    low, high : (m, free). settled : relative fall of the cost at which a descent ends, by default
-    none. Costs are infinite where the law gives no finite force at the start.
+    """Follow starts (m, all) to the least squares next to them, priors included. low, high : (m,
+    free). settled : relative fall of the cost at which a descent ends, by default none. Costs are
+    infinite where the law gives no finite force at the start.
     """
     return _Descent(problem, starts, low, high, settled).run()
 
@@ -238,10 +237,8 @@ class Minimum:
 def _solver(
     law: type[ForceLaw], free: tuple[int, ...], count: int, loss: Loss, priors: int, slack: int
 ) -> Nlp:
-    """min sum rho(w (F - y)/unit)/2 over scaled coefficients; built once per law and size.
-
-    Huber's loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|:
-    smooth.
+    """min sum rho(w (F - y)/unit)/2 over scaled coefficients; built once per law and size. Huber's
+    loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|: smooth.
     """
     total = law.function().size1_in(2)
     z, base = ca.MX.sym("z", len(free)), ca.MX.sym("base", total)

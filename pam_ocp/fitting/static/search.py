@@ -37,9 +37,8 @@ STEPS = 40
 
 def robust_start(problem: LeastSquares) -> tuple[Array, float]:
     """Coefficients (all) from which to seek the optimum of a bisquare, and where it ends [N].
-
-    Twice: what lies beyond the end at first is taken out before scale and start are found again,
-    so that wrong cells do not change how many of the others are left out. Raises FitError.
+    Twice: what lies beyond the end at first is taken out before scale and start are found again, so
+    that wrong cells do not change how many of the others are left out. Raises FitError.
     """
     least = 1e-9 * problem.size
     within = replace(problem, terms=replace(problem.terms, loss="bisquare"))

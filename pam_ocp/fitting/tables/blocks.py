@@ -357,9 +357,8 @@ def clocked(tables: Mapping[str, Any]) -> bool:
 
 
 def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> RawTable:
-    """The columns of all on the clock of the one with most rows, where all were recorded.
-
-    Commands are held between their samples, what is measured interpolated, never across a gap.
+    """The columns of all on the clock of the one with most rows, where all were recorded. Commands
+    are held between their samples, what is measured interpolated, never across a gap.
     """
     raws = {n: RawTable(f"{label}: {n}", t) for n, t in tables.items()}
     heads: dict[str, str] = {n: str(find_clock(raw)[1]) for n, raw in raws.items()}

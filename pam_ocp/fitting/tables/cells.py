@@ -323,9 +323,8 @@ def without_units(
     places: Sequence[Any],
     headers: Mapping[int, str] | None = None,
 ) -> tuple[dict[int, list[Any]], dict[int, str], str | None]:
-    """(columns of plain numbers, their units, decimal sign) of columns whose cells name a unit.
-
-    A bare number has the unit of the others; ``places`` : of each row, for messages.
+    """(columns of plain numbers, their units, decimal sign) of columns whose cells name a unit. A
+    bare number has the unit of the others; ``places`` : of each row, for messages.
     """
     found: dict[int, list[Any]] = {}
     units: dict[int, str] = {}

@@ -93,10 +93,9 @@ def column_scale(
     *,
     exact: bool = False,
 ) -> Scale | None:
-    """How a column's numbers become SI; None where nothing says a unit.
-
-    name : how ``units=`` calls the column. base : what it must measure. wanted : the user's unit or
-    calibration. exact : numbers without a kind are refused, so is a unit beside the header's.
+    """How a column's numbers become SI; None where nothing says a unit. name : how ``units=`` calls
+    the column. base : what it must measure. wanted : the user's unit or calibration. exact :
+    numbers without a kind are refused, so is a unit beside the header's.
     """
     said = raw.unit(header)
     text = wanted or said
@@ -180,10 +179,8 @@ def _near_headers(quantity: str, headers: Iterable[str], raw: RawTable) -> list[
 
 
 def read_labels(raw: RawTable, columns: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-    """Columns that hold labels, as text.
-
-    Branches are "inflation" and "deflation" whichever of the usual words stand there ("up",
-    "venting", -1 beside 1); other words stay as they are.
+    """Columns that hold labels, as text. Branches are "inflation" and "deflation" whichever of the
+    usual words stand there ("up", "venting", -1 beside 1); other words stay as they are.
     """
     found = {}
     for label, names in LABELS.items():

@@ -55,10 +55,9 @@ def nothing_in(label: str, of: str = "") -> InputError:
 
 @dataclass
 class Grid:
-    """Cells row by row, as they stand. lines : where each row stands in its file.
-
-    comments : lines of comment, cut like the others, one of which may name the columns. text : rows
-    that are too short are faults, not rows whose last cells are empty.
+    """Cells row by row, as they stand. lines : where each row stands in its file. comments : lines
+    of comment, cut like the others, one of which may name the columns. text : rows that are too
+    short are faults, not rows whose last cells are empty.
     """
 
     label: str

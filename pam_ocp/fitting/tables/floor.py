@@ -150,7 +150,6 @@ def find_floor(
     file: Sequence[str] = (),
 ) -> tuple[Floor, Mask] | None:
     """The floor, and the cells at it (those of a negative reading included); None without evidence.
-
     The surface through the other cells must lie far below the readings, these not follow it, and
     crowd together as taut ones do not.
     """

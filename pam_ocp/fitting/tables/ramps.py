@@ -272,10 +272,9 @@ def _scatter(groups: list[Rows], moving: Array, force: Array) -> tuple[float, fl
 
 def _memory(seen: Array, n: int) -> tuple[float, float]:
     """(correlation of neighbours, factor of the error of a mean) of errors whose residuals about
-    lines, n rows each, follow each other as seen.
-
-    AR(1) with rho of a share c, and white noise. A line leaves M R M, R_ij = c rho^|i-j|, M = 1 -
-    projector: (rho, c) is taken whose residuals look as these do.
+    lines, n rows each, follow each other as seen. AR(1) with rho of a share c, and white noise. A
+    line leaves M R M, R_ij = c rho^|i-j|, M = 1 - projector: (rho, c) is taken whose residuals look
+    as these do.
     """
     line = np.linalg.qr(np.column_stack([np.ones(n), np.linspace(-1, 1, n)]))[0]
     left = np.eye(n) - line @ line.T

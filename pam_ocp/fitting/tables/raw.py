@@ -183,9 +183,8 @@ def complete(raw: RawTable, headers: Sequence[str], empty: str = "drop") -> RawT
 @dataclass(frozen=True)
 class Reading:
     """What the user says of a source, whatever it holds, as ``read_table`` and ``read_record`` take
-    it, checked. names : of the columns from the left, where ``columns`` lists them.
-
-    Raises InputError.
+    it, checked. names : of the columns from the left, where ``columns`` lists them. Raises
+    InputError.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)

@@ -33,10 +33,9 @@ MOST_TABLES = 2000
 def chosen_table(
     tree: Any, label: str, pick: str | Sequence[str] | None
 ) -> tuple[Found | RawTable, tuple[str, ...]]:
-    """(the table of a tree, which it is).
-
-    pick : its name, as ``run.data`` or ``runs[2]``, or several to be put on one clock; needed where
-    there are several that do not have clocks of their own.
+    """(the table of a tree, which it is). pick : its name, as ``run.data`` or ``runs[2]``, or
+    several to be put on one clock; needed where there are several that do not have clocks of their
+    own.
     """
     _require_few(label, list(_arrays(tree, 0)))
     tables = _renamed(dict(_tables(rewritten(tree), "", label, 0)))
