@@ -207,7 +207,7 @@ def _blocks(
 def projected(
     motions: Sequence[Motion], weights: Array, more: Callable[[Motion], Array]
 ) -> tuple[Array, Array]:
-    """(error (n,), columns (n, .)) of all motions, times ``weights``, their starts projected out."""
+    """(error (n,), columns (n, .)) of all motions times ``weights``, their starts projected out."""
     errors, columns = [], []
     for m in motions:
         basis = _basis((m.start * weights[:, None]).reshape(-1, m.start.shape[2]))

@@ -276,7 +276,7 @@ def prepare(
     constant: Mapping[str, float],
     input_noise: Mapping[str, float] | None = None,
 ) -> Experiment:
-    """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states."""
+    """On a mesh: breaks of the inputs, refined to steps of at most ``step``; states are guessed."""
     whole = with_inputs(plant, record, constant)
     missing = [v.name for v in plant.inputs if v.name not in whole]
     if missing:

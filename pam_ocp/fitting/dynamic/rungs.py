@@ -286,9 +286,11 @@ def _dead_times(
     return [g for g, late in found if all(late)]
 
 
-def _whole(plant: Plant, records: Sequence[Trajectory]) -> Task:
+def _whole(
+    plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str] | None = None
+) -> Task:
     """Of records as they are, without parts."""
-    names, nothing = measured_names(plant, records, None), np.empty(0, dtype=np.intp)
+    names, nothing = measured_names(plant, records, outputs), np.empty(0, dtype=np.intp)
     return Task(records, names, (), nothing, usual_steps(records), {})
 
 
@@ -304,7 +306,7 @@ def _values(plant: Plant, model: RungModel) -> dict[str, float]:
 
 
 def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant]:
-    """The plants from which a rung's fit begins, its fastest pressure having had ``rate`` [Pa/s]."""
+    """Plants from which a rung's fit begins, after a fastest pressure of ``rate`` [Pa/s]."""
     known = {v.name: v for v in rung.plant.parameters}
     kept = {n: v for n, v in before.items() if n in known}
     ways = [dict(s) for s in rung.starts]
@@ -324,8 +326,7 @@ def prediction(fit: RungFit, z: Array, records: Sequence[Trajectory]) -> FreeRun
     """Runs through other records at z: from what was measured at their begin, the rest at rest."""
     model: RungModel = fit.model
     plant = fit.plant.with_values(_values(fit.plant, replace(model, z=z)))
-    nothing = np.empty(0, dtype=np.intp)
-    task = Task(records, model.outputs, (), nothing, model.steps, {})
+    task = replace(_whole(plant, records, model.outputs), steps=model.steps)
     again = model_of(task, plant, Rung(fit.name, plant, (), static=model.static))
     rollout = again.rollout()
     return rollout.runs.result(rollout.predicted(again.z))

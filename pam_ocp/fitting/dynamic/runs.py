@@ -60,15 +60,11 @@ class RunInputs:
         part = np.arange(count + 1) / count
         spans = np.diff(self.t)
         grid = self.t[:-1, None] + part * spans[:, None]
-        found = [self._line(i, grid - d) for i, d in enumerate(delays)]
-        length = np.repeat(spans[:, None] / count, count, axis=1)
-        still = np.zeros((count, len(delays)))
-        if not found:
-            empty = np.empty((len(spans), count, 0))
-            return RunSteps(empty, empty, empty, empty, length, still)
-        value, slope = (np.stack(c, axis=-1) for c in zip(*found, strict=True))
+        found = np.array([self._line(i, grid - d) for i, d in enumerate(delays)])
+        value, slope = np.moveaxis(found.reshape(len(delays), 2, *grid.shape), (1, 0), (0, -1))
         edges = value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:]
-        return RunSteps(*edges, length, still)
+        length = np.repeat(spans[:, None] / count, count, axis=1)
+        return RunSteps(*edges, length, np.zeros((count, len(delays))))
 
     def _line(self, i: int, at: Array) -> tuple[Array, Array]:
         """Values, and what they gain per second of delay."""
@@ -152,12 +148,14 @@ class FreeRun:
 
         Infinite where a run went beyond all numbers.
         """
-        return dict(zip(self.names, _root(self._squares()).tolist(), strict=True))
+        return self._rooted(self._squares())
 
     def rmse_over(self, horizon: float) -> dict[str, float]:
         """The same within a horizon [s], of the runs that are that long."""
-        count = self._samples(horizon)
-        return dict(zip(self.names, _root(self._squares(count)).tolist(), strict=True))
+        return self._rooted(self._squares(self._samples(horizon)))
+
+    def _rooted(self, squares: Array) -> dict[str, float]:
+        return dict(zip(self.names, np.sqrt(_mean(squares)).tolist(), strict=True))
 
     def losses(self, records: int, horizon: float | None = None) -> Array:
         """Mean squared error in each record (records, ny), of the runs that are as long as
@@ -167,13 +165,7 @@ class FreeRun:
         if horizon is not None:
             count = self._samples(horizon)
             squares, record = self._squares(count), record[self._long(count)]
-        found = np.full((records, len(self.names)), np.nan)
-        for r in range(records):
-            own = squares[record == r]
-            seen = ~np.isnan(own)
-            if seen.any():
-                found[r] = np.where(seen, own, 0.0).sum(axis=(0, 1)) / seen.sum(axis=(0, 1))
-        return found
+        return np.array([_mean(squares[record == r]) for r in range(records)])
 
     def _long(self, count: int) -> NDArray[np.bool_]:
         """Which runs last so many samples."""
@@ -186,12 +178,9 @@ class FreeRun:
         """(n, K, ny); NaN where nothing was measured, infinite where a run has no number."""
         with np.errstate(over="ignore", invalid="ignore"):
             squares = (self.predicted - self.measured) ** 2
-        squares = np.where(
-            np.isnan(self.measured), np.nan, np.where(np.isfinite(squares), squares, np.inf)
-        )
-        if count is None:
-            return np.asarray(squares)
-        return np.asarray(squares[self._long(count), :count])
+        squares[~np.isfinite(squares)] = np.inf
+        squares[np.isnan(self.measured)] = np.nan
+        return squares if count is None else squares[self._long(count), :count]
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
@@ -274,11 +263,12 @@ def half_widths(
     return half.reshape(predicted.shape)
 
 
-def _root(squares: Array) -> Array:
+def _mean(squares: Array) -> Array:
+    """Of what was measured (n, K, ny), by variable; NaN where nothing was."""
     seen = ~np.isnan(squares)
-    count = np.maximum(seen.sum(axis=(0, 1)), 1)
+    count = seen.sum(axis=(0, 1))
     total = np.where(seen, squares, 0.0).sum(axis=(0, 1))
-    return np.asarray(np.where(seen.any(axis=(0, 1)), np.sqrt(total / count), np.nan))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -410,7 +410,7 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
 def _on_one_scale(
     raws: Mapping[str, RawTable], heads: Mapping[str, str], label: str
 ) -> tuple[dict[str, NDArray[np.float64]], tuple[Doubt, ...], bool]:
-    """(times [s] from one zero, what is doubted of them, whether they say that they are seconds)."""
+    """(times [s] from one zero, what is doubted of them, whether they were said to be seconds)."""
     units = {raw.unit(heads[n]) for n, raw in raws.items()}
     cells = [c for n, raw in raws.items() for c in raw.columns[heads[n]]]
     first = heads[next(iter(heads))]
