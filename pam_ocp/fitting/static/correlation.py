@@ -132,6 +132,7 @@ def serial_errors(
     scale = (squares / squares[0])[counted]
     parts = scale[:, None, None] * _meats(jacobian, order, RHO[counted])
     middle = int(np.nonzero(counted == mean)[0][0])
+    usual = inverse(parts[middle], 1e-10) / max(len(parts[middle]), 1)
     return SerialErrors(
         order.words,
         float(RHO[mean]),
@@ -139,7 +140,7 @@ def serial_errors(
         parts[middle],
         float(np.sqrt(scale[middle])),
         weights[counted] / weights[counted].sum(),
-        _relative(parts, parts[middle]),
+        np.einsum("ij,gji->g", usual, parts),
         freedom,
         RHO[counted],
         np.sqrt(scale),
@@ -244,8 +245,3 @@ def _meats(jacobian: Array, order: Order, rho: Array) -> Array:
         crossed = (z - rows) @ rows.T
         parts.append(crossed + crossed.transpose(0, 2, 1) + jacobian.T @ jacobian)
     return np.concatenate(parts)
-
-
-def _relative(parts: Array, whole: Array) -> Array:
-    """trace(whole^-1 part)/k of each part."""
-    return np.asarray(np.einsum("ij,gji->g", inverse(whole, 1e-10), parts) / max(len(whole), 1))

@@ -470,15 +470,12 @@ def robust_scale(terms: Terms, residuals: Array, fitted: int) -> float:
     width (asymptotic; G. Bassett, R. Koenker, J. Am. Stat. Assoc. 73 (1978) 618-622).
     """
     n = residuals.size
-    if terms.loss == "huber":
-        inside = float(np.mean(np.abs(residuals) <= terms.threshold))
+    if terms.loss != "l1":
         slopes = np.clip(residuals, -terms.threshold, terms.threshold)
-        correction = 1 + fitted / n * (1 - inside) / inside
-        return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / inside)
-    if terms.loss == "bisquare":
-        near = terms.reweighting(residuals, 0.0)  # 1 - u2
-        slopes = residuals * near**2
-        bends = near * (5 * near - 4)  # (1 - u2)(1 - 5 u2), 0 beyond
+        bends = np.where(np.abs(residuals) <= terms.threshold, 1.0, 0.0)
+        if terms.loss == "bisquare":
+            near = terms.reweighting(residuals, 0.0)  # 1 - u2
+            slopes, bends = residuals * near**2, near * (5 * near - 4)  # (1 - u2)(1 - 5 u2)
         mean = float(np.mean(bends))
         correction = 1 + fitted / n * float(np.var(bends)) / mean**2
         return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / mean)
