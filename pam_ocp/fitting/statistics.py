@@ -22,7 +22,6 @@ from ..muscles.law import ForceLaw
 from ..numerics.elementwise import Elementwise
 
 Array: TypeAlias = NDArray[np.float64]
-
 RANK_TOLERANCE = 1e-9
 """Singular values below this times the largest count as zero (columns of unit length)."""
 BLOCK, SMALLEST_BLOCK = 16384, 256

@@ -63,7 +63,6 @@ POOR = 0.3
 """Error, in spreads of a measured variable, from which poorer fits are tried as starts."""
 NARROWING = 40
 """Iterations with roundings that are not the plant's own."""
-
 Found: TypeAlias = tuple[PlantFit, float]
 """A fit and its deviance."""
 

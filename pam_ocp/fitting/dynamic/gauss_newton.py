@@ -24,7 +24,6 @@ from ..statistics import Array
 from .transcribe import FitProgram, Program
 
 Result = TypeVar("Result")
-
 GRACE = 20.0
 """For what is told of a fit that a time limit ended [s]."""
 LEAST, MOST = 1e-8, 1e8
@@ -162,7 +161,6 @@ def _step(
 
 
 LOG = logging.getLogger(__name__)
-
 Report: TypeAlias = Callable[[str, int, float], Any]
 """Called with the stage, its iterations until now, and the cost."""
 Progress: TypeAlias = "bool | Report"

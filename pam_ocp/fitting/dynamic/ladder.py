@@ -74,12 +74,8 @@ swings); without friction the former is often the better one, with it the latter
 """
 SLIP_YIELDS = (0.003, 0.015)
 """Contractions at which the elements of the memory slide; their forces are fitted."""
-
-
 MARGIN = 0.01
 """Models whose errors differ by less than this part count as equally good, however sure it is."""
-
-
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 

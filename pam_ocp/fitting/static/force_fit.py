@@ -414,8 +414,6 @@ def _law_named(name: Any) -> type[ForceLaw]:
 
 
 # ---- where a prediction is asked for -------------------------------------------------------------
-
-
 MARGIN = 0.02
 """Of the range of the data: so far beyond their hull a place still counts as within."""
 REACH = (-1.0, 1.0)

@@ -216,10 +216,8 @@ def _without(matrix: Array, resting: NDArray[np.bool_]) -> Array:
 # ---- optima --------------------------------------------------------------------------------------
 EXPANDED = 1000
 """Cells up to which the solver's functions are written out; beyond, one law is mapped over them."""
-
 STATIONARY = 1e-6
 """Largest cosine between the residual and a column of the Jacobian at an optimum."""
-
 SPLIT = ("huber", "l1")
 """Losses with a kink, or a jump of their curvature: the solver splits residuals."""
 

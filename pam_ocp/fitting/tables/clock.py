@@ -27,7 +27,6 @@ from .columns import column_scale
 from .raw import Doubt, RawTable
 
 Array: TypeAlias = NDArray[np.float64]
-
 DAY = 86400.0
 DATES = frozenset(
     {"date", "datetime", "date time", "timestamp", "time stamp", "datum", "zeitstempel"}

@@ -23,7 +23,6 @@ from .cells import NAMES, PLACES, is_empty, is_number, number, numbers_of
 from .raw import Doubt, RawTable
 
 Array: TypeAlias = NDArray[np.float64]
-
 FEW_ROWS = 20
 """Fewer are set points that were held, and no record of what a sensor read."""
 VACUUM = -1.1e5

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
-
 DETECTED = 3.29
 """Standard deviations above the floor from which a reading is a force (1 in 2000 lies above)."""
 DEEP = 4.0

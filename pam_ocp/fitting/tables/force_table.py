@@ -43,7 +43,6 @@ from .raw import RawTable, Reading, complete, say
 from .sources import is_source, load, naming, sources_of
 
 Array: TypeAlias = NDArray[np.float64]
-
 MEASURES = ("pressure", "contraction", "force", "scatter", "error")
 LABELLED = ("branch", "run", "file")
 """Of each cell."""

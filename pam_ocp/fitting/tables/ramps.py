@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Rows: TypeAlias = NDArray[np.intp]
-
 FEWEST = 400
 """Rows below which a table is taken cell by cell."""
 FINE = 0.006
