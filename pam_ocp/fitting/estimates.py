@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.errors import UnknownNameError
+from ..core.foreign import frame
 from ..core.units import significant
-from .statistics import Array, Coefficient, Linearisation, coefficient_frame
+from .statistics import Array, Coefficient, Linearisation
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,8 +25,7 @@ ESCAPES |= {sign: f"\\{sign}" for sign in "&%$#_{}"}
 PLAIN = range(-3, 4)
 """Powers of ten of numbers that are written without one."""
 DOUBTFUL = 0.5
-"""Probability of a correlation from which it is a warning; below it still counts in the intervals.
-"""
+"""Probability from which a correlation is a warning; below, it still counts in the intervals."""
 LIKELY = 0.95
 """Probability from which a correlation is stated as a fact."""
 
@@ -67,20 +67,24 @@ class Tabled:
         ends = ((c, self._half(c, level)) for c in map(self._entry, self._free))
         return {c.name: (c.value - half, c.value + half) for c, half in ends}
 
+    def _ends(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Intervals of all; of what was held its value, twice."""
+        return {n: (c.value, c.value) for n, c in self.coefficients.items()} | self.intervals(level)
+
     def _row(self) -> dict[str, float]:
-        """Value, standard error and ends of the interval (95 %) of each estimate, for a table of
-        many fits: ``a3``, ``a3_stderr``, ``a3_low``, ``a3_high``; SI.
-        """
-        ends = self.intervals()
+        """``a3``, ``a3_stderr``, ``a3_low``, ``a3_high`` (95 %) of each, for a table; SI."""
         found: dict[str, float] = {}
-        for n, c in self.coefficients.items():
-            low, high = ends.get(n, (c.value, c.value))
+        for n, (low, high) in self._ends().items():
+            c = self.coefficients[n]
             found |= {n: c.value, f"{n}_stderr": c.stderr, f"{n}_low": low, f"{n}_high": high}
         return found
 
     def to_pandas(self) -> pd.DataFrame:
         """The estimates as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
-        return coefficient_frame(self.coefficients, self.intervals())
+        ends, estimates = self._ends(), self.coefficients.items()
+        rows = [(c.value, c.stderr, *ends[n], c.unit, c.held, c.description) for n, c in estimates]
+        head = ("value", "stderr", "low", "high", "unit", "held", "description")
+        return frame(rows, head, list(ends), "name")
 
     def to_latex(self, level: float = 0.95) -> str:
         r"""The estimates as a LaTeX table (``\usepackage{booktabs}``): value ± standard error, both
@@ -104,10 +108,8 @@ class Tabled:
 
 
 class Estimates(Tabled):
-    """A result whose estimates are those of a linearised problem near its optimum.
-
-    linearisation : that problem. A kind of fit overrides what it knows better (a profile in place
-    of value ± t standard errors, coefficients that were held).
+    """A result whose estimates are those of a linearised problem near its optimum, unless a kind of
+    fit knows better (a profile in place of value ± t standard errors, coefficients held).
     """
 
     if TYPE_CHECKING:
@@ -168,14 +170,9 @@ class Estimates(Tabled):
         self, title: str, level: float, reasons: Mapping[str, str] | None = None
     ) -> list[str]:
         """Estimates with intervals under a heading; reasons : what is to be said of some."""
-        intervals = self.intervals(level)
-        return [
-            f"{title}; SI",
-            *(
-                coefficient_line(c, intervals.get(n, (c.value, c.value)), (reasons or {}).get(n))
-                for n, c in self.coefficients.items()
-            ),
-        ]
+        ends, words = self._ends(level), reasons or {}
+        lines = (coefficient_line(c, ends[n], words.get(n)) for n, c in self.coefficients.items())
+        return [f"{title}; SI", *lines]
 
     def _warning_lines(self) -> list[str]:
         found = self.warnings

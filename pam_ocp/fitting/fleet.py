@@ -117,7 +117,6 @@ class Population(Tabled):
         return self._spread(self.within, level)
 
     def _spread(self, scatter: Scatter, level: float) -> dict[str, tuple[float, float, float]]:
-        student_t(level, 1)  # refuses a level that cannot be
         rows = np.array(scatter.spreads(level)).T.tolist()
         return {n: (r[0], r[1], r[2]) for n, r in zip(self.coefficients, rows, strict=True)}
 
@@ -280,10 +279,7 @@ def fit_fleet(
 # ---- what was measured ---------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Muscle:
-    """Taut cells of a muscle's records behind each other; weights are their own.
-
-    starts : where each record begins. begin : all coefficients of the law, or None.
-    """
+    """Taut cells of a muscle's records behind each other, which begin at ``starts``."""
 
     key: Key
     p: Array
@@ -312,7 +308,7 @@ class _Muscle:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """All muscles, with the coefficients that are sought."""
+    """All muscles of a law, with the coefficients that are sought."""
 
     law: type[ForceLaw]
     free: tuple[int, ...]
@@ -320,8 +316,7 @@ class _Cells:
 
     @property
     def names(self) -> list[str]:
-        every = [v.name for v in self.law.coefficient_variables()]
-        return [every[i] for i in self.free]
+        return [self.law.coefficient_variables()[i].name for i in self.free]
 
 
 def _measured(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .statistics import Array, inverse, student_t
+from .statistics import Array, inverse, require_level, student_t
 
 STEPS = 400
 SETTLED = 1e-5
@@ -27,11 +27,10 @@ NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """How units scatter about the means of their groups, and what follows for both.
-
-    covariance : B (k, k). means, errors : of the groups (g, k), and their covariances (g, k, k).
-    own : variance (k,) of what a unit alone says, harmonic mean. dof : units less groups.
-    diagonal : whether there were too few units for correlations.
+    """How units scatter about the means of their groups, and what follows for both. covariance : B
+    (k, k). means, errors : of the groups (g, k), and their covariances (g, k, k). own : variance
+    (k,) of what a unit alone says, harmonic mean. dof : units less groups. diagonal : whether there
+    were too few units for correlations.
     """
 
     covariance: Array
@@ -42,13 +41,12 @@ class Scatter:
     diagonal: bool
 
     def spreads(self, level: float) -> tuple[Array, Array, Array]:
-        """Standard deviation of each parameter between units, and its interval (three (k,)).
-
-        From chi2 of the whole scatter, less what units alone are uncertain by.
+        """Standard deviation of each parameter between units, and its interval, by chi2 (three
+        (k,)).
         """
         from scipy.special import chdtri
 
-        size = np.diag(self.covariance)
+        level, size = require_level(level), np.diag(self.covariance)
         if self.dof < 1:
             return np.sqrt(size), np.zeros_like(size), np.full_like(size, np.inf)
         tail, whole = (1 - level) / 2, size + self.own
@@ -59,9 +57,8 @@ class Scatter:
 
     def predicted(self, a: Array, x: Array, group: NDArray[np.intp]) -> tuple[Array, Array]:
         """Each unit's parameters (n, k) and their covariances, shrunken towards its group's mean.
-
-        The covariance also holds that the means and the size of B are uncertain, the latter by
-        the mean over its chi2 (C. Morris, J. Am. Stat. Assoc. 78 (1983) 47-55).
+        That the means and the size of B are uncertain adds to the covariance (C. Morris, J. Am.
+        Stat. Assoc. 78 (1983) 47-55).
         """
         from scipy.special import chdtri
 
@@ -86,12 +83,9 @@ class Scatter:
 def between(
     a: Array, x: Array, group: NDArray[np.intp], free: NDArray[np.bool_], begin: Array | None = None
 ) -> Scatter:
-    """The scatter of units about the means of their groups.
-
-    a, x : (n, k, k), (n, k), what each unit says. group : (n,), numbers that rise from 0.
-    free : (k,), which parameters units have of their own; of the others all units of a group have
-    the same.
-    begin : B to start from.
+    """The scatter of units about the means of their groups, searched from ``begin``. a, x : (n, k,
+    k), (n, k), what each unit says. group : (n,), numbers that rise from 0. free : (k,), which
+    parameters units have of their own.
     """
     n, k = x.shape
     count = int(group.max()) + 1
@@ -193,9 +187,8 @@ def _predicted(
 
 def shrunken_variances(squares: Array, dof: Array) -> Array:
     """Variances of units out of sums of squares (n,), drawn towards what they have in common.
-
-    An inverse gamma distribution of the variances by the moments of their logarithms (G. Smyth,
-    Stat. Appl. Genet. Mol. Biol. 3 (2004), Article 3, 6.2).
+    Inverse gamma, by the moments of logarithms (G. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004),
+    Article 3, 6.2).
     """
     from scipy.optimize import brentq
     from scipy.special import digamma, polygamma

@@ -8,25 +8,20 @@ to unit length before its rank is judged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite
-from ..core.foreign import frame
 from ..muscles.law import ForceLaw
 from ..numerics.elementwise import Elementwise
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 Array: TypeAlias = NDArray[np.float64]
-
 RANK_TOLERANCE = 1e-9
 """Singular values below this times the largest count as zero (columns of unit length)."""
 BLOCK, SMALLEST_BLOCK = 16384, 256
@@ -109,40 +104,46 @@ def even(columns: Array) -> tuple[Array, Array]:
 
 
 def spanned(columns: Array, tolerance: float = RANK_TOLERANCE) -> Array:
-    """Orthonormal columns that span the given ones (n, k), whatever lengths these have.
-
-    tolerance : singular values below this times the largest count as zero.
-    """
+    """Orthonormal columns that span the given ones (n, k); small singular values count as zero."""
     u, s, _ = np.linalg.svd(even(columns)[0], full_matrices=False)
     return np.asarray(u[:, s > tolerance * s.max(initial=1e-300)])
 
 
 def inverse(squares: Array, tolerance: float = 1e-13) -> Array:
-    """Inverses of symmetric matrices >= 0 (..., k, k); of what they determine, and no more.
-
-    tolerance : eigenvalues below this times the largest count as zero (diagonals scaled to 1).
-    """
+    """Pseudoinverses of symmetric matrices >= 0 (..., k, k), their diagonals scaled to 1."""
     d = np.sqrt(np.maximum(np.diagonal(squares, axis1=-2, axis2=-1), 0.0))
     d = np.where(d > 0, d, 1.0)
     both = d[..., :, None] * d[..., None, :]
     return np.asarray(np.linalg.pinv(squares / both, rcond=tolerance, hermitian=True) / both)
 
 
+def require_level(level: float) -> float:
+    """``level``, or an InputError when it is no part between 0 and 1."""
+    level = require_finite("level", level)
+    if not 0 < level < 1:
+        raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+    return level
+
+
 def student_t(level: float, dof: int) -> float:
     """Half width of a two-sided interval in standard errors; infinite without freedom."""
     from scipy.special import stdtrit
 
-    level = require_finite("level", level)
-    if not 0 < level < 1:
-        raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+    level = require_level(level)
     return float(stdtrit(dof, (1 + level) / 2)) if dof > 0 else float("inf")
 
 
-def f_test(gained: float, more: int, left: float, dof: int) -> tuple[float, float]:
-    """(F, the probability that chance alone makes it as large) of nested models.
+def require_choice(argument: str, value: Any, known: Sequence[str]) -> Any:
+    """``value``, or an InputError when it is none of ``known``."""
+    if value not in known:
+        *first, last = map(repr, known)
+        raise InputError(f"{argument} = {value!r}: choose {', '.join(first)} or {last}")
+    return value
 
-    gained : what ``more`` freedoms take off the sum of squares, of which ``left`` with ``dof``
-    degrees of freedom stay.
+
+def f_test(gained: float, more: int, left: float, dof: int) -> tuple[float, float]:
+    """(F, the probability that chance makes it as large) of ``more`` freedoms that ``gained`` of a
+    sum of squares, of which ``left`` stays with ``dof``.
     """
     from scipy.special import fdtrc
 
@@ -152,8 +153,7 @@ def f_test(gained: float, more: int, left: float, dof: int) -> tuple[float, floa
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient of a fit [unit]; stderr is 0 where held,
-    infinite where the data are blind.
+    """One coefficient of a fit [unit]; stderr is 0 where held, infinite where the data are blind.
 
     Examples
     --------
@@ -168,18 +168,6 @@ class Coefficient:
     unit: str
     held: bool
     description: str = ""
-
-
-def coefficient_frame(
-    coefficients: Mapping[str, Coefficient], intervals: Mapping[str, tuple[float, float]]
-) -> pd.DataFrame:
-    """Coefficients as a DataFrame by name: value, stderr, low, high, unit, held, description."""
-    rows = [
-        (c.value, c.stderr, *intervals.get(n, (c.value, c.value)), c.unit, c.held, c.description)
-        for n, c in coefficients.items()
-    ]
-    head = ("value", "stderr", "low", "high", "unit", "held", "description")
-    return frame(rows, head, list(coefficients), "name")
 
 
 @dataclass(frozen=True)
@@ -251,11 +239,9 @@ class SerialErrors:
     order : along what, in words. probability : that errors are serially correlated at all.
     correlation : of neighbouring errors, the mean over all that the data leave possible.
     meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones
-    would
-    have. spread : standard deviation of an error, in that of independent ones.
+    would have. spread : standard deviation of an error, in that of independent ones.
     weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
-    coefficients, in
-    those of ``correlation``. dof : degrees of freedom.
+    coefficients, in those of ``correlation``. dof : degrees of freedom.
     values, spreads : (g,), each rho, and the standard deviation of an error with it.
     """
 
@@ -286,11 +272,9 @@ class SerialErrors:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """A least-squares problem near its optimum.
-
-    names, values, units : of the k fitted parameters. jacobian : weighted derivatives (n, k).
-    scale : standard deviation of a residual. dof : degrees of freedom.
-    active : gradients (m, k) of constraints that hold as equalities at the optimum.
+    """A least-squares problem near its optimum. names, values, units : of the k fitted parameters.
+    jacobian : weighted derivatives (n, k). scale : standard deviation of a residual. dof : degrees
+    of freedom. active : gradients (m, k) of constraints that hold as equalities at the optimum.
     serial : serially correlated errors, which widen the covariance; None for independent ones.
     """
 
@@ -383,9 +367,8 @@ class Linearisation:
         return np.where(self.blind(directions), np.inf, error)
 
     def hardly_seen(self) -> Iterator[tuple[bool, Array, str]]:
-        """Combinations that the data do not (True) or hardly (False) see: change, and in words.
-
-        The change is one standard error, or 10 % of the largest participant where that is infinite.
+        """Combinations that the data do not (True) or hardly (False) see: one standard error's
+        change, or 10 % of the largest participant where that is infinite, and in words.
         """
         norms, s, vt = self.decomposition
         for value, vector in zip(s, vt, strict=True):

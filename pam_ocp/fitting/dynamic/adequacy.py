@@ -182,11 +182,8 @@ def _sentence(a: Adequacy) -> str:
 
 # ---- noise --------------------------------------------------------------------------------------
 def record_noise(series: Sequence[Array]) -> tuple[float, float]:
-    """(standard deviation of white noise on a smooth signal, relative standard error of its
-    square).
-
-    By the median of its absolute differences, so that jumps of the signal do not count; the least
-    over the orders, as what a difference leaves of the signal only adds.
+    """Standard deviation of white noise on a smooth signal; relative standard error of its square.
+    By the median of absolute differences, which jumps do not move; the least over the orders.
     """
     found, count = [], 0
     for order in ORDERS:
@@ -231,9 +228,7 @@ class Noise:
         return np.asarray(found / np.sqrt(max(self.innovation, 1e-300)))
 
     def meat(self, x: Array) -> Array:
-        """x^T R x with the noise's covariance R: what all innovations, also those before the first
-        sample, make of x.
-        """
+        """x^T R x with the noise's covariance R, by what all innovations make of x."""
         from scipy.signal import lfilter
 
         if not self.order:
@@ -248,17 +243,13 @@ class Noise:
         """Part of the samples that would tell as much of a mean if they were independent."""
         if not self.order:
             return 1.0
-        impulse = np.zeros((1, 1)) + 1.0
-        variance = float(self.meat(impulse)[0, 0])
+        variance = float(self.meat(np.ones((1, 1)))[0, 0])
         long = self.innovation / max(1 - float(self.coefficients.sum()), 1e-3) ** 2
         return float(min(max(variance / long, 1e-3), 1.0))
 
 
 def noise_of(series: Sequence[Array], most: int = DEEPEST, lost: float = 0.0) -> Noise:
-    """Of residuals (each a series about zero), the order by Schwarz' criterion.
-
-    lost : degrees of freedom that the fit took from them.
-    """
+    """Of residuals (series about zero) less ``lost`` degrees of freedom, by Schwarz' criterion."""
     n = sum(len(s) for s in series)
     deepest = max(0, min(most, n // 20, min(len(s) for s in series) // 4))
     covariance = np.array(
@@ -283,10 +274,8 @@ def adequacy_of(
     evidence: Evidence | None, weights: Array, stderr: Mapping[str, float] | None = None
 ) -> Adequacy:
     """weights : (ny,) with which the fit counted its residuals. stderr : of its values, where these
-    are not those of the least squares of the motions.
-
-    Without tests where there is no evidence, or the residuals are those of the integration or of
-    rounding: records without noise.
+    are not those of the least squares of the motions. Without tests where there is no evidence, or
+    the residuals are those of the integration or of rounding: records without noise.
     """
     if evidence is None:
         return LOST
@@ -314,10 +303,9 @@ def residual_adequacy(
     stderr: Mapping[str, float],
     apart: Mapping[str, float] | None = None,
 ) -> Adequacy:
-    """By the residuals of a fit alone, (K, ny) in each record.
-
-    lost : degrees of freedom that the fit took. stderr : of its values; apart : how far from them
-    the least squares lie, as far as that is known.
+    """By the residuals of a fit alone, (K, ny) in each record. lost : degrees of freedom that the
+    fit took. stderr : of its values; apart : how far from them the least squares lie, as far as
+    that is known.
     """
     every, shares = np.concatenate(residuals), lost / len(names)
     dof = every.size - lost
@@ -510,10 +498,9 @@ class _Cause:
 
 
 def _likeliest(case: _Case, base: _Regressed) -> _Cause:
-    """That which takes up most, if any is more than autoregressive noise may
-    seem to be: by score tests of the residuals whitened as such. Which it is the least squares
-    with each of them tell: where much is missing slopes do not reach so far, as values have moved
-    to make up for it.
+    """That which takes up most, if any is more than autoregressive noise may seem to be. By score
+    tests of residuals whitened as such; of those that pass, by the least squares with each: where
+    much is missing slopes do not reach so far, as values have moved to make up for it.
     """
     noises = case.noises(base)
     white = case.regressed((), noises)
@@ -546,12 +533,12 @@ def _verdict(
     k = len(e.names)
     rms = dict(zip(e.outputs, base.sigma.tolist(), strict=True))
     follows = {n: neighbours([r[:, j] for r in base.residuals]) for j, n in enumerate(e.outputs)}
-    shifts = (cause.fit.values[:k] - base.values[:k]) * -e.scale if cause.chosen else np.zeros(k)
+    shifts = (base.values[:k] - cause.fit.values[:k]) * e.scale
     # the noise that the values were found in: with all that the model leaves out
     noises = case.noises(base)
-    covariance = _covariance(case, noises, weights)
-    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * e.scale
-    if given is not None:
+    if given is None:
+        stderr = np.sqrt(np.maximum(np.diag(_covariance(case, noises, weights)), 0.0)) * e.scale
+    else:
         stderr = np.array([given[n] for n in e.names])
     apart = np.abs(e.shifts * e.scale)
     # values of a search that did not end are apart, too
@@ -559,17 +546,14 @@ def _verdict(
     off = shifts**2 + np.where(counts, apart**2, 0.0)
     stderr = np.sqrt(stderr**2 + off)
     subject, amount, unit = _subject(case, cause)
-    part = 0.0
-    if cause.chosen:
-        part = 1 - case.regressed(cause.chosen).squares / max(base.squares, 1e-300)
-    n = sum(len(r) for r in base.residuals)
-    effective = sum(x.effective * n for x in noises)
+    part = 1 - cause.fit.squares / max(base.squares, 1e-300)
+    effective = sum(x.effective for x in noises) * sum(map(len, base.residuals))
     return Adequacy(
         cause.name,
         subject,
         amount,
         unit,
-        float(part),
+        part,
         tests,
         noise,
         rms,
@@ -586,8 +570,7 @@ def _covariance(case: _Case, noises: Sequence[Noise], weights: Array) -> Array:
     if not k:
         return np.empty((0, 0))
     for m in case.motions:
-        one = [Motion(m.error, m.start, m.values, m.suspects)]
-        _, columns = projected(one, weights, lambda x: x.values)
+        _, columns = projected([m], weights, lambda x: x.values)
         projections.append(columns.reshape(*m.error.shape, k))
     every, size = even(np.concatenate([p.reshape(-1, k) for p in projections]))
     usual = inverse(every.T @ every)

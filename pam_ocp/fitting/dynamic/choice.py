@@ -36,7 +36,7 @@ from ...core.errors import (
 from ...core.executors import Client, Place
 from ...core.stop import limited
 from ...core.trajectory import Trajectory
-from ..statistics import Array, student_t
+from ..statistics import Array, require_level, student_t
 
 
 def mean_loss(losses: Array) -> Array:
@@ -59,11 +59,9 @@ def paired(differences: Array, level: float) -> tuple[float, float, float]:
 
 
 def rmse_ratios(losses: Array, reference: Array, level: float = 0.95) -> Array:
-    """(ratio, low, high) of RMSEs by criterion (m, 3), of losses of the same records (n, m).
-
-    The interval is that of a ratio of means (W. Cochran, Sampling Techniques, 1977, ch. 6), from
-    differences record by record, on the scale of its logarithm: it holds both ways round. NaN by a
-    criterion that fewer than two records allow.
+    """(ratio, low, high) of RMSEs by criterion (m, 3), of losses of the same records (n, m). The
+    interval of a ratio of means (W. Cochran, Sampling Techniques, 1977, ch. 6) on the scale of its
+    logarithm: it holds both ways round. NaN where fewer than two records allow a criterion.
     """
     found = np.full((losses.shape[1], 3), np.nan)
     for k, (own, other) in enumerate(zip(losses.T, reference.T, strict=True)):
@@ -120,7 +118,6 @@ class Tried:
 
     Examples
     --------
-    >>> choice = pam.fitting.choose(orders, episodes, folds=3, seed=1)
     >>> [tried.name for tried in choice.tried]  # the simplest first
     ['order 1', 'order 2']
     """
@@ -151,7 +148,6 @@ class Choice:
 
     Examples
     --------
-    >>> choice = pam.fitting.choose(orders, episodes, folds=3, seed=1)
     >>> choice.name in orders, choice.nested.shape
     (True, (3, 1))
     """
@@ -222,8 +218,7 @@ class Ratios:
 
     Examples
     --------
-    >>> ratios = pam.fitting.choose(orders, episodes, folds=3, seed=1).against("order 1")
-    >>> ratios["order 1"]
+    >>> choice.against("order 1")["order 1"]
     array([[1., 1., 1.]])
     """
 
@@ -298,10 +293,7 @@ def choose(
     progress : called as progress(done, all) after each fit.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Raises
-    ------
-    InputError : arguments that cannot be.
-    FitError : no structure could be fitted to every fold.
+    Raises InputError (arguments that cannot be), FitError (no structure fits every fold).
 
     Examples
     --------
@@ -313,7 +305,7 @@ def choose(
     chosen_records = [require_instance("records", r, Trajectory, _RECORDS) for r in records]
     if rule not in RULES:
         raise InputError(f"rule = {rule!r}: choose one of {', '.join(RULES)}")
-    student_t(level, 1)  # refuses what is no level
+    require_level(level)
     drawn = secrets.randbelow(2**31) if seed is None else seed
     fold = _folds(len(chosen_records), folds, groups, drawn)
     count = int(fold.max()) + 1
@@ -482,9 +474,7 @@ def _fits(
 
 @dataclass(frozen=True, eq=False)
 class _Without:
-    """Structures and records; called with a structure's name and the folds that are left out, here
-    or in another process.
-    """
+    """Called with a structure's name and the folds left out, here or in another process."""
 
     structures: Mapping[str, Structure]
     records: Sequence[Trajectory]
@@ -528,10 +518,8 @@ def _gathered(
 def _pick(
     prices: Mapping[str, float], losses: Mapping[str, Array], rule: Rule, level: float
 ) -> tuple[str, dict[str, tuple[float, float, float]]]:
-    """The name that the rule takes, and (score, behind the best, its standard error) of each.
-
-    The criteria weigh alike: each is counted in parts of the least mean loss that any structure has
-    by it.
+    """The name that the rule takes, and (score, behind the best, its standard error) of each. The
+    score is the mean over the criteria, each in parts of the least mean loss by it.
     """
     means = {n: mean_loss(x) for n, x in losses.items()}
     usable = [n for n, m in means.items() if np.all(np.isfinite(m))]

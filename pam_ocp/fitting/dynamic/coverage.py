@@ -32,7 +32,7 @@ from ...plants.plant import Plant
 from ...simulation.simulator import simulate
 from ..estimates import Tabled
 from ..statistics import Array, Coefficient, student_t
-from .experiment import with_columns
+from .experiment import played, visited
 
 BEYOND = 0.05
 """Part of a range by which it may be left without a word."""
@@ -61,10 +61,7 @@ MOST = 4000
 
 @dataclass(frozen=True)
 class Reach:
-    """A variable's range in the records (seen) and where it is to go (asked) [its unit].
-
-    outside : share of the samples that lie outside of what was seen.
-    """
+    """Ranges of a variable, and the share of the samples asked for ``outside`` of what was seen."""
 
     name: str
     unit: str
@@ -274,9 +271,7 @@ def coverage(
     uncertainty : whether the parameters' covariance is carried along the motion, which takes a
         simulation for each of them.
 
-    Raises
-    ------
-    InputError : inputs without a duration, a fit without records.
+    Raises InputError (inputs without a duration, a fit without records).
 
     Examples
     --------
@@ -320,9 +315,7 @@ def _compared(
 
 
 def _usual(plant: Plant, records: Sequence[Trajectory]) -> tuple[float, float, float]:
-    """The most by which a part of the records leaves the others: beyond their ranges, louder in an
-    octave, far from all of them.
-    """
+    """The most by which a part of the records leaves the others, and lies far from all of them."""
     parts = _parts(records)
     names = [v.name for v in (*plant.states, *plant.inputs)]
     found = [(BEYOND, LOUDER, BEYOND)]
@@ -349,28 +342,6 @@ def _parts(records: Sequence[Trajectory]) -> list[Trajectory]:
                 columns = {n: r[n][a:b] for n in r.names}
                 found.append(Trajectory(r.t[a:b], columns, interpolation=r.interpolation))
     return found
-
-
-def visited(
-    plant: Plant, record: Trajectory, start: Mapping[str, float] | None = None
-) -> Trajectory:
-    """A record with all states of the plant: measured where it holds them, velocities from
-    positions, and simulated for the rest.
-    """
-    states = [v.name for v in plant.states]
-    columns = {n: record[n] for n in record.names}
-    for position, velocity in plant.positions.items():
-        if position in columns and velocity not in columns and len(record) > 1:
-            columns[velocity] = np.gradient(columns[position], record.t)
-    if any(n not in columns for n in states):
-        begin = {n: float(columns[n][0]) for n in states if n in columns} | dict(start or {})
-        try:
-            run = _played(plant, record, begin, 1e-5)
-            every = [v.name for v in (*plant.states, *plant.outputs)]
-            columns |= {n: run[n] for n in every if n not in columns}
-        except PamError:
-            pass  # what was not measured stays unknown
-    return with_columns(record, columns)
 
 
 def _asked(
@@ -499,7 +470,7 @@ def _uncertainty(
         squares, count = dict.fromkeys(measured, 0.0), 0
         for m in motions[:3]:
             start = {v.name: float(m[v.name][0]) for v in plant.states if v.name in m}
-            base = _played(plant, m, start, 1e-7)
+            base = played(plant, m, start, 1e-7)
             count += len(m)
             for step in directions:
                 moved = {
@@ -507,7 +478,7 @@ def _uncertainty(
                     for n, d in zip(held, step, strict=True)
                     for p in n.split(" = ")
                 }
-                run = _played(plant.with_values(moved), m, start, 1e-7)
+                run = played(plant.with_values(moved), m, start, 1e-7)
                 for n in measured:
                     squares[n] += float(np.sum((10 * (run[n] - base[n])) ** 2))
         return {n: float(np.sqrt(s / max(count, 1))) for n, s in squares.items()}
@@ -517,19 +488,6 @@ def _uncertainty(
     except PamError:
         return {}
     return {n: (here[n], there[n]) for n in measured}
-
-
-def _played(
-    plant: Plant, motion: Trajectory, start: Mapping[str, float], rtol: float
-) -> Trajectory:
-    """The plant under the inputs of a motion, from a start that is brought within its bounds."""
-    inputs = {v.name: (motion.t, motion[v.name]) for v in plant.inputs if v.name in motion}
-    begin = {}
-    for name, value in start.items():
-        v = plant.variable(name)
-        begin[v.name] = float(np.clip(value, v.min, v.max))
-    between = motion.interpolation
-    return simulate(plant, inputs, t=motion.t, start=begin, rtol=rtol, interpolation=between)
 
 
 # ---- of fits of plants ---------------------------------------------------------------------------

@@ -60,12 +60,9 @@ SLOW = 0.5
 CORRECTIONS = 8
 """Of a fit by what its integration is off by, at most."""
 POOR = 0.3
-"""Error, in spreads of a measured variable, above which fits with one parameter less are tried as
-starts.
-"""
+"""Error, in spreads of a measured variable, from which poorer fits are tried as starts."""
 NARROWING = 40
 """Iterations with roundings that are not the plant's own."""
-
 Found: TypeAlias = tuple[PlantFit, float]
 """A fit and its deviance."""
 
@@ -137,15 +134,9 @@ def fit_plant(
     time_limit : [s]. Where iterations or time end, the best until then is kept and the fit's
         ``status`` and warnings say so; OutOfTime where there is none.
 
-    Returns
-    -------
-    PlantFit; ``.plant`` has the fitted values, ``.report()`` tells what the records say.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be, NaN in a record.
-    FitError : a parameter without influence, constant inputs that cannot tell the parameters, or no
-        solution.
+    Of the result ``.plant`` has the fitted values, ``.report()`` tells what the records say. Raises
+    InputError, UnknownNameError (arguments that cannot be, NaN in a record), FitError (a parameter
+    without influence, constant inputs that cannot tell the parameters, or no solution).
 
     Examples
     --------
@@ -156,7 +147,7 @@ def fit_plant(
     began = time.perf_counter()
     chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
-    noisy = _input_noise(plant, input_noise, noise)
+    noisy = _scattering("input_noise", input_noise, plant, "input", noise)
     ways = _ways(plant, chosen, method, bool(noisy or process_noise))
     wanted = groups(plant, free, bounds)
     if iterations is not None:
@@ -222,11 +213,8 @@ def _ways(plant: Plant, records: Sequence[Trajectory], method: Any, noisy: bool)
 
 def _poor(fit: PlantFit) -> bool:
     """Whether a measured variable is met badly: there may be a better optimum."""
-    for name, error in fit.rmse.items():
-        spread = float(np.std(np.concatenate([r[name] for r in fit.records])))
-        if error > POOR * spread:
-            return True
-    return False
+    spreads = {n: np.std(np.concatenate([r[n] for r in fit.records])) for n in fit.rmse}
+    return any(error > POOR * spreads[n] for n, error in fit.rmse.items())
 
 
 def _not_worse(
@@ -280,10 +268,8 @@ def _told(task: FitTask, found: PlantEstimate) -> PlantFit:
 
 
 def _deferred(task: FitTask, found: PlantEstimate, fit: PlantFit) -> tuple[PlantEstimate, PlantFit]:
-    """The estimate of the exact motion: what the integration is off by is added to the measured
-    values, and the fit made anew, until both agree (deferred correction).
-
-    At the fixed point the residuals are those of an accurate simulation, whatever the degree.
+    """The estimate of the exact motion, by deferred correction: what the integration is off by is
+    added to the measured values, and the fit made anew, until both agree.
     """
     exact = [e.measured for e in task.experiments]
     for _ in range(CORRECTIONS):
@@ -358,33 +344,26 @@ def _process(
             f"process_noise: {method.replace('-', ' ')} knows no jumps; take "
             "method='collocation' or 'multiple-shooting'"
         )
-    if noise is None:
-        raise InputError(
-            "process_noise needs noise={measured variable: standard deviation}: the data alone do "
-            "not tell which of both scattered"
-        )
-    sizes = _sizes("process_noise", given, plant, "state")
+    sizes = _scattering("process_noise", given, plant, "state", noise)
     order = [v.name for v in plant.states]
     return tuple((order.index(n), size) for n, size in sizes.items())
 
 
-def _input_noise(
-    plant: Plant, given: Mapping[str, float] | None, noise: Mapping[str, float] | None
+def _scattering(
+    argument: str,
+    given: Mapping[str, float] | None,
+    plant: Plant,
+    kind: Literal["state", "input"],
+    noise: Any,
 ) -> dict[str, float]:
+    """What scatters beside the measurement, by the plant's own names."""
     if given and noise is None:
         raise InputError(
-            "input_noise needs noise={measured variable: standard deviation}, too: the data alone "
-            "do not tell which of both scattered"
+            f"{argument} needs noise={{measured variable: standard deviation}}, too: the data "
+            "alone do not tell which of both scattered"
         )
-    return _sizes("input_noise", given or {}, plant, "input")
-
-
-def _sizes(
-    argument: str, given: Mapping[str, float], plant: Plant, kind: Literal["state", "input"]
-) -> dict[str, float]:
-    """What scatters, by the plant's own names."""
     found, per = {}, "/sqrt(s)" if kind == "state" else ""
-    for name, value in given.items():
+    for name, value in (given or {}).items():
         v = named(argument, name, plant, kind)
         found[v.name] = require_positive(f"{argument}[{name!r}]", value, v.unit + per)
     return found

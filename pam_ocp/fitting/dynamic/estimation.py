@@ -56,11 +56,9 @@ class NoInfluence(FitError):
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What is asked of records, whatever the plant's values and the method.
-
-    delays : [s], lowest and highest. sensors : names by argument of :func:`unknowns_of`. noise : in
-    nominals, where it is known. iterations : of the solver in each search, at most: the best until
-    then counts.
+    """What is asked of records, whatever the plant's values and the method. delays : [s], lowest
+    and highest. sensors : by argument of :func:`unknowns_of`. noise : in nominals, where it is
+    known. iterations : of the solver in each search, at most.
     """
 
     names: Sequence[str]
@@ -195,9 +193,7 @@ class PlantEstimate:
 
 
 def estimate(task: FitTask, sigma: Array, start: float | None = None) -> PlantEstimate:
-    """Solve; with several measured variables of unknown noise,
-    weigh them by their residuals anew.
-    """
+    """Solve; several measured variables of unknown noise are weighed by their residuals anew."""
     solution, program, found = _seek_delay(task, sigma, start)
     for number in range(2 if task.asked.noise is None else 0):
         last, sigma = sigma, np.maximum(np.sqrt(np.mean(solution.residuals**2, axis=0)), 1e-9)
@@ -397,9 +393,7 @@ def _linearised(
 
 
 def _corrected(problem: FitProblem, jumps: Array) -> list[Experiment]:
-    """The records with their inputs as estimated;
-    errors of inputs stand at the end of the jumps.
-    """
+    """The records with their inputs as estimated: errors of these stand at the end of the jumps."""
     first = jumps.size - sum(e.errors.count for e in problem.experiments if e.errors is not None)
     found = []
     for e in problem.experiments:

@@ -10,6 +10,7 @@ nuisance: they are projected out of each motion by itself, so there may be many 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from ...core.errors import FitError, PamError
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array, spanned
-from .experiment import ParameterGroup, with_inputs
+from .experiment import with_inputs
 from .rig import Rig, RunUnknowns, Unknown
 from .rollout import Rollout, gaps
 from .runs import LEAST_STEPS, MOST_STEPS, Runs, runs_of, settled_starts
@@ -57,9 +58,7 @@ NEGLIGIBLE = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """error (K, ny): modelled less measured. start (K, ny, nx), values (K, ny, k), suspects (K, ny,
-    m): slopes of it.
-    """
+    """error (K, ny): modelled less measured; start, values, suspects (K, ny, .): slopes of it."""
 
     error: Array
     start: Array
@@ -69,10 +68,9 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Motions with their slopes in ``names`` (scaled values) and in ``suspects``.
-
-    shifts : where the least squares of these motions have the values, less those of the fit.
-    integration : RMS of what halved steps change, of each measured variable.
+    """Motions with their slopes in ``names`` (scaled values) and in ``suspects``. shifts : of the
+    values at the least squares of these motions. integration : RMS of what halved steps change, of
+    each measured variable.
     """
 
     outputs: tuple[str, ...]
@@ -95,7 +93,6 @@ class _Case:
     plant: Plant
     records: Sequence[Trajectory]
     outputs: Sequence[str]
-    groups: Sequence[ParameterGroup]
     unknowns: RunUnknowns
     rig: Rig
     z: Array
@@ -113,7 +110,9 @@ class _Case:
         )
 
     def rollout(self, runs: Runs) -> Rollout:
-        return Rollout(self.plant, runs, self.unknowns, self.rig)
+        """With as many starts as there are motions."""
+        unknowns = self.unknowns.of_motions(self.plant, len(runs.record))
+        return Rollout(self.plant, runs, unknowns, self.rig)
 
 
 def evidence_of(
@@ -134,7 +133,6 @@ def evidence_of(
             plant,
             [with_inputs(plant, r, still) for r in records],
             outputs,
-            unknowns.groups,
             unknowns.of_motions(plant, 0),
             replace(rig, corrections={}, starts={}),
             np.asarray(z)[unknowns.of_model],
@@ -142,7 +140,7 @@ def evidence_of(
         )
         runs, x0 = _followed(case)
         z, x0, _ = _least_squares(case, runs, runs, case.z, x0)
-        fine = _with_starts(case, runs).rollout(runs)
+        fine = case.rollout(runs)
         every = np.concatenate([z, x0.ravel()])
         modelled = fine.predicted(every)
         while True:
@@ -162,11 +160,6 @@ def evidence_of(
         return None
 
 
-def _with_starts(case: _Case, runs: Runs) -> _Case:
-    """With as many starts as there are motions."""
-    return replace(case, unknowns=case.unknowns.of_motions(case.plant, len(runs.record)))
-
-
 def _followed(case: _Case) -> tuple[Runs, Array]:
     """Motions as long as their starts stay in sight, and guesses of these (n, nx), scaled."""
     sampling = case.records[0].duration / (len(case.records[0]) - 1)
@@ -174,11 +167,10 @@ def _followed(case: _Case) -> tuple[Runs, Array]:
     samples = max(len(r) for r in case.records) - 2
     while True:
         runs = case.runs(length)
-        ready = _with_starts(case, runs)
         nx = len(case.plant.states)
         nominal = case.plant.vector("state", attribute="nominal")
         x0 = settled_starts(case.plant, runs, len(runs.record), range(nx)) / nominal
-        rollout = ready.rollout(runs)
+        rollout = case.rollout(runs)
         z = np.concatenate([case.z, x0.ravel()])
         steep = 0.0
         for part, y, slopes in rollout.computed(z, True):
@@ -215,10 +207,7 @@ def _blocks(
 def projected(
     motions: Sequence[Motion], weights: Array, more: Callable[[Motion], Array]
 ) -> tuple[Array, Array]:
-    """(error (n,), columns (n, .)) of all motions, weighed, their starts projected out.
-
-    weights : (ny,) of the measured variables. more : the columns (K, ny, .) of a motion.
-    """
+    """(error (n,), columns (n, .)) of all motions times ``weights``, their starts projected out."""
     errors, columns = [], []
     for m in motions:
         basis = _basis((m.start * weights[:, None]).reshape(-1, m.start.shape[2]))
@@ -235,9 +224,7 @@ def _basis(columns: Array) -> Array:
 
 
 def solved(matrix: Array, right: Array, damping: float = 0.0) -> Array:
-    """Least squares with columns of unit length; of what is not determined, the shortest, and
-    nothing of what is not seen at all (the pressure of a slack muscle).
-    """
+    """Least squares with columns of unit length; the shortest, and nothing of what is not seen."""
     size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > UNSEEN * size.max(initial=0.0), size, np.inf)
     if damping:
@@ -264,14 +251,13 @@ def _least_squares(
     least: float = GAINED,
 ) -> tuple[Array, Array, list[Array]]:
     """Values and starts of the least squares of these motions, from those given; what is modelled.
-
     runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little
     off cost a step more, not accuracy. sensors : whose errors are sought, too; they are linear.
     least : gain of a round, below which it is the last.
     """
-    ready, k = _with_starts(case, runs), len(z)
-    rollout, u = ready.rollout(runs), ready.unknowns
-    motion = rollout if fine is runs else ready.rollout(fine)
+    rollout, k = case.rollout(runs), len(z)
+    u = rollout.unknowns
+    motion = rollout if fine is runs else case.rollout(fine)
     weights = 1 / rollout.spread
     best = np.concatenate([z, x0.ravel()])
 
@@ -349,9 +335,7 @@ def _bounded(
     high: Array,
     damping: float = 0.0,
 ) -> Array:
-    """The step within its range, of values and of starts: those that would leave it go to its edge,
-    one set after the other.
-    """
+    """The step within its range: what would leave it goes to its edge, one set after the other."""
     values, nx = blocks[0].values.shape[2], blocks[0].start.shape[2]
     fixed, held = np.zeros(len(low)), np.zeros(len(low), dtype=bool)
     while True:
@@ -396,16 +380,16 @@ def roots(blocks: Sequence[Motion]) -> Array:
 def _evidence(
     case: _Case, runs: Runs, z: Array, x0: Array, modelled: Array, gap: Array
 ) -> Evidence:
-    ready, k = _with_starts(case, runs), len(z)
+    groups, k = case.unknowns.groups, len(z)
     delays = case.unknowns.rig(case.plant, runs.names, case.rig, z).delays
-    found = suspected(case.plant, case.records, case.groups, delays, runs.names)
-    suspects = found.suspects
-    u, m, count = ready.unknowns, len(suspects), len(case.groups)
-    wide = u.with_more(*map(Unknown.of_group, found.groups[count:]))
+    found = suspected(case.plant, case.records, groups, delays, runs.names)
+    u = case.unknowns.of_motions(case.plant, len(runs.record))
+    m, count = len(found.suspects), len(groups)
     rig = replace(case.rig, delays={**case.rig.delays, **found.delays})
-    later = replace(ready, plant=found.plant, records=found.records, unknowns=wide, rig=rig)
-    length = runs.horizons[0] if runs.horizons else None
-    rollout = later.rollout(later.runs(length))
+    wider = replace(case, plant=found.plant, records=found.records, rig=rig)
+    later = wider.runs(runs.horizons[0] if runs.horizons else None)
+    unknowns = u.with_more(*map(Unknown.of_group, found.groups[count:]))
+    rollout = Rollout(found.plant, later, unknowns, rig)
     at = np.concatenate([z[:count], np.zeros(m), z[count:], x0.ravel()])
     order = [*range(count), *range(count + m, k + m)]
     edge = np.minimum(x0.ravel() - u.low[k:], u.high[k:] - x0.ravel()).reshape(x0.shape) < EDGE
@@ -420,32 +404,23 @@ def _evidence(
         u.names[:k],
         u.scale[:k],
         tuple(blocks),
-        suspects,
+        found.suspects,
         z - case.z,
         gap,
         tuple(_rows(runs)),
-        lambda cause: _squares_with(case, runs, found, cause, z, x0),
+        lambda cause: _squares_with(wider, later, found, cause, z, x0, modelled),
     )
 
 
 def _squares_with(
-    case: _Case, runs: Runs, found: Suspected, cause: str, z: Array, x0: Array
+    case: _Case, runs: Runs, found: Suspected, cause: str, z: Array, x0: Array, modelled: Array
 ) -> Array:
-    """See :class:`Evidence`; those without where the motions with it cannot be followed."""
-    count = len(case.groups)
-    chosen = tuple(
+    """See :class:`Evidence`; as ``modelled`` where motions with it cannot be followed."""
+    count = len(case.unknowns.groups)
+    chosen = [
         g for g, s in zip(found.groups[count:], found.suspects, strict=True) if s.cause == cause
-    )
-    at = [count] * len(chosen)
-    unknowns = case.unknowns.with_more(*map(Unknown.of_group, chosen))
-    wide = replace(
-        case,
-        plant=found.plant,
-        records=found.records,
-        groups=unknowns.groups,
-        unknowns=unknowns.of_motions(found.plant, 0),
-        rig=replace(case.rig, delays={**case.rig.delays, **found.delays}),
-    )
+    ]
+    wide = replace(case, unknowns=case.unknowns.with_more(*map(Unknown.of_group, chosen)))
     named = [(n, case.plant.variable(n).unit) for n in runs.names]
 
     def sensors(modelled: Sequence[Array]) -> list[Array]:
@@ -453,13 +428,9 @@ def _squares_with(
         return [np.stack(c, axis=2) for c in zip(*own, strict=True)]
 
     has = any(s.cause == cause for s, _ in sensor_suspects(named, _rows(runs), _rows(runs)))
-    later = wide.runs(runs.horizons[0] if runs.horizons else None)
-    more = len(found.plant.states) - x0.shape[1]
-    begun = np.hstack([x0, np.zeros((len(x0), more))])
-    try:
-        *_, modelled = _least_squares(
-            wide, later, later, np.insert(z, at, 0.0), begun, sensors if has else None, COMPARED
-        )
-    except FitError:
-        modelled = list(_with_starts(case, runs).rollout(runs).predicted(np.append(z, x0)))
-    return np.asarray(np.nanmean((np.asarray(modelled) - runs.measured) ** 2, axis=(0, 1)))
+    z = np.insert(z, [count] * len(chosen), 0.0)
+    begun = np.hstack([x0, np.zeros((len(x0), len(case.plant.states) - x0.shape[1]))])
+    with suppress(FitError):
+        least = _least_squares(wide, runs, runs, z, begun, sensors if has else None, COMPARED)
+        modelled = np.asarray(least[2])
+    return np.asarray(np.nanmean((modelled - runs.measured) ** 2, axis=(0, 1)))

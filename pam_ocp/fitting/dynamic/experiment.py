@@ -36,10 +36,7 @@ from ..statistics import Array
 
 @dataclass(frozen=True)
 class ParameterGroup:
-    """One unknown: a parameter of the plant, or several that are to be equal.
-
-    members : positions among the plant's parameters. scale : its size in the solver.
-    """
+    """One unknown: a parameter of the plant, or several (``members``) that are to be equal."""
 
     name: str
     members: tuple[int, ...]
@@ -53,10 +50,9 @@ class ParameterGroup:
 
 @dataclass(frozen=True, eq=False)
 class InputErrors:
-    """What unknown errors of samples, in standard deviations, add to the inputs' coefficients.
-
-    rows : positions in the coefficients (n, degree + 1, nu), flat. columns : numbers of the errors.
-    values : factors [unit of the input]. count : of the errors.
+    """What unknown errors of samples add to the inputs' coefficients (n, degree + 1, nu). rows :
+    positions in these, flat. columns : numbers of the errors, ``count`` in all. values : factors
+    [unit of the input per standard deviation].
     """
 
     rows: NDArray[np.intp]
@@ -104,12 +100,10 @@ class InputErrors:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One record, its clock that of the inputs.
-
-    t, measured : times (K,) and samples (K, ny) that are compared. mesh : (n + 1,) times; the
-    inputs are polynomials of ``coefficients`` (n, degree + 1, nu) between them.
-    states : a guess (n + 1, nx) at the mesh. errors : how errors of the inputs' samples change the
-    coefficients; None where the samples are exact.
+    """One record, its clock that of the inputs. t, measured : times (K,) and samples (K, ny) that
+    are compared. mesh : (n + 1,) times; the inputs are polynomials of ``coefficients`` (n, degree +
+    1, nu) between them. states : a guess (n + 1, nx) at the mesh. errors : how errors of the
+    inputs' samples change the coefficients; None where the samples are exact.
     """
 
     record: Trajectory
@@ -223,9 +217,7 @@ def named(argument: str, name: str, plant: Plant, kind: Literal["state", "input"
 
 
 def with_inputs(plant: Plant, record: Trajectory, values: Mapping[str, Any]) -> Trajectory:
-    """The record with these values (numbers or samples) as columns, and with what the plant's
-    disturbances are by themselves, where it has no such columns.
-    """
+    """The record with these columns, and the disturbances' own values, where it has none."""
     still = {v.name: v.start or 0.0 for v in plant.inputs if v.disturbance}
     missing = {n: v for n, v in (still | dict(values)).items() if n not in record}
     if not missing:
@@ -284,22 +276,14 @@ def prepare(
     constant: Mapping[str, float],
     input_noise: Mapping[str, float] | None = None,
 ) -> Experiment:
-    """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states.
-
-    input_noise : {measured input: standard deviation}; these count as samples, nothing more.
-    """
-    inputs = {}
-    for variable in plant.inputs:
-        if variable.name in record:
-            inputs[variable.name] = (record.t, record[variable.name])
-        elif variable.name in constant or variable.disturbance:
-            value = constant.get(variable.name, variable.start)
-            inputs[variable.name] = (record.t[[0, -1]], np.full(2, float(value or 0.0)))
-        else:
-            raise InputError(
-                f"the record has no column for the input {variable.name}; give one, or "
-                f"inputs={{{variable.name!r}: value}} if it was constant"
-            )
+    """On a mesh: breaks of the inputs, refined to steps of at most ``step``; states are guessed."""
+    whole = with_inputs(plant, record, constant)
+    missing = [v.name for v in plant.inputs if v.name not in whole]
+    if missing:
+        raise InputError(
+            f"the record has no column for the input {missing[0]}; give one, or "
+            f"inputs={{{missing[0]!r}: value}} if it was constant"
+        )
     keep = record.t >= record.t[0] + longest_delay - 1e-12
     if keep.sum() < 2:
         raise InputError(
@@ -311,6 +295,7 @@ def prepare(
     for name in input_noise or {}:
         if name not in record:
             raise InputError(f"input_noise: {name} is no column of the record")
+    inputs = {v.name: (record.t, whole[v.name]) for v in plant.inputs}
     u = signals(plant, record if exact else inputs, record.t, record.interpolation)
     times = merged(np.concatenate([record.t, u.breaks]))
     if step is not None:
@@ -334,38 +319,52 @@ def prepare(
         record.array(names)[keep],
         times,
         coefficients,
-        _guess(plant, record, times, inputs),
+        _guess(plant, whole, times),
         errors,
     )
 
 
-def _guess(
-    plant: Plant, record: Trajectory, times: Array, inputs: Mapping[str, tuple[Array, Array]]
-) -> Array:
+def _guess(plant: Plant, record: Trajectory, times: Array) -> Array:
     """Measured states where there are, velocities from positions, a simulation for the others."""
-    start = {v.name: float(v.start or 0.0) for v in plant.states}
-    seen: dict[str, Array] = {v.name: record[v.name] for v in plant.states if v.name in record}
-    for position, velocity in plant.positions.items():
-        if position in seen and velocity not in seen:
-            seen[velocity] = np.gradient(seen[position], record.t)
-    for name, column in seen.items():
-        variable = plant.variable(name)
-        start[name] = float(np.clip(column[0], variable.min, variable.max))
-    states = np.tile([start[v.name] for v in plant.states], (len(times), 1))
-    if len(seen) < len(plant.states):
-        try:
-            run = simulate(
-                plant, inputs, t=times, start=start, rtol=1e-5, interpolation=record.interpolation
-            )
-            states = run.array([v.name for v in plant.states])
-        except PamError:
-            pass  # the guess stays constant; the solver has to do without
-    for i, variable in enumerate(plant.states):
-        if variable.name in seen:
-            states[:, i] = np.interp(times, record.t, seen[variable.name])
+    seen, states = visited(plant, record), np.empty((len(times), len(plant.states)))
+    for i, v in enumerate(plant.states):
+        # what cannot be simulated stays constant; the solver has to do without
+        known = v.name in seen
+        states[:, i] = np.interp(times, seen.t, seen[v.name]) if known else float(v.start or 0.0)
     if not np.all(np.isfinite(states)):
         raise FitError("the plant's start values give no finite motion; set them with with_values")
-    return np.asarray(states)
+    return states
+
+
+def visited(
+    plant: Plant, record: Trajectory, start: Mapping[str, float] | None = None
+) -> Trajectory:
+    """A record with all states: measured, velocities from positions, simulated for the rest."""
+    states = [v.name for v in plant.states]
+    columns = {n: record[n] for n in record.names}
+    for position, velocity in plant.positions.items():
+        if position in columns and velocity not in columns and len(record) > 1:
+            columns[velocity] = np.gradient(columns[position], record.t)
+    if any(n not in columns for n in states):
+        begin = {n: float(columns[n][0]) for n in states if n in columns} | dict(start or {})
+        try:
+            run = played(plant, record, begin, 1e-5)
+            every = [v.name for v in (*plant.states, *plant.outputs)]
+            columns |= {n: run[n] for n in every if n not in columns}
+        except PamError:
+            pass  # what was not measured stays unknown
+    return with_columns(record, columns)
+
+
+def played(plant: Plant, motion: Trajectory, start: Mapping[str, float], rtol: float) -> Trajectory:
+    """The plant under the inputs of a motion, from a start that is brought within its bounds."""
+    inputs = {v.name: (motion.t, motion[v.name]) for v in plant.inputs if v.name in motion}
+    begin = {}
+    for name, value in start.items():
+        v = plant.variable(name)
+        begin[v.name] = float(np.clip(value, v.min, v.max))
+    between = motion.interpolation
+    return simulate(plant, inputs, t=motion.t, start=begin, rtol=rtol, interpolation=between)
 
 
 Result = TypeVar("Result")
@@ -396,10 +395,7 @@ def decided(
     fitted: Callable[[Sequence[Trajectory]], tuple[Result, float]],
 ) -> tuple[Result, Interpolation, str]:
     """A fit, how inputs count as having run where that was not known, and what decided it, in
-    words.
-
-    fitted : records to a fit and its deviance. Called once where all records say how inputs ran, or
-    where none of them moves.
+    words. fitted : records to a fit and its deviance; called once where no input's way is open.
     """
     if all(r.interpolation_known or not _moves(plant, r) for r in records):
         return fitted(records)[0], "linear", ""

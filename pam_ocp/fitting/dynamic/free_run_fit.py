@@ -41,9 +41,7 @@ from .runs import LEAST_STEPS, MOST_STEPS, FreeRun, hidden_states, runs_of, sett
 ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
 POOR = 1e-3
-"""Mean squared error, in parts of the measured variance, above which fits with one unknown less are
-tried as starts.
-"""
+"""The same, from which fits with one unknown less are tried as starts."""
 FIRST = 4
 """A search over many runs begins with horizons of so many samples, which grow this many times."""
 
@@ -91,9 +89,7 @@ def free_run(
     starts : {state that is not measured: where runs begin}. corrections : {(state, measured
         variable): gain}.
 
-    Raises
-    ------
-    InputError, UnknownNameError : records without an input, of unequal rates, too short, or NaN.
+    Raises InputError, UnknownNameError (records without an input, of unequal rates, too short).
 
     Examples
     --------
@@ -168,19 +164,16 @@ def fit_free_run(
     begin_short : whether horizons grow; by default where runs of more than 16 samples go astray at
         the plant's values.
     evaluations : of all runs with their derivatives, at most; those of shorter horizons count by
-        their samples. Other arguments as for
-        :func:`free_run`. Where a record does not say how its inputs ran between samples, both ways
-        are fitted and the likelier counts.
+        their samples. Other arguments as for :func:`free_run`. Where a record does not say how its
+        inputs ran between samples, both ways are fitted and the likelier counts.
     progress : True prints each step; a function is called as progress(stage, evaluations, cost).
     time_limit : [s]; the best until then is kept, and the fit says so. OutOfTime where there is
         none.
     judge : whether the residuals are tested at once and a warning says so where the model is
         inadequate; ``fit.adequacy`` does it when it is asked for.
 
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be.
-    FitError : the runs diverge at the start, or a parameter has no influence on them.
+    Raises InputError, UnknownNameError (arguments that cannot be), FitError (the runs diverge at
+    the start, or a parameter has no influence on them).
 
     Examples
     --------

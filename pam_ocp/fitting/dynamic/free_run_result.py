@@ -99,9 +99,7 @@ def spread_of(rollout: Rollout, z: Array) -> Spread:
 
 
 def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Of a normal matrix, in the directions that the runs see; which unknowns have a part in one
-    that they do not see.
-    """
+    """Of a normal matrix, in the directions that the runs see; which unknowns they do not."""
     size = np.sqrt(np.diag(square))
     values, vectors = np.linalg.eigh(square / np.outer(size, size))
     seen = values > UNSEEN * values.max(initial=0.0)
@@ -110,11 +108,9 @@ def _inverse(square: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def widened(usual: Array, scores: Array, noise: float) -> Array:
-    """Covariance (k, k) of least squares with serially correlated errors.
-
-    usual : inverse of the normal matrix J^T J. scores : J^T r of each block (blocks, k). noise :
-    mean square of the errors r. Where there are few blocks to an unknown, only their mean widening
-    counts, and no narrowing.
+    """Covariance (k, k) of least squares with serially correlated errors. usual : (J^T J)^-1.
+    scores : J^T r of each block (blocks, k). noise : mean square of the errors r. Where blocks are
+    few to an unknown, only their mean widening counts, and no narrowing.
     """
     blocks, k = len(scores), max(len(usual), 1)
     meat = scores.T @ scores * blocks / max(blocks - 1, 1)
@@ -155,11 +151,7 @@ EXACT = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Fineness:
-    """What halved steps change.
-
-    gap : root mean square of each variable, in its unit. moved : of each unknown that is the same
-    for all records, in standard errors. fine : whether all of it is small.
-    """
+    """What halved steps change: RMS of each variable, and each unknown in standard errors."""
 
     gap: Array
     moved: Array
@@ -180,7 +172,10 @@ def fineness(rollout: Rollout, z: Array, spread: Spread) -> Fineness:
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = shared / stderr
     moved = np.where(np.isfinite(moved), moved, 0.0)
-    still = bool(np.all(error <= NO_NOISE * rollout.spread)) or unmoved(shared, stderr, z)
+    # small beside standard errors, or themselves; unknowns that no record sees have none
+    allowed = np.maximum(MOVED * stderr, EXACT * np.maximum(np.abs(z[: len(stderr)]), 1.0))
+    still = bool(np.all((shared <= allowed) | ~np.isfinite(stderr)))
+    still |= bool(np.all(error <= NO_NOISE * rollout.spread))
     return Fineness(gap, moved, small and still)
 
 
@@ -189,18 +184,8 @@ def shift(square: Array, right: Array) -> Array:
     return np.asarray(-inverse(square) @ right)
 
 
-def unmoved(shifts: Array, stderr: Array, z: Array) -> bool:
-    """Whether shifts of the first unknowns are small beside their standard errors, or themselves;
-    unknowns that no record sees have none.
-    """
-    allowed = np.maximum(MOVED * stderr, EXACT * np.maximum(np.abs(z[: len(stderr)]), 1.0))
-    return bool(np.all((shifts <= allowed) | ~np.isfinite(stderr)))
-
-
 def fine_runs(predicted: Array, finer: Array) -> bool:
-    """Whether halved steps change runs little, in parts of how far the runs reach themselves: what
-    was measured behind a start has no say in a prediction.
-    """
+    """Whether halved steps change runs little, in parts of how far the runs reach themselves."""
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # runs that diverge have no number at all
         gap = gaps(finer, predicted)
@@ -384,9 +369,7 @@ def asked_like(
 def unknowns_like(
     fit: FreeRunFit, plant: Plant, runs: Runs, records: int, weights: Sequence[str] = ()
 ) -> RunUnknowns:
-    """Starts of each record as in the fit, and the weights of what was learned; its memories begin
-    in the same way.
-    """
+    """Starts of each record as in the fit, and the weights and memories of what was learned."""
     states = [v.name for v in plant.states]
     along = {fit.plant.states[i].name for i in fit.unknowns.along}
     hidden = [i for i, n in enumerate(states) if n in along or ".learned.memory" in n]

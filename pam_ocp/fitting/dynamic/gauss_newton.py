@@ -24,7 +24,6 @@ from ..statistics import Array
 from .transcribe import FitProgram, Program
 
 Result = TypeVar("Result")
-
 GRACE = 20.0
 """For what is told of a fit that a time limit ended [s]."""
 LEAST, MOST = 1e-8, 1e8
@@ -72,12 +71,10 @@ def descend(
     damping: float = FIRST,
     progress: Callable[[int, float, Array], None] | None = None,
 ) -> Descent:
-    """Least squares from z; at most so many ``evaluations`` of the normal matrix.
-
-    enough : relative gain of a step below which the search ends. damping : of the first step, in
-    parts of the normal matrix' diagonal. progress : called as
-    progress(evaluations, cost, z) at each new point. A time limit that ends does not raise when
-    there is a point to show.
+    """Least squares from z; at most so many ``evaluations`` of the normal matrix. enough : relative
+    gain of a step below which the search ends. damping : of the first step, in parts of the normal
+    matrix' diagonal. progress : called with (evaluations, cost, z) at new points. A time limit does
+    not raise when there is a point to show.
     """
     z, growth = np.clip(z, low, high), 4.0
     best, count, damped = (problem.cost(z), z), 0, 0
@@ -128,10 +125,8 @@ def from_fewer(
     without: Callable[[int], Result],
     again: Callable[[Result], Result],
 ) -> Result:
-    """No freedom makes a fit worse: the same, or what is found from where a fit leads that has one
-    unknown less, where that is better.
-
-    without : the fit without the unknown at a place; again : with all of them, from there.
+    """The best, or what is found from where a better fit with one unknown less leads: no freedom
+    makes a fit worse. without : that fit, by place; again : with all unknowns, from there.
     """
     for place in list(places)[-FEWER:]:
         try:
@@ -148,9 +143,7 @@ def from_fewer(
 def _step(
     z: Array, gradient: Array, square: Array, damping: float, low: Array, high: Array
 ) -> Array:
-    """Minimiser of the damped model within the bounds: unknowns that a bound holds back are taken
-    out one set after the other.
-    """
+    """Minimiser of the damped model within the bounds; unknowns held back are taken out."""
     scale = np.sqrt(np.maximum(np.diag(square), 1e-12 * np.diag(square).max(initial=1e-300)))
     matrix = square / np.outer(scale, scale) + damping * np.eye(len(z))
     step, free = np.zeros(len(z)), np.ones(len(z), dtype=bool)
@@ -168,7 +161,6 @@ def _step(
 
 
 LOG = logging.getLogger(__name__)
-
 Report: TypeAlias = Callable[[str, int, float], Any]
 """Called with the stage, its iterations until now, and the cost."""
 Progress: TypeAlias = "bool | Report"
@@ -195,10 +187,7 @@ def _printed(stage: str, count: int, cost: float) -> None:
 
 # ---- damped Gauss-Newton -------------------------------------------------------------------------
 LEVENBERG = 1e-6
-"""Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
-
-It changes steps, not the solution. Unknowns are of size 1, residuals are in units of the noise.
-"""
+"""Added to the diagonal of the Hessian: directions that no residual sees stay where they are."""
 DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 TIMED = "Time_Limit"
 """Status of a search that a time limit ended with something to show."""
@@ -215,7 +204,6 @@ DEFECT = 1e3
 @dataclass(frozen=True, eq=False)
 class GaussNewtonResult:
     """Scaled unknowns w, residuals without weights (K, ny) in nominals, and the solver's account.
-
     jumps : of disturbed states, in their standard deviations.
     """
 
@@ -243,22 +231,38 @@ def solve(
     report: Report | None = None,
     stage: str = "fit",
 ) -> GaussNewtonResult:
-    """Least squares from a guess; with a limit of ``iterations`` only as far as these lead.
-
-    report : called with ``stage``, iterations and cost at each of them. A time limit ends the
-    search with the best that was seen, where there is any.
-
-    Without states among the unknowns (single shooting, simulation) by :func:`descend`, else by
-    IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
-    where that does not settle, with the exact Hessian.
+    """Least squares from a guess; with a limit of ``iterations`` only as far as these lead. Without
+    states among the unknowns by :func:`descend`, else by IPOPT: first without the residuals'
+    curvature (Gauss-Newton), and where that does not settle with the exact Hessian. report : called
+    with ``stage``, iterations and cost. A time limit ends with the best that was seen.
     """
-    if not isinstance(program, FitProgram) or not program.defects.numel():
-        return _descended(program, weights, guess, iterations or 300, report, stage)
-    seen = _Seen(report, stage)
-    first = _interior_point(program, weights, guess, False, iterations or 150, seen)
-    if first.found or first.timed or iterations is not None:
-        return first
-    return _interior_point(program, weights, guess, True, 100, _Seen(report, stage + ", curved"))
+    if isinstance(program, FitProgram) and program.defects.numel():
+        seen = _Seen(report, stage)
+        first = _interior_point(program, weights, guess, False, iterations or 150, seen)
+        if first.found or first.timed or iterations is not None:
+            return first
+        seen = _Seen(report, stage + ", curved")
+        return _interior_point(program, weights, guess, True, 100, seen)
+
+    def told(count: int, cost: float, _: Array) -> None:
+        if report is not None:
+            report(stage, count, cost / 2)
+
+    found = descend(
+        _Squares(program, weights),
+        guess,
+        program.low,
+        program.high,
+        iterations or 300,
+        enough=EXACT,
+        damping=CAREFUL,
+        progress=told,
+    )
+    if found.timed:
+        with spared(GRACE):
+            return _solution(program, found.z, TIMED, found.evaluations)
+    status = DONE[0] if found.converged else "Maximum_Iterations_Exceeded"
+    return _solution(program, found.z, status, found.evaluations)
 
 
 class _Seen:
@@ -350,35 +354,6 @@ class _Squares:
         r = (errors * self._weights).ravel()
         slope = np.nan_to_num(self._program.jacobian(self._weights, z, errors))
         return float(r @ r), slope.T @ r, slope.T @ slope, 0
-
-
-def _descended(
-    program: Program,
-    weights: Array,
-    guess: Array,
-    evaluations: int,
-    report: Report | None,
-    stage: str,
-) -> GaussNewtonResult:
-    def told(count: int, cost: float, _: Array) -> None:
-        if report is not None:
-            report(stage, count, cost / 2)
-
-    found = descend(
-        _Squares(program, weights),
-        guess,
-        program.low,
-        program.high,
-        evaluations,
-        enough=EXACT,
-        damping=CAREFUL,
-        progress=told,
-    )
-    if found.timed:
-        with spared(GRACE):
-            return _solution(program, found.z, TIMED, found.evaluations)
-    status = DONE[0] if found.converged else "Maximum_Iterations_Exceeded"
-    return _solution(program, found.z, status, found.evaluations)
 
 
 def _solution(program: Program, found: Array, status: str, iterations: int) -> GaussNewtonResult:

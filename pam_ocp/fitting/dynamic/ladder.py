@@ -26,7 +26,6 @@ from ...core.errors import (
     OutOfTime,
     UnknownNameError,
     require_count,
-    require_finite,
     require_instance,
 )
 from ...core.executors import Place
@@ -39,7 +38,7 @@ from ...plants.feeds import DeadTime, Regulator
 from ...plants.losses import CoulombFriction, Creep, MaxwellSlip
 from ...plants.plant import Plant
 from ..estimates import coefficient_line
-from ..statistics import student_t
+from ..statistics import require_level, student_t
 from .adequacy import Adequacy, adequacy_of
 from .choice import paired
 from .evidence import evidence_of
@@ -75,12 +74,8 @@ swings); without friction the former is often the better one, with it the latter
 """
 SLIP_YIELDS = (0.003, 0.015)
 """Contractions at which the elements of the memory slide; their forces are fitted."""
-
-
 MARGIN = 0.01
 """Models whose errors differ by less than this part count as equally good, however sure it is."""
-
-
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 
@@ -142,10 +137,7 @@ def fit_ladder(
     progress : called with a line for each rung.
     time_limit : [s]; rungs for which there is no time are named, OutOfTime where none was climbed.
 
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be.
-    FitError : no rung could be fitted.
+    Raises InputError, UnknownNameError (of arguments), FitError (no rung can be fitted).
 
     Examples
     --------
@@ -163,7 +155,7 @@ def fit_ladder(
         else _own(build)
     )
     names = measured_names(ladder[-1].plant, chosen, outputs)
-    student_t(level, 1)  # refuses what is no level
+    require_level(level)
     parts = _parts(chosen, require_count("folds", folds, 3))
     # in turn, so that a fold has parts of early and of late
     fold = np.arange(len(parts), dtype=np.intp) % min(folds, len(parts))
@@ -281,10 +273,7 @@ def rungs_of(
     dynamic: Sequence[str | Sequence[str]] | None = None,
     names: Sequence[str] = LADDER,
 ) -> list[Rung]:
-    """The rungs of :func:`fit_ladder` for an arrangement; see there.
-
-    One start of each is (nearly) the rung before, so that no rung fits worse than it.
-    """
+    """The rungs of :func:`fit_ladder`; one start of each is (nearly) the rung before."""
     regulator = require_instance(
         "feed", feed or Regulator(), Regulator, "give a Regulator or PairRegulator"
     )
@@ -344,9 +333,8 @@ def rungs_of(
 
 @dataclass(frozen=True)
 class _Added:
-    """What a rung has beyond the one before: parameters that it frees, values of them from which
-    the fit begins, parts of the regulator, losses. fast : see :class:`Rung`. damps : whether a free
-    mass is tried lighter and heavier, as where the plant moves for the first time.
+    """What a rung has beyond the one before. fast : see :class:`Rung`. damps : whether a free mass
+    is tried lighter and heavier.
     """
 
     free: tuple[str, ...] = ()
@@ -461,11 +449,8 @@ class Ladder:
 
     Examples
     --------
-    >>> from functools import partial
-    >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
-    >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
-    >>> ladder.best.name
-    '+ lag'
+    >>> ladder.best.name, min(ladder.predict(commanded, "lag").coverage.values()) > 0.8
+    ('+ lag', True)
     """
 
     rungs: tuple[RungFit, ...]
@@ -513,17 +498,8 @@ class Ladder:
         records, and models that lack something, may be held less often.
 
         Raises InputError where the level is none or the rung failed, UnknownNameError for others.
-
-        Examples
-        --------
-        >>> from functools import partial
-        >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
-        >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["lag"])
-        >>> min(ladder.predict(commanded).coverage.values()) > 0.8
-        True
         """
-        if not 0 < require_finite("level", level) < 1:
-            raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
+        require_level(level)
         found, every = self._named(rung), recorded(records)
         if found.failure:
             raise InputError(f"rung = {found.name!r} has no fit ({found.failure}); choose another")

@@ -73,10 +73,7 @@ NUMPY = _Arrays(np, _loop)
 
 
 def _features(xp: Any, levels: Any, gain: Any) -> Any:
-    """The newest of some levels (..., order, c), and their differences in parts of ``gain``.
-
-    As much as the levels themselves, but of one size each and hardly correlated.
-    """
+    """The newest of some levels (..., order, c), and their differences in parts of ``gain``."""
     differences = (levels[..., :-1, :] - levels[..., 1:, :]) / gain
     whole = xp.concatenate([levels[..., :1, :], differences], axis=-2)
     return whole.reshape(*levels.shape[:-2], -1)
@@ -201,11 +198,9 @@ def _count(network: _Network) -> int:
 # ---- fitted networks ----------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class NetworkModel:
-    """A trained network, or several whose predictions are averaged.
-
-    weights : of each member. before : samples of the past that it reads, the start itself included.
-    held_out : loss of each member on the windows that stopped its training, in parts of outputs
-    that stay where they are.
+    """A trained network, or several whose predictions are averaged. before : samples of the past
+    that it reads, the start included. held_out : loss of each member on the windows that stopped
+    its training, in parts of outputs that stay where they are.
     """
 
     network: _Network
@@ -229,11 +224,7 @@ class NetworkModel:
 # ---- training -----------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """Free runs that can be drawn from scaled training records.
-
-    y, u : of all records, one behind the other. begin, length : of each record in them.
-    places : (record, start) of each window.
-    """
+    """Free runs from scaled records one behind the other; ``places`` : (record, start) of each."""
 
     y: Array
     u: Array
@@ -357,10 +348,8 @@ def _rates(steps: int, largest: float) -> Single:
 def _split(
     count: int, members: int, apart: bool, random: np.random.Generator
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Windows of each member for training, and those held out (members, JUDGES).
-
-    What is held out is one piece of the row of all windows, so that most of it lies in records of
-    which nothing is trained. apart : whether each member holds out other windows.
+    """Windows of each member for training, and those held out (members, JUDGES). The latter are one
+    piece of the row of all windows, ``apart`` another for each member.
     """
     out = min(max(1, round(HELD_OUT * count)), count - 1)
     shifts = random.integers(count) + np.arange(members) * out * apart

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -357,17 +357,9 @@ class PlantFit(FittedPlant):
             "fit_percent": {n: v if np.isfinite(v) else None for n, v in self.fit_percent.items()},
             "warnings": list(self.warnings),
             **{n: _plain(getattr(self, n)) for n in (*_PLAIN, *_TUPLES)},
-            "linearisation": {
-                "names": list(linear.names),
-                "values": linear.values.tolist(),
-                "units": list(linear.units),
-                # what matters of the Jacobian is its triangle: J^T J = R^T R
-                "jacobian": _triangle(linear.jacobian).tolist(),
-                "scale": float(linear.scale),
-                "dof": linear.dof,
-                "active": None if linear.active is None else np.asarray(linear.active).tolist(),
-            },
-            "residuals": [r.tolist() for r in self.residuals],
+            # what matters of the Jacobian is its triangle: J^T J = R^T R
+            "linearisation": _plain(vars(replace(linear, jacobian=_triangle(linear.jacobian)))),
+            "residuals": _plain(self.residuals),
             "records": [_record(r, r.names) for r in self.records],
             "simulated": [_record(r, self.measured) for r in self.simulated],
         }
@@ -387,9 +379,8 @@ class PlantFit(FittedPlant):
 
 
 def _strays(evidence: Evidence, rmse: Array) -> float:
-    """How large residuals of motions with free starts are in those of the fit. Where they are
-    larger, the steps of their integration do not follow the plant (a memory, a play), and say
-    nothing of the model; where they are smaller, they say nothing of the fit.
+    """How large residuals of motions with free starts are in those of the fit. Larger: the
+    integration does not follow the plant (a memory, a play). Smaller: no matter.
     """
     every = np.concatenate([m.error for m in evidence.motions])
     ratio = np.sqrt(np.mean(every**2, axis=0)) / np.maximum(rmse, 1e-300)
@@ -469,7 +460,7 @@ def _plain(value: Any) -> Any:
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, (tuple, list)):
         return [_plain(v) for v in value]
-    return value.item() if isinstance(value, np.generic) else value
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
 
 
 def _record(record: Trajectory, names: Sequence[str]) -> dict[str, Any]:

@@ -22,18 +22,17 @@ from ..statistics import Array
 from .experiment import ParameterGroup, named
 
 Delay: TypeAlias = "float | tuple[float, float] | Mapping[str, float | tuple[float, float]]"
-"""[s] of all inputs, or by input (a name or a pattern: those have one delay in common); a pair is
-the range in which it is estimated.
+"""[s] of all inputs, or by input (names, or patterns with one delay in common); a pair is the range
+in which it is estimated.
 """
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Known figures of a rig.
-
-    delays : {input: dead time [s]}. gains, offsets : {measured variable: of its sensor}: it shows
-    gain x + offset. starts : {state that is not measured: where runs begin}. corrections : {(state,
-    measured variable): what the state gains per unit by which the model is behind}.
+    """Known figures of a rig. delays : {input: dead time [s]}. gains, offsets : {measured variable:
+    of its sensor}: it shows gain x + offset. starts : {state that is not measured: where runs
+    begin}. corrections : {(state, measured variable): what the state gains per unit by which the
+    model is behind}.
     """
 
     delays: Mapping[str, float] = field(default_factory=dict)
@@ -50,11 +49,10 @@ OF_MODEL = KINDS[:4]
 
 @dataclass(frozen=True, eq=False)
 class Unknown:
-    """A number that is sought; guess and bounds in parts of ``scale``.
-
-    key : what it belongs to: a group of parameters; positions of the inputs that are late, of a
-    measured name (gains less 1), of a state (where it begins in all runs, or in one record), of a
-    state and the measured name that corrects it.
+    """A number that is sought; guess and bounds in parts of ``scale``. key : what it belongs to: a
+    group of parameters; positions of the inputs that are late, of a measured name (gains less 1),
+    of a state (where it begins in all runs, or in one record), of a state and the measured name
+    that corrects it.
     """
 
     kind: str
@@ -67,18 +65,9 @@ class Unknown:
     high: float
 
     @classmethod
-    def sized(
-        cls,
-        kind: str,
-        key: Any,
-        name: str,
-        unit: str,
-        value: float,
-        scale: float,
-        low: float,
-        high: float,
-    ) -> Unknown:
-        """Of values in their unit."""
+    def sized(cls, kind: str, key: Any, name: str, unit: str, *size: float) -> Unknown:
+        """size : value, scale, low and high, in the unit."""
+        value, scale, low, high = size
         return cls(kind, key, name, unit, value / scale, scale, low / scale, high / scale)
 
     @classmethod
@@ -94,11 +83,10 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class RunUnknowns:
-    """Everything that is sought in free runs: z, scaled, a row for each.
-
-    rows : in the order of KINDS, own starts record after record. records : how many of them have
-    starts of their own. along : positions of states whose own starts hold for the begin of a
-    record: runs begin where the plant has come by then.
+    """Everything that is sought in free runs: z, scaled, a row for each. rows : in the order of
+    KINDS, own starts record after record. records : how many of them have starts of their own.
+    along : positions of states whose own starts hold for the begin of a record: runs begin where
+    the plant has come by then.
     """
 
     rows: tuple[Unknown, ...] = ()
@@ -292,10 +280,9 @@ def unknowns_of(
     pushed: Mapping[str, tuple[str, int]] | None = None,
     hidden: Mapping[int, Array] | None = None,
 ) -> tuple[RunUnknowns, Rig]:
-    """What is sought, and the rig where the search begins.
-
-    pushed : {disturbance: (measured name that corrects it, power of 1/s in its gain)}. hidden :
-    {state: guesses of its start in each record}, of those that are found by default.
+    """What is sought, and the rig where the search begins. pushed : {disturbance: (measured name
+    that corrects it, power of 1/s in its gain)}. hidden : {state: guesses of its start in each
+    record}, of those that are found by default.
     """
     order = [v.name for v in plant.states]
     inputs = [v.name for v in plant.inputs]
@@ -429,10 +416,8 @@ def _corrections(
     sampling: float,
     pushed: Mapping[str, tuple[str, int]],
 ) -> list[Unknown]:
-    """Gains that are sought.
-
-    A measured state takes up a part of its own error (from none to all), its velocity what of it
-    lies within one sampling interval; others begin at zero.
+    """Gains that are sought: of a measured state, of its velocity in one sampling interval, of
+    others. A measured state takes up none to all of its own error; others begin at zero.
     """
     order = [v.name for v in plant.states]
     velocities = {v: p for p, v in plant.positions.items() if p in measured}
@@ -482,10 +467,9 @@ def disturbed(
 ) -> tuple[Plant, tuple[str, ...], dict[str, tuple[str, int]]]:
     """The plant with a disturbance of the rate of each of these states; names of the rates with
     which they are forgotten; and by what each is corrected, in what unit of gain: 1/s where the
-    pushed state itself is measured, 1/s^2 where its position is.
-
-    ``w`` gets a state ``w.disturbance`` (d) and a parameter ``w.disturbance_rate`` (r): w' = ... +
-    d, d' = -r d. It begins at zero, so that the plant by itself is what it was.
+    pushed state itself is measured, 1/s^2 where its position is. ``w`` gets a state
+    ``w.disturbance`` (d), zero at first, and a parameter ``w.disturbance_rate`` (r): w' = ... + d,
+    d' = -r d.
     """
     positions = {w: q for q, w in plant.positions.items()}
     again = Redeclared(plant)

@@ -21,11 +21,9 @@ from .runs import Runs, RunSteps
 
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
-sample's row is damped.
-
-Beside a parting of the ways (stick or slide), or where the plant is unstable, a slope holds for
-changes far smaller than any step, and would outweigh all other runs. Its row keeps its direction,
-its length is limited to this; its error counts in full.
+sample's row is damped: beside a parting of the ways (stick or slide), or where the plant is
+unstable, a slope holds for changes far smaller than any step, and would outweigh all other runs.
+Its row keeps its direction, its length is limited to this; its error counts in full.
 """
 ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""
@@ -47,11 +45,10 @@ class _Part:
 
 
 class Rollout:
-    """Runs, residuals and their exact Jacobian in the scaled unknowns z.
-
-    A residual is an error in units of the variable's spread times the root of its sample's weight,
-    so their sum of squares is the mean squared error. weigh : factors of the measured variables on
-    top of that. static : the plant counts as at rest under its inputs at each sample.
+    """Runs, residuals and their exact Jacobian in the scaled unknowns z. A residual is an error in
+    units of the variable's spread times the root of its sample's weight, so their sum of squares is
+    the mean squared error. weigh : factors of the measured variables on top of that. static : the
+    plant counts as at rest under its inputs at each sample.
     """
 
     def __init__(
@@ -114,9 +111,8 @@ class Rollout:
         return np.asarray(found.reshape(n * k * ny, -1))
 
     def normal(self, z: Array, other: Array | None = None) -> tuple[float, Array, Array, int]:
-        """(cost, J^T r, J^T J, number of runs with damped rows); nothing larger is ever held.
-
-        other : residuals (n, K, ny) in place of those at z.
+        """(cost, J^T r, J^T J, number of runs with damped rows); ``other`` residuals in place of
+        those at z.
         """
         cost, gradient, square, damped = 0.0, np.zeros(len(z)), np.zeros((len(z), len(z))), 0
         for rows, errors, slopes, wild in self.blocks(z):
@@ -159,8 +155,8 @@ class Rollout:
         return np.asarray(error * self.weights[rows, : predicted.shape[1]])
 
     def _reaches(self) -> Array:
-        """How far local unknowns may move, in their scales, for WILD: the start of a motion that is
-        small beside its nominal by no more than it, or every row of it would be called wild.
+        """How far local unknowns may move, in their scales, for WILD: a start by its nominal or, of
+        a motion that is smaller, by that, or every row of it would be called wild.
         """
         u, found = self.unknowns, np.ones(self._local)
         order = [v.name for v in self._plant.states]
@@ -202,9 +198,7 @@ class Rollout:
         return parts
 
     def computed(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
-        """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing); local are the
-        unknowns that all runs share and a record's own starts.
-        """
+        """(part, outputs (m, K, ny), slopes (m, K, ny, unknowns of all runs and of the record))."""
         ny = len(self.runs.names)
         for part, _, both in self._run(z, deep):
             slopes = both[..., ny:].reshape(*both.shape[:2], self._local if deep else 0, ny)
@@ -219,10 +213,7 @@ class Rollout:
     def _run(
         self, z: Array, deep: bool, every: bool = False
     ) -> Iterator[tuple[_Part, Array, Array]]:
-        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it.
-
-        every : also the states that the outputs do not depend on, which else stay where they begin.
-        """
+        """(part, states (m, K, .), outputs (m, K, .)), each with its sensitivities behind it."""
         runs, ny = self.runs, len(self.runs.names)
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
@@ -263,7 +254,7 @@ class Rollout:
         asked = runs.names, bool(runs.warm), tuple(sought[: self._local]), u.shared, *known
 
         def made() -> ca.Function:
-            step, read = _functions(self._plant, runs, u, rig, self._static, deep, every)
+            step, read = _functions(self, deep, every)
             return _sampled(_compiled(step) if many else step, read, self._count)
 
         key = ("rollout", *asked, self._static, deep, every, many, self._count)
@@ -373,9 +364,7 @@ def gaps(one: Array, other: Array) -> Array:
 
 
 def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tuple[int, ...], ...]:
-    """Inputs whose jumps lie between samples, those of one dead time together; none where all run
-    along lines.
-    """
+    """Inputs whose jumps lie between samples, those of one dead time together."""
     samplings = np.array([np.ptp(e.t) / (len(e.t) - 1) for e in runs.inputs if e.held])
     if not samplings.size:
         return ()
@@ -402,9 +391,7 @@ def _numbers(steps: RunSteps, free: bool) -> Array:
 
 
 def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], samples: int) -> Array:
-    """Numbers of all steps of a part, (those of one sample, runs times samples); the last sample is
-    held.
-    """
+    """Numbers of all steps of a part, (of one sample, runs times samples); the last one holds."""
     parts = []
     for row in rows:
         own = driven[int(runs.record[row])]
@@ -414,15 +401,7 @@ def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], sample
 
 
 # ---- expressions --------------------------------------------------------------------------
-def _functions(
-    plant: Plant,
-    runs: Runs,
-    unknowns: RunUnknowns,
-    rig: Rig,
-    static: bool,
-    deep: bool,
-    every: bool,
-) -> tuple[ca.Function, ca.Function]:
+def _functions(rollout: Rollout, deep: bool, every: bool) -> tuple[ca.Function, ca.Function]:
     """Without or with sensitivities, a step: (state, inputs, given) -> (state), and what is read at
     a sample: (state, inputs, (measured, whether it corrects), given) -> (state, outputs).
 
@@ -431,7 +410,8 @@ def _functions(
     at which the values hold; the plant's parameters, of which those that are sought do not count.
     So the functions are the same, and compiled once, whatever the values.
     """
-    unknowns = unknowns.natural
+    plant, runs, static = rollout._plant, rollout.runs, rollout._static
+    unknowns, rig = rollout.unknowns.natural, rollout._rig
     nx, nu, ny = len(plant.states), len(plant.inputs), len(runs.names)
     nz = unknowns.shared
     local = nz + len(unknowns.own_starts)
@@ -474,16 +454,14 @@ def _functions(
     measured = ca.SX.sym("measured", ny + 1)
     behind = (measured[:ny] - y) * measured[ny]
     corrected = x + _gains(plant, runs, unknowns, rig, z) @ behind if runs.warm else x
-    given = ca.vertcat(z, at, base)
-    if not deep:
-        step = ca.Function("step", [x, u, given], [after], {"cse": True})
-        read = ca.Function("read", [x, u, measured, given], [corrected, y])
-        return step, read
-    slopes = along(corrected) if runs.warm else s
-    wide, after = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(after_slopes))
-    both = ca.vertcat(corrected, ca.vec(slopes)), ca.vertcat(y, ca.vec(ca.densify(along(y))))
-    step = ca.Function("deep_step", [wide, u, given], [after], {"cse": True})
-    read = ca.Function("deep_read", [wide, u, measured, given], [*both])
+    given, state = ca.vertcat(z, at, base), x
+    if deep:
+        slopes = along(corrected) if runs.warm else s
+        state, after = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(after_slopes))
+        y = ca.vertcat(y, ca.vec(ca.densify(along(y))))
+        corrected = ca.vertcat(corrected, ca.vec(slopes))
+    step = ca.Function("step", [state, u, given], [after], {"cse": True})
+    read = ca.Function("read", [state, u, measured, given], [corrected, y])
     return step, read
 
 

@@ -173,11 +173,9 @@ class Task:
 # ---- a model ------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class RungModel:
-    """A rung from a plant's values on, run through whole records. What is not measured begins at
-    rest; where positions, velocities and pressures begin is unknown in each record, too.
-
-    plant, records : as they are run, dead times apart. x0 (records, nx) : guesses of the starts.
-    z : where a search begins, or ended.
+    """A rung run through whole records from guesses ``x0`` (records, nx) of the starts, dead times
+    apart. What is not measured begins at rest; where positions, velocities and pressures begin is
+    unknown in each record, too. z : where a search begins, or ended.
     """
 
     plant: Plant
@@ -209,9 +207,7 @@ class RungModel:
     def fitted(
         self, rollout: Rollout, evaluations: int, starts: bool = True, held: Sequence[int] = ()
     ) -> Descent:
-        """starts : whether those of the records are sought, too. held : places of unknowns that
-        stay as they are.
-        """
+        """starts : whether those of the records are sought, too. held : unknowns that stay."""
         require_followed(rollout, self.z)
         low, high = self.unknowns.low.copy(), self.unknowns.high.copy()
         own = [*held, *(range(0) if starts else range(self.unknowns.shared, len(self.z)))]
@@ -239,9 +235,7 @@ def _runs(
 
 
 def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
-    """Dead times are those of inputs, and exact, where each record has equal steps or its inputs
-    run along lines; else delay lines are integrated.
-    """
+    """Dead times are exact where steps are equal or inputs run along lines, else delay lines."""
     own = {g.name for g in groups(plant, rung.free)}
     wanted = groups(plant, rung.free, {n: b for n, b in task.bounds.items() if n in own})
     late = _dead_times(task, plant, wanted)
@@ -282,9 +276,7 @@ def _at_outlets(record: Trajectory, lines: Sequence[DelayLine]) -> Trajectory:
 def _dead_times(
     task: Task, plant: Plant, wanted: Sequence[ParameterGroup]
 ) -> list[ParameterGroup] | None:
-    """The unknowns that are dead times; None where delay lines have to be integrated: inputs held
-    over unequal steps, a dead time that is to be equal to something else.
-    """
+    """The unknowns that are dead times; None where delay lines have to be integrated."""
     held = [np.diff(r.t) for r in task.records if r.interpolation == "previous"]
     times = {line.time for line in plant.delay_lines}
     found = [(g, [plant.parameters[m].name in times for m in g.members]) for g in wanted]
@@ -294,9 +286,11 @@ def _dead_times(
     return [g for g, late in found if all(late)]
 
 
-def _whole(plant: Plant, records: Sequence[Trajectory]) -> Task:
+def _whole(
+    plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str] | None = None
+) -> Task:
     """Of records as they are, without parts."""
-    names, nothing = measured_names(plant, records, None), np.empty(0, dtype=np.intp)
+    names, nothing = measured_names(plant, records, outputs), np.empty(0, dtype=np.intp)
     return Task(records, names, (), nothing, usual_steps(records), {})
 
 
@@ -312,10 +306,7 @@ def _values(plant: Plant, model: RungModel) -> dict[str, float]:
 
 
 def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant]:
-    """The plants from which the fit of a rung begins.
-
-    before : values found on the rung before. rate : the fastest of a pressure there [Pa/s].
-    """
+    """Plants from which a rung's fit begins, after a fastest pressure of ``rate`` [Pa/s]."""
     known = {v.name: v for v in rung.plant.parameters}
     kept = {n: v for n, v in before.items() if n in known}
     ways = [dict(s) for s in rung.starts]
@@ -335,8 +326,7 @@ def prediction(fit: RungFit, z: Array, records: Sequence[Trajectory]) -> FreeRun
     """Runs through other records at z: from what was measured at their begin, the rest at rest."""
     model: RungModel = fit.model
     plant = fit.plant.with_values(_values(fit.plant, replace(model, z=z)))
-    nothing = np.empty(0, dtype=np.intp)
-    task = Task(records, model.outputs, (), nothing, model.steps, {})
+    task = replace(_whole(plant, records, model.outputs), steps=model.steps)
     again = model_of(task, plant, Rung(fit.name, plant, (), static=model.static))
     rollout = again.rollout()
     return rollout.runs.result(rollout.predicted(again.z))
@@ -429,9 +419,7 @@ def _places(model: RungModel, names: frozenset[str]) -> list[int]:
 
 @verb
 def _accurate(model: RungModel) -> tuple[RungModel, dict[str, Coefficient]]:
-    """Each variable weighed by its residuals, with steps so short that halving them changes little;
-    and the values with standard errors.
-    """
+    """Variables weighed by their residuals, steps as short as is needed; and standard errors."""
     rollout = model.rollout()
     model = replace(model, z=model.fitted(rollout, EVALUATIONS).z)
     sizes = np.sqrt(np.nanmean(_squares(rollout, model.z), axis=(0, 1)))

@@ -10,7 +10,7 @@ inputs, the measured states set to what was measured at each start.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import casadi as ca
@@ -43,35 +43,28 @@ class RunSteps:
 
 @dataclass(frozen=True, eq=False)
 class RunInputs:
-    """t (n,), u (n, nu): samples, joined by lines or ``held``. Before the first sample its value
-    held.
-    """
+    """t (n,), u (n, nu): samples, joined by lines or ``held``; before the first its value holds."""
 
     t: Array
     u: Array
     held: bool
 
     def steps(self, delays: Array, late: Sequence[tuple[int, ...]], count: int) -> RunSteps:
-        """In ``count`` steps of each sampling interval.
-
-        delays : of each input [s]. late : inputs that are late, those of one delay together. Held
-        ones jump inside of the intervals: there a step ends and the next begins, so that none has
-        to do with two values and their motion depends on the delay without jumps.
+        """In ``count`` steps of each sampling interval. delays : of each input [s]. late : inputs
+        that are late, those of one delay together. Held ones jump inside of the intervals: there a
+        step ends and the next begins, so that none has to do with two values and their motion
+        depends on the delay without jumps.
         """
         if self.held:
             return self._between_jumps(delays, late, count)
         part = np.arange(count + 1) / count
         spans = np.diff(self.t)
         grid = self.t[:-1, None] + part * spans[:, None]
-        found = [self._line(i, grid - d) for i, d in enumerate(delays)]
-        length = np.repeat(spans[:, None] / count, count, axis=1)
-        still = np.zeros((count, len(delays)))
-        if not found:
-            empty = np.empty((len(spans), count, 0))
-            return RunSteps(empty, empty, empty, empty, length, still)
-        value, slope = (np.stack(c, axis=-1) for c in zip(*found, strict=True))
+        found = np.array([self._line(i, grid - d) for i, d in enumerate(delays)])
+        value, slope = np.moveaxis(found.reshape(len(delays), 2, *grid.shape), (1, 0), (0, -1))
         edges = value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:]
-        return RunSteps(*edges, length, still)
+        length = np.repeat(spans[:, None] / count, count, axis=1)
+        return RunSteps(*edges, length, np.zeros((count, len(delays))))
 
     def _line(self, i: int, at: Array) -> tuple[Array, Array]:
         """Values, and what they gain per second of delay."""
@@ -86,7 +79,9 @@ class RunInputs:
     ) -> RunSteps:
         n = len(self.t) - 1
         sampling = (self.t[-1] - self.t[0]) / n
-        whole, part = _whole_and_part(delays / sampling)
+        number = delays / sampling
+        floor = np.floor(number + 1e-9)
+        whole, part = floor.astype(np.intp), np.clip(number - floor, 0.0, 1.0)
         rank = sorted(range(len(late)), key=lambda g: part[late[g][0]])
         jumps = np.array([part[late[g][0]] for g in rank])
         ends = np.concatenate([[0.0], jumps, [1.0]])
@@ -107,15 +102,8 @@ class RunInputs:
         return RunSteps(value, value, still, still, length, (slope / shares[:, None])[between])
 
 
-def _whole_and_part(number: Array) -> tuple[NDArray[np.intp], Array]:
-    whole = np.floor(number + 1e-9)
-    return whole.astype(np.intp), np.clip(number - whole, 0.0, 1.0)
-
-
 def _shared(spans: Array, count: int) -> NDArray[np.intp]:
-    """``count`` steps over parts of an interval: one to each at least, the others to where steps
-    are longest.
-    """
+    """``count`` steps over parts of an interval: one to each, others where steps are longest."""
     found = np.ones(len(spans), dtype=np.intp)
     for _ in range(count - len(spans)):
         found[int(np.argmax(spans / found))] += 1
@@ -160,12 +148,14 @@ class FreeRun:
 
         Infinite where a run went beyond all numbers.
         """
-        return dict(zip(self.names, _root(self._squares()).tolist(), strict=True))
+        return self._rooted(self._squares())
 
     def rmse_over(self, horizon: float) -> dict[str, float]:
         """The same within a horizon [s], of the runs that are that long."""
-        count = self._samples(horizon)
-        return dict(zip(self.names, _root(self._squares(count)).tolist(), strict=True))
+        return self._rooted(self._squares(self._samples(horizon)))
+
+    def _rooted(self, squares: Array) -> dict[str, float]:
+        return dict(zip(self.names, np.sqrt(_mean(squares)).tolist(), strict=True))
 
     def losses(self, records: int, horizon: float | None = None) -> Array:
         """Mean squared error in each record (records, ny), of the runs that are as long as
@@ -175,13 +165,7 @@ class FreeRun:
         if horizon is not None:
             count = self._samples(horizon)
             squares, record = self._squares(count), record[self._long(count)]
-        found = np.full((records, len(self.names)), np.nan)
-        for r in range(records):
-            own = squares[record == r]
-            seen = ~np.isnan(own)
-            if seen.any():
-                found[r] = np.where(seen, own, 0.0).sum(axis=(0, 1)) / seen.sum(axis=(0, 1))
-        return found
+        return np.array([_mean(squares[record == r]) for r in range(records)])
 
     def _long(self, count: int) -> NDArray[np.bool_]:
         """Which runs last so many samples."""
@@ -194,12 +178,9 @@ class FreeRun:
         """(n, K, ny); NaN where nothing was measured, infinite where a run has no number."""
         with np.errstate(over="ignore", invalid="ignore"):
             squares = (self.predicted - self.measured) ** 2
-        squares = np.where(
-            np.isnan(self.measured), np.nan, np.where(np.isfinite(squares), squares, np.inf)
-        )
-        if count is None:
-            return np.asarray(squares)
-        return np.asarray(squares[self._long(count), :count])
+        squares[~np.isfinite(squares)] = np.inf
+        squares[np.isnan(self.measured)] = np.nan
+        return squares if count is None else squares[self._long(count), :count]
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
@@ -237,8 +218,6 @@ class Band:
 
     Examples
     --------
-    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
-    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
     >>> 0.8 < learned.predict(record, level=0.9).coverage["x"] <= 1.0
     True
     """
@@ -284,21 +263,21 @@ def half_widths(
     return half.reshape(predicted.shape)
 
 
-def _root(squares: Array) -> Array:
+def _mean(squares: Array) -> Array:
+    """Of what was measured (n, K, ny), by variable; NaN where nothing was."""
     seen = ~np.isnan(squares)
-    count = np.maximum(seen.sum(axis=(0, 1)), 1)
+    count = seen.sum(axis=(0, 1))
     total = np.where(seen, squares, 0.0).sum(axis=(0, 1))
-    return np.asarray(np.where(seen.any(axis=(0, 1)), np.sqrt(total / count), np.nan))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """What runs start from and are compared with.
-
-    first : sample of its record (n,) where each begins, ``warm`` samples before its start, and
-    length (n,) the samples after the start. x0 (n, nx) at ``first`` as measured; seen (n, warm, ny)
-    what was measured from there on. weights (n, K): of each sample, so that the horizons weigh
-    alike and each is a mean. inputs : of each record. steps : to a sample, at least.
+    """What runs start from and are compared with. first : sample of its record (n,) where each
+    begins, ``warm`` samples before its start, and length (n,) the samples after the start. x0 (n,
+    nx) at ``first`` as measured; seen (n, warm, ny) what was measured from there on. weights (n,
+    K): of each sample, so that the horizons weigh alike and each is a mean. inputs : of each
+    record. steps : to a sample, at least.
     """
 
     names: tuple[str, ...]
@@ -318,16 +297,8 @@ class Runs:
     horizons: tuple[float, ...]
 
     def result(self, predicted: Array) -> FreeRun:
-        return FreeRun(
-            self.names,
-            self.record,
-            self.start,
-            self.t,
-            self.measured,
-            predicted,
-            self.sizes,
-            self.horizons,
-        )
+        own = {f.name: getattr(self, f.name) for f in fields(FreeRun) if f.name != "predicted"}
+        return FreeRun(**own, predicted=predicted)
 
 
 def runs_of(
@@ -341,9 +312,7 @@ def runs_of(
     warm_up: float = 0.0,
     even: bool = True,
 ) -> Runs:
-    """even : whether all records must be sampled at the same equal steps; else times along the
-    runs are nominal.
-    """
+    """even : whether records must be sampled at the same equal steps; else times are nominal."""
     chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
     require_count("history", history, 2)
@@ -416,10 +385,7 @@ def _horizons(given: Any, sampling: float) -> tuple[int, ...] | None:
 def _spans(
     record: int, last: int, horizons: tuple[int, ...] | None, stride: int | None, before: int
 ) -> list[tuple[int, int, int]]:
-    """(record, sample of the start, samples after it) of each run; ``last`` sample of the record.
-
-    A run is as long as the longest horizon where the record is, and else as what is left of it.
-    """
+    """(record, sample of the start, samples after it) of each run, as long as the record allows."""
     if horizons is None:
         return [(record, before, last - before)] if last > before else []
     assert stride is not None
@@ -502,9 +468,8 @@ def hidden_states(
 
 
 def settled_starts(plant: Plant, runs: Runs, records: int, places: Sequence[int]) -> Array:
-    """Guesses (records, len(places)): the measured states and their velocities as at the first run
-    of a record, the others at rest under its first inputs; at the plant's start values where they
-    do not come to rest.
+    """Guesses (records, len(places)): measured states and velocities as at a record's first run,
+    others at rest under its first inputs, or at the plant's start where they find no rest.
     """
     if not places:
         return np.empty((records, 0))

@@ -160,10 +160,8 @@ def run_losses(
     predict: Callable[[Array, Array], Array],
 ) -> Array:
     """Mean squared error of each record over each horizon, output by output; NaN where no run fits
-    in.
-
-    predict : of the outputs of ``before`` samples up to the start (n, before, ny) and of the inputs
-        of these and of the run (n, before + h, nu), the outputs of the run (n, h, ny).
+    in. predict : of the outputs of ``before`` samples up to the start (n, before, ny) and of the
+    inputs of these and of the run (n, before + h, nu), the outputs of the run (n, h, ny).
     """
     found = [[_run_loss(runs, r, h, before, predict) for h in runs.horizon] for r in records]
     return np.array(found).reshape(len(records), -1)
@@ -311,8 +309,7 @@ class ArxStructure:
 
     Examples
     --------
-    >>> names = ["x"], ["muscle.command"]
-    >>> yardstick = pam.fitting.ArxStructure(*names, order=2, horizon=[0.1], every=0.2)
+    >>> yardstick = pam.fitting.ArxStructure(["x"], ["muscle.command"], 2, [0.1], every=0.2)
     >>> yardstick.complexity  # two of the past of each, and a constant
     5.0
     """
@@ -365,7 +362,6 @@ class ArxStructure:
 @dataclass(frozen=True, eq=False)
 class SubspaceModel:
     """x(k+1) = A x + B (u, 1), y = C x + D (u, 1), all in parts of the training records' scales.
-
     past : x = past [y(k-1), ..., y(k-p), u(k-1), ..., u(k-p)]. poles : eigenvalues of A.
     """
 
@@ -418,9 +414,7 @@ class SubspaceStructure:
     Examples
     --------
     >>> names = ["x"], ["muscle.command"]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> subspace = pam.fitting.SubspaceStructure(*names, order=3, past=10, **ways)
-    >>> subspace.fit(episodes).poles.shape
+    >>> pam.fitting.SubspaceStructure(*names, 3, [0.1], 0.1, past=10).fit(episodes).poles.shape
     (3,)
     """
 

@@ -36,9 +36,7 @@ PRESLIDING = 0.05
 
 @dataclass(frozen=True)
 class Suspect:
-    """A parameter at zero. subject : what it changes. It counts in ``size`` [unit]; what has no
-    unit is a share.
-    """
+    """A parameter at zero, which counts in ``size`` [unit]. subject : what it changes."""
 
     cause: str
     subject: str
@@ -48,9 +46,7 @@ class Suspect:
 
 @dataclass(frozen=True, eq=False)
 class Suspected:
-    """The plant with suspects as its last parameters, records with the inputs that these need, and
-    the delays of those inputs.
-    """
+    """The plant with suspects as its last parameters, and what these need of records and delays."""
 
     plant: Plant
     records: Sequence[Trajectory]
@@ -60,9 +56,7 @@ class Suspected:
 
 
 class _Builder:
-    """Declares the plant once more, with more inputs and parameters. meant : what stands for each
-    variable in its equations.
-    """
+    """Declares the plant once more, with suspects. meant : what stands for each variable."""
 
     def __init__(self, plant: Plant) -> None:
         again = Redeclared(plant)
@@ -210,10 +204,7 @@ def _smooth(x: Array) -> Array:
 def sensor_suspects(
     outputs: Sequence[tuple[str, str]], modelled: Sequence[Array], measured: Sequence[Array]
 ) -> list[tuple[Suspect, list[Array]]]:
-    """What sensors may do, with its slope (K, ny) in each motion: they show modelled values.
-
-    outputs : (name, unit). modelled, measured : (K, ny) of each motion.
-    """
+    """What sensors may do, with its slope (K, ny) in each motion; ``outputs`` : (name, unit)."""
     total = float(sum(map(len, modelled)))
     firsts = np.cumsum([0, *map(len, modelled)])
     found: list[tuple[Suspect, list[Array]]] = []

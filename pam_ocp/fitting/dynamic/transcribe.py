@@ -38,10 +38,8 @@ METHODS = get_args(FitMethod)
 @dataclass(frozen=True, eq=False)
 class FitProblem:
     """A plant, records and what is sought: parameters, one delay at most, sensors, and where every
-    state begins in each record.
-
-    known_delay : [s], where the delay is no unknown. process : positions of states that are
-    disturbed, and the intensities [unit/sqrt(s)].
+    state begins in each record. known_delay : [s], where the delay is no unknown. process :
+    positions of states that are disturbed, and the intensities [unit/sqrt(s)].
     """
 
     plant: Plant
@@ -109,11 +107,10 @@ class FitProgram:
         return measured.reshape(-1, weights.size), jumps
 
     def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """d(weighted residuals)/d(head), along solutions of defects(head, states) = 0:
-        d(states) = -(d defects/d states)^-1 (d defects/d head) d(head).
-
-        The rest of the covariance is that of least squares in the head alone. Jumps of disturbed
-        states are unknown too: their columns are projected out of the head's.
+        """d(weighted residuals)/d(head), along solutions of defects(head, states) = 0: d(states) =
+        -(d defects/d states)^-1 (d defects/d head) d(head). The rest of the covariance is that of
+        least squares in the head alone. Jumps of disturbed states are unknown too: their columns
+        are projected out of the head's.
         """
         from scipy.sparse.linalg import splu
 
@@ -201,9 +198,8 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """The motion along all intervals: unknown points, where intervals begin, what is to be zero.
-
-    inside : the points that ``read`` takes besides the begin (none for shooting), a column each.
+    """The motion along all intervals; ``inside`` : the points that ``read`` takes besides the
+    begin.
     """
 
     points: ca.MX
@@ -220,9 +216,7 @@ def _way(
     degree: int,
     given: tuple[ca.MX, ca.MX, ca.MX, ca.MX],
 ) -> _Way:
-    """The motion by a method. given : initial states, parameters, jumps in nominals (a column),
-    inputs.
-    """
+    """The motion by a method. given : initial states, parameters, jumps in nominals, inputs."""
     x0, p, jumps, u = given
     plant, experiments = problem.plant, problem.experiments
     x_nominal = plant.vector("state", attribute="nominal")
@@ -251,10 +245,9 @@ def _way(
 def _jumps(
     mesh: _Mesh, records: int, process: Sequence[tuple[int, float]], x_nominal: Array
 ) -> ca.DM:
-    """Matrix from jumps (in standard deviations) to the begins of all intervals (nominals).
-
-    White noise of intensity q adds the variance q^2 h during an interval of length h; the next one
-    begins with it. The first of each record has none: its initial state is free.
+    """Matrix from jumps (in standard deviations) to the begins of all intervals (nominals). White
+    noise of intensity q adds the variance q^2 h in an interval of length h. Each record's first
+    begin has none.
     """
     nx, n = len(x_nominal), mesh.h.size
     later = np.nonzero(mesh.begin >= records)[0]
@@ -268,9 +261,7 @@ def _jumps(
 
 
 def _input_errors(experiments: Sequence[Experiment], mesh: _Mesh) -> ca.DM:
-    """Matrix from errors of measured inputs (in standard deviations) to all coefficients, a column
-    of ``mesh.u`` after the other.
-    """
+    """Matrix from errors of measured inputs (in standard deviations) to all coefficients."""
     rows, columns, values, first, count = [], [], [], 0, 0
     for e in experiments:
         if e.errors is not None:
@@ -410,10 +401,7 @@ def _rolled(
     mesh: _Mesh,
     given: tuple[ca.MX, ca.MX],
 ) -> ca.MX:
-    """The states at all ends of intervals, each record integrated from its initial state.
-
-    given : inputs and parameters.
-    """
+    """The states at all ends of intervals, each record integrated from its initial state."""
     u, p = given
     first, parts = 0, []
     for r, e in enumerate(experiments):
@@ -472,9 +460,7 @@ class SimulatedProgram:
         return np.concatenate(parts), np.empty(0)
 
     def jacobian(self, weights: Array, w: Array, base: Array | None = None) -> Array:
-        """By central differences, one-sided at bounds, and from ``base``, errors at w where these
-        are known: for a search these are enough.
-        """
+        """By central differences, one-sided at bounds, and from ``base``, known errors at w."""
         columns = []
         for i in range(w.size):
             size = STEP * max(1.0, abs(w[i]))

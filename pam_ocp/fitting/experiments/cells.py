@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -30,7 +30,7 @@ from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..static.force_fit import ForceFit
 from ..static.optimum import sensitivity
-from ..statistics import Array, Linearisation, student_t
+from ..statistics import Array, Linearisation, require_choice, student_t
 from ..tables.force_table import ForceTable
 from .optimal import Criterion, chosen, exchange, refine
 
@@ -149,15 +149,8 @@ class _Known:
     def after(self, rows: Array) -> Linearisation:
         """With further measurements of gradients ``rows`` (n, k) [N/unit]."""
         known = self.linearisation
-        return Linearisation(
-            self.free,
-            known.values,
-            known.units,
-            np.concatenate([known.jacobian, rows]),
-            self.noise,
-            known.dof + len(rows),
-            known.active,
-        )
+        jacobian = np.concatenate([known.jacobian, rows])
+        return replace(known, jacobian=jacobian, scale=self.noise, dof=known.dof + len(rows))
 
 
 @verb
@@ -200,13 +193,8 @@ def design_cells(
         from some hundred cells on.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    CellDesign. Cells where the law pulls with less than three standard deviations are left out.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; too few points for the coefficients.
+    Cells where the law pulls with less than three standard deviations are left out. Raises
+    InputError, UnknownNameError (arguments that cannot be, too few points for the coefficients).
 
     Examples
     --------
@@ -214,8 +202,7 @@ def design_cells(
     >>> bool(design.cells.pressure.max() < 6.001e5)
     True
     """
-    if criterion not in _WORDS:
-        raise InputError(f"criterion = {criterion!r}: choose 'D', 'A' or 'I'")
+    require_choice("criterion", criterion, tuple(_WORDS))
     require_count("n", n)
     state = _known(known, noise, covariance, fixed)
     places = chosen(state.free, parameters, "coefficient")
@@ -296,18 +283,10 @@ def _known(
         # a robust fit sees its data with more scatter than one measurement has
         jacobian = linear.jacobian * size / scale
         if linear.serial is not None and linear.rank == len(known.free):
-            jacobian = (
-                size * _root(linear.covariance, len(known.free)) * float(linear.scale) / scale
-            )
-        return _Known(
-            known.law,
-            known.free,
-            Linearisation(
-                known.free, linear.values, linear.units, jacobian, size, linear.dof, linear.active
-            ),
-            size,
-            known.table.rest_length,
-        )
+            root = _root(linear.covariance, len(known.free))
+            jacobian = size * root * float(linear.scale) / scale
+        linear = replace(linear, jacobian=jacobian, scale=size, serial=None)
+        return _Known(known.law, known.free, linear, size, known.table.rest_length)
     if not isinstance(known, ForceLaw):
         raise InputError(f"known is {kind_of(known)}; give a ForceFit or a force law")
     if noise is None:

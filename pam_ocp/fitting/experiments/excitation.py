@@ -1,9 +1,9 @@
 """Signals for a record that is to be designed, what must be kept while they run, and the Fisher
 information of that record as a function of its inputs.
 
-The sensitivities S = d(x)/d(parameters, initial state) follow from the variational equation
-S' = f_x S + f_theta along the motion (R. Mehra, IEEE Trans. Autom. Control 19 (1974) 753-768). Both
-are integrated by RK4 in CasADi, so the information has exact derivatives by the inputs.
+The sensitivities d(measured)/d(parameters, initial state) are those of the motion by RK4 (R. Mehra,
+IEEE Trans. Autom. Control 19 (1974) 753-768). CasADi differentiates it, so the information has
+exact derivatives by the inputs.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from ...core.stop import check
 from ...core.trajectory import Trajectory
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant, Values
-from ...simulation.simulator import simulate
 from ..dynamic.coverage import Band, Coverage, Reach
-from ..dynamic.experiment import ParameterGroup
+from ..dynamic.experiment import ParameterGroup, played
+from ..dynamic.rig import RunUnknowns, Unknown
 from ..statistics import Array
 
 FAINT = 1e-6
@@ -40,11 +40,10 @@ FAINT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A record of K + 1 samples every ``sample`` s under inputs mid + half (basis @ w).
-
-    basis : (K + 1, d) values at the samples, or (K, d) in the intervals when inputs are held.
-    w : (d, nu) is what a design chooses. mid, half : of the inputs' ranges (nu,).
-    noise : {measured variable: standard deviation}. watched : {variable: (low, high)} to keep.
+    """A record of K + 1 samples every ``sample`` s under inputs mid + half (basis @ w). basis : (K
+    + 1, d) values at the samples, or (K, d) in the intervals when inputs are held. w : (d, nu) is
+    what a design chooses. mid, half : of the inputs' ranges (nu,). noise : {measured variable:
+    standard deviation}. watched : {variable: (low, high)} to keep.
     """
 
     plant: Plant
@@ -71,64 +70,24 @@ class Excitation:
         """Parameters, then initial states where these are not known."""
         return len(self.groups) + (0 if self.known_start else len(self.plant.states))
 
-    # ---- symbols ----------------------------------------------------------------------------
-    @cached_property
-    def _values(self) -> Array:
-        return self.plant.vector("parameter")
-
+    # ---- programs ---------------------------------------------------------------------------
     @cached_property
     def _nominal(self) -> Array:
         return self.plant.vector("state", attribute="nominal")
 
-    def _directions(self) -> ca.DM:
-        """d(parameters)/d(theta), theta in units of the groups' scales."""
-        matrix = np.zeros((len(self._values), len(self.groups)))
-        for column, group in enumerate(self.groups):
-            matrix[list(group.members), column] = group.scale
-        return ca.DM(matrix)
-
-    def _slope(self, sensitive: bool) -> ca.Function:
-        """(z, u) -> z': the state in nominals and, below it, its sensitivities column by column."""
+    def _step(self) -> ca.Function:
+        """(state in nominals, inputs at the begin and end, parameters) -> state a sample later."""
         plant, nominal = self.plant, self._nominal
-        nx, k = len(nominal), self.unknowns if sensitive else 0
-        z, u = ca.SX.sym("z", nx * (1 + k)), ca.SX.sym("u", len(plant.inputs))
-        x, p = ca.SX.sym("x", nx), ca.SX.sym("p", len(self._values))
-        xdot = plant.function(x * nominal, u, p)[0] / nominal
-        s = ca.reshape(z[nx:], nx, k)
-        sdot = ca.jacobian(xdot, x) @ s
-        sdot[:, : len(self.groups) if sensitive else 0] += (
-            ca.jacobian(xdot, p) @ self._directions() if sensitive else ca.SX(nx, 0)
-        )
-        every = ca.substitute(
-            ca.vertcat(xdot, ca.vec(sdot)),
-            ca.vertcat(x, p),
-            ca.vertcat(z[:nx], ca.DM(self._values)),
-        )
-        return ca.Function("slope", [z, u], [every])
+        x, p = ca.SX.sym("x", len(nominal)), ca.SX.sym("p", len(plant.parameters))
+        u0, u1 = (ca.SX.sym(n, len(plant.inputs)) for n in ("u0", "u1"))
 
-    def _step(self, sensitive: bool) -> ca.Function:
-        """From sample to sample, the inputs running straight from u0 to u1."""
-        slope, h = self._slope(sensitive), self.sample / self.steps
-        begin = ca.SX.sym("z", slope.size1_in(0))
-        u0, u1 = (ca.SX.sym(n, slope.size1_in(1)) for n in ("u0", "u1"))
-        z = rk4(lambda z, at: slope(z, u0 + (u1 - u0) * at / self.steps), begin, h, self.steps)
-        return ca.Function("step", [begin, u0, u1], [z])
+        def slope(z: ca.SX, at: float) -> ca.SX:
+            u = u0 + (u1 - u0) * at / self.steps
+            return plant.function(z * nominal, u, p)[0] / nominal
 
-    def _read(self) -> ca.Function:
-        """(z, u) -> d(measured)/d(unknowns), in units of the noise (ny, k)."""
-        plant, nominal, k = self.plant, self._nominal, self.unknowns
-        nx, sigma = len(nominal), ca.DM(list(self.noise.values()))
-        z, u = ca.SX.sym("z", nx * (1 + k)), ca.SX.sym("u", len(plant.inputs))
-        y = ca.vertcat(*(plant.expression(n) for n in self.noise)) / sigma
-        rows = ca.jacobian(y, plant.x) @ ca.diag(nominal) @ ca.reshape(z[nx:], nx, k)
-        rows[:, : len(self.groups)] += ca.jacobian(y, plant.p) @ self._directions()
-        old, new = (
-            ca.vertcat(plant.x, plant.u, plant.p),
-            ca.vertcat(z[:nx] * nominal, u, ca.DM(self._values)),
-        )
-        return ca.Function("read", [z, u], [ca.densify(ca.substitute(rows, old, new))])
+        after = rk4(slope, x, self.sample / self.steps, self.steps)
+        return ca.Function("step", [x, u0, u1, p], [after])
 
-    # ---- programs ---------------------------------------------------------------------------
     def _signals(self, w: Any) -> tuple[Any, Any, Any]:
         """Inputs (nu, .) at the begin and end of the intervals, and at the samples."""
         plant = self.plant
@@ -142,42 +101,40 @@ class Excitation:
             return u, u, ca.horzcat(u, u[:, -1])
         return u[:, :-1], u[:, 1:], u
 
-    def _rolled(self, w: Any, sensitive: bool) -> tuple[Any, Any]:
-        """States at all samples and the inputs there."""
-        k = self.unknowns if sensitive else 0
-        nx = len(self._nominal)
-        begin = np.zeros((nx, 1 + k))
-        begin[:, 0] = self.start / self._nominal
-        if sensitive and not self.known_start:
-            begin[:, 1 + len(self.groups) :] = np.eye(nx)
-        z0 = ca.DM(begin.T.ravel())
+    def _along(self, expressions: Sequence[ca.SX]) -> ca.Function:
+        """(w, off) -> expressions of the plant's variables at all samples, row by row; off : of the
+        unknowns, parameters in the groups' scales, initial states in nominals.
+        """
+        plant, k, n = self.plant, len(self.groups), self.count
+        w = ca.MX.sym("w", self.basis.shape[1], len(self.inputs))
+        off = ca.MX.sym("off", self.unknowns)
+        groups = RunUnknowns(tuple(map(Unknown.of_group, self.groups)))
+        p = groups.vector(plant, ca.DM(groups.guess) + off[:k])
+        begin = ca.MX(ca.DM(self.start / self._nominal))
+        begin = begin if self.known_start else begin + off[k:]
         early, late, at = self._signals(w)
-        inner = self._step(sensitive).mapaccum(self.count)(z0, early, late)
-        return ca.horzcat(z0, inner), at
+        later = self._step().mapaccum(n)(begin, early, late, ca.repmat(p, 1, n))
+        x = ca.horzcat(begin, later) * ca.repmat(ca.DM(self._nominal), 1, n + 1)
+        read = ca.Function("read", [plant.x, plant.u, plant.p], [ca.vertcat(*expressions)])
+        return ca.Function("along", [ca.vec(w), off], [read.map(n + 1)(x, at, p)])
 
     @cached_property
     def information(self) -> ca.Function:
-        """w (d nu) -> Fisher information (k, k) of the unknowns, in the groups' scales and
-        nominals.
-        """
-        w = ca.MX.sym("w", self.basis.shape[1], len(self.inputs))
-        z, u = self._rolled(w, True)
-        rows = self._read().map(z.shape[1])(z, u)
-        k = self.unknowns
-        # map() sets the blocks (ny, k) of all samples side by side; the order of rows is free
-        table = ca.vertcat(*(rows[:, i::k].reshape((-1, 1)).T for i in range(k))).T
-        faint = [0.0] * len(self.groups) + [FAINT] * (k - len(self.groups))
-        return ca.Function("information", [ca.vec(w)], [table.T @ table + ca.diag(ca.DM(faint))])
+        """w (d nu) -> Fisher information (k, k) of the unknowns, in groups' scales and nominals."""
+        w = ca.MX.sym("w", self.basis.shape[1] * len(self.inputs))
+        off = ca.MX.sym("off", self.unknowns)
+        seen = self._along([self.plant.expression(n) / size for n, size in self.noise.items()])
+        rows = ca.Function("rows", [w, off], [ca.jacobian(ca.vec(seen(w, off)), off)])
+        table = ca.densify(rows(w, np.zeros(self.unknowns)))
+        faint = np.full(self.unknowns, FAINT)
+        faint[: len(self.groups)] = 0.0
+        return ca.Function("information", [w], [table.T @ table + ca.diag(ca.DM(faint))])
 
     def _values_along(self, expressions: Sequence[ca.SX]) -> ca.Function:
         """w -> expressions of the plant's variables at all samples, row by row."""
-        plant = self.plant
-        w = ca.MX.sym("w", self.basis.shape[1], len(self.inputs))
-        read = ca.Function("read", [plant.x, plant.u, plant.p], [ca.vertcat(*expressions)])
-        z, u = self._rolled(w, False)
-        scale = ca.repmat(ca.DM(self._nominal), 1, z.shape[1])
-        found = read.map(z.shape[1])(z * scale, u, ca.DM(self._values))
-        return ca.Function("along", [ca.vec(w)], [found])
+        w = ca.MX.sym("w", self.basis.shape[1] * len(self.inputs))
+        found = self._along(expressions)(w, np.zeros(self.unknowns))
+        return ca.Function("values", [w], [found])
 
     @cached_property
     def kept(self) -> ca.Function:
@@ -209,10 +166,8 @@ class Excitation:
 
 
 def criterion_of(total: int, chosen: Sequence[int], weights: Sequence[float] | None) -> ca.Function:
-    """Information (k, k) -> ln det of the chosen block of the covariance, or sum(weights
+    """Information (k, k) -> ln det C_ss = ln(det M_rr / det M), r all but s; or sum(weights
     variances).
-
-    The determinant of a block of the inverse: det C_ss = det M_rr / det M, r all the others.
     """
     m = ca.SX.sym("m", total, total)
     if weights is not None:
@@ -311,10 +266,7 @@ def excitation(
 def ranges_of(
     plant: Plant, inputs: Any, usual: Mapping[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
-    """{input: (low, high)} that may be played, within its bounds.
-
-    inputs : the user's ranges or names, None for all of ``usual``. Raises InputError.
-    """
+    """{input: (low, high)} that may be played, of the user's ranges or names, within its bounds."""
     if inputs is None:
         inputs = usual
     if not isinstance(inputs, Mapping):
@@ -404,13 +356,7 @@ class GapSignal:
 
 
 def close_gap(
-    gap: Coverage,
-    duration: float,
-    sample: float = 0.01,
-    inputs: Mapping[str, tuple[float, float]] | Sequence[str] | None = None,
-    limits: Mapping[str, tuple[float, float]] | None = None,
-    tries: int = 8,
-    seed: int = 0,
+    gap: Coverage, duration: float, sample: float, inputs: Any, limits: Any, tries: int, seed: int
 ) -> GapSignal:
     """See :func:`design_signal`, which calls this for a :class:`Coverage`."""
     plant = gap.plant
@@ -430,7 +376,7 @@ def close_gap(
             n: _signal(t, ends, _reach_of(gap, n), missing[n], random) for n, ends in ranges.items()
         }
         held = {
-            v.name: float(gap.seen[0][v.name][0])
+            v.name: np.full(len(t), gap.seen[0][v.name][0])
             for v in plant.inputs
             if v.name not in drive and v.name in gap.seen[0]
         }
@@ -480,14 +426,11 @@ def _signal(
     return np.asarray(np.clip(steady + wave, *ends))
 
 
-def _motion(gap: Coverage, drive: Mapping[str, object], t: Array) -> Trajectory | None:
+def _motion(gap: Coverage, drive: Mapping[str, Any], t: Array) -> Trajectory | None:
     first = gap.seen[0]
-    start = {}
-    for v in gap.plant.states:
-        if v.name in first:
-            start[v.name] = float(np.clip(first[v.name][0], v.min, v.max))
+    start = {v.name: float(first[v.name][0]) for v in gap.plant.states if v.name in first}
     try:
-        return simulate(gap.plant, dict(drive), t=t, start=start, interpolation="linear", rtol=1e-5)
+        return played(gap.plant, Trajectory(t, drive), start, 1e-5)
     except SimulationError:
         return None
 

@@ -43,11 +43,9 @@ def chosen(free: Sequence[str], parameters: Sequence[str] | None, called: str) -
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """What a design makes small, as a function of the covariance C (k, k).
-
-    chosen : positions of the parameters whose ln det C[chosen, chosen] counts (D- or D_s-optimal).
-    weight : W (k, k) of the mean variance trace(W C) (A-, c- and I-optimal); then ``chosen`` does
-        not count.
+    """What a design makes small, as a function of the covariance C (k, k). chosen : positions of
+    the parameters whose ln det C[chosen, chosen] counts (D- or D_s-optimal). weight : W (k, k) of
+    the mean variance trace(W C) (A-, c- and I-optimal); then ``chosen`` does not count.
     """
 
     chosen: tuple[int, ...]
@@ -112,21 +110,11 @@ def exchange(
     seed: int = 0,
     executor: Place = None,
 ) -> Selection:
-    """The n of the candidates' ``rows`` (m, k) that make the criterion smallest, given M0.
-
-    Every point is exchanged against the best of all candidates until no exchange helps (modified
-    Fedorov algorithm: R. Cook, C. Nachtsheim, Technometrics 22 (1980) 315-324), from several
-    starts.
-
-    Parameters
-    ----------
-    information : M0 (k, k) of what is known; zeros for nothing.
-    repeats : how often one candidate may be chosen.
-    executor : where the starts are tried, as for :func:`pam_ocp.each`.
-
-    Raises
-    ------
-    InputError : fewer candidates than asked for; no n of them determine the parameters.
+    """The n of the candidates' ``rows`` (m, k) that make the criterion smallest, given M0. Every
+    point is exchanged against the best of all candidates until no exchange helps (modified Fedorov
+    algorithm: R. Cook, C. Nachtsheim, Technometrics 22 (1980) 315-324), from several starts.
+    repeats : how often one candidate may be chosen. Raises InputError for too few candidates, or
+    where no n of them determine the parameters.
     """
     if len(rows) * repeats < n:
         raise InputError(
@@ -175,9 +163,7 @@ def _inverse(information: Array) -> Array | None:
 def _one_more(
     rows: Array, criterion: Criterion, base: Array, repeats: int, chosen: NDArray[np.intp]
 ) -> Array:
-    """The criterion with each of the rows beside the chosen ones; infinite for those of which there
-    are enough.
-    """
+    """The criterion with each row beside the chosen ones; infinite where there are enough."""
     covariance = np.linalg.inv(base + rows[chosen].T @ rows[chosen])
     values = criterion.with_one_more(covariance, rows)
     values[np.bincount(chosen, minlength=len(rows)) >= repeats] = np.inf
@@ -217,11 +203,9 @@ def refine(
     information: Array,
     halvings: int = 7,
 ) -> Array:
-    """Points (n, d) moved off the grid of candidates, to where the criterion is smallest.
-
-    Each point in turn goes to the best of a grid of 5^d around it, whose width begins with
-    ``steps`` (d,) and is halved when no point moves. ``gradient`` gives rows (m, k) at points
-    (m, d), NaN where nobody may measure.
+    """Points (n, d) moved off the grid of candidates, to where the criterion is smallest: each in
+    turn to the best of a grid of 5^d around it, whose width begins with ``steps`` (d,) and is
+    halved when no point moves. ``gradient`` gives rows at points, NaN where nobody may measure.
     """
     points, width = points.copy(), steps.astype(float)
     sizes = np.sqrt(np.diag(information) + np.sum(gradient(points) ** 2, axis=0))

@@ -33,7 +33,7 @@ from ..dynamic.coverage import Coverage
 from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
 from ..static.force_fit import ForceFit
-from ..statistics import Array, student_t
+from ..statistics import Array, require_choice, student_t
 from .cells import CellDesign, design_cells
 from .excitation import (
     RANDOM,
@@ -71,9 +71,7 @@ class SignalDesign:
 
     Examples
     --------
-    >>> design = pam.experiments.design_signal(
-    ...     plant, ["mass"], duration=0.5, noise={"x": 1e-5}, segments=4, sample=0.02, tries=1
-    ... )
+    >>> design = pam.experiments.design_signal(dynamic_fit, duration=0.5, sample=0.02, tries=1)
     >>> design.parameters, 0.0 < design.stderr["mass"] < 1.0
     (('mass',), True)
     """
@@ -204,20 +202,13 @@ def design_signal(
     tries : how many of the best random signals are improved.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    SignalDesign, or GapSignal of a Coverage, with the signal as a Trajectory.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be.
-    FitError : a plant that RK4 cannot follow at these samples; a parameter that no signal tells.
+    Raises InputError, UnknownNameError (arguments that cannot be), FitError (a plant that RK4
+    cannot follow at these samples, a parameter that no signal tells).
 
     Examples
     --------
-    >>> design = pam.experiments.design_signal(
-    ...     plant, ["mass"], duration=0.5, noise={"x": 1e-5}, segments=4, sample=0.02, tries=1
-    ... )
+    >>> options = {"noise": {"x": 1e-5}, "segments": 4, "sample": 0.02, "tries": 1}
+    >>> design = pam.experiments.design_signal(plant, ["mass"], duration=0.5, **options)
     >>> design.trajectory.duration
     0.5
     """
@@ -227,8 +218,7 @@ def design_signal(
     plant, information, sigma = _known(known, noise)
     unknown = groups(plant, _free(known, free))
     names = [g.name for g in unknown]
-    if criterion not in ("D", "A"):
-        raise InputError(f"criterion = {criterion!r}: choose 'D' or 'A'")
+    require_choice("criterion", criterion, ("D", "A"))
     places = chosen(names, parameters, "parameter")
     excitation = excitation_of(
         plant,
@@ -337,9 +327,7 @@ class _Aim:
 
 
 def _improved(aim: _Aim, random: Sequence[Array], judged: Sequence[_Judged], tries: int) -> Array:
-    """The best of the random signals followed by IPOPT;
-    the best of all when it comes to nothing.
-    """
+    """The best of the random signals followed by IPOPT, or the best of all."""
     e = aim.excitation
     order = sorted(
         range(len(random)), key=lambda i: judged[i].value + 20 * min(judged[i].violation, 1e3)
@@ -347,11 +335,8 @@ def _improved(aim: _Aim, random: Sequence[Array], judged: Sequence[_Judged], tri
     w = ca.MX.sym("w", random[0].size)
     rows = span(e)
     matrix = ca.reshape(w, e.basis.shape[1], len(e.inputs))
-    constraints, low, high = (
-        [ca.vec(ca.DM(rows) @ matrix)],
-        [-np.ones(len(rows) * len(e.inputs))],
-        [np.ones(len(rows) * len(e.inputs))],
-    )
+    one = np.ones(len(rows) * len(e.inputs))
+    constraints, low, high = [ca.vec(ca.DM(rows) @ matrix)], [-one], [one]
     if e.watched:
         least, most = e.limits()
         constraints.append(ca.vec(e.kept(w)[:, 1:]))
@@ -457,9 +442,7 @@ def _free(known: Any, free: Sequence[str | Sequence[str]] | None) -> Sequence[st
 def _before(
     fit: PlantFit | None, unknown: Sequence[ParameterGroup]
 ) -> tuple[dict[str, float], Array]:
-    """Standard errors before, and the information (k, k) that belongs to them in the groups'
-    scales.
-    """
+    """Standard errors before, and their information (k, k) in the groups' scales."""
     errors = {g.name: float("inf") for g in unknown}
     information = np.zeros((len(unknown), len(unknown)))
     if fit is None:

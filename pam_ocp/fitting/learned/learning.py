@@ -21,13 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import (
-    InputError,
-    require_count,
-    require_finite,
-    require_instance,
-    require_positive,
-)
+from ...core.errors import InputError, require_count, require_instance, require_positive
 from ...core.shown import shown
 from ...core.stop import check, verb
 from ...core.trajectory import Trajectory
@@ -40,7 +34,7 @@ from ..dynamic.gauss_newton import descend
 from ..dynamic.rollout import Rollout
 from ..dynamic.runs import Band, FreeRun
 from ..dynamic.structures import FreeRunStructure
-from ..statistics import Array
+from ..statistics import Array, require_level
 from .residual import Attached, Residual, Visited, attached
 
 STRENGTHS = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -62,11 +56,10 @@ WORST = 1e6
 
 @dataclass(frozen=True)
 class Strength:
-    """A strength of the penalty; ``value`` None is no residual.
-
-    ratio : mean squared error on what was left out, in parts of that without a residual. low, high
-    : the 95 % interval of what this is in a typical part of the records (of the geometric mean), by
-    which a residual counts as better: parts where everything is hard weigh no more than others.
+    """A strength of the penalty; ``value`` None is no residual. ratio : mean squared error on what
+    was left out, in parts of that without a residual. low, high : the 95 % interval of what this is
+    in a typical part of the records (of the geometric mean), by which a residual counts as better:
+    parts where everything is hard weigh no more than others.
     """
 
     value: float | None
@@ -88,8 +81,6 @@ class LearnedFit:
 
     Examples
     --------
-    >>> lacking = pam.fitting.Residual("v", ["v"], pam.fitting.Splines(1))
-    >>> learned = pam.fitting.fit_residual(free_fit, lacking, folds=2, strengths=[1.0])
     >>> len(learned.strengths), learned.plant is free_fit.plant
     (2, True)
     """
@@ -124,8 +115,7 @@ class LearnedFit:
         """Runs along records with bands that hold ``level`` of what is measured there, if these
         records are like those of the fit; wider where the members disagree.
         """
-        if not 0 < require_finite("level", level) < 1:
-            raise InputError(f"level = {level!r}: give a part between 0 and 1, such as 0.9")
+        require_level(level)
         run = self.validate(records, **options)
         wide = _sizes(self.errors, _disagreement(self.members, self.physics, run, records, options))
         rank = np.ceil((1 + 1 / max(len(self.scores), 1)) * level * len(self.scores))
@@ -242,9 +232,7 @@ def fit_residual(
 # ---- learning ------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """A strength: weights of each fold, and the runs along what each left out, with their parts'
-    losses (parts, criteria).
-    """
+    """A strength: weights of the folds, runs along what each left out, losses (parts, criteria)."""
 
     value: float | None
     weights: tuple[Array, ...]
@@ -252,49 +240,44 @@ class _Tried:
     losses: Array
 
 
+@dataclass(frozen=True, eq=False)
 class _Shrunk:
-    """The mean squared error of runs over the weights, with a penalty; see ``Normal``.
-
-    width : of the secants that stand for slopes; None for exact ones. Friction that sticks makes
-    errors so rough a function of the weights that derivatives hold for a thousandth of the step
-    that is to be made with them.
+    """The mean squared error of runs over the weights, with a penalty; see ``Normal``. width : of
+    the secants that stand for slopes; None for exact ones. Friction that sticks makes errors so
+    rough a function of the weights that derivatives hold for a thousandth of the step that is to be
+    made with them.
     """
 
-    def __init__(
-        self,
-        rollout: Rollout,
-        starts: Array,
-        centre: Array,
-        precision: Array,
-        width: float | None = None,
-    ) -> None:
-        self._rollout, self._starts, self._width = rollout, starts, width
-        self._centre, self._precision = centre, precision
+    rollout: Rollout
+    starts: Array
+    centre: Array
+    precision: Array
+    width: float | None = None
 
     def _errors(self, w: Array) -> Array:
-        return self._rollout.residuals(np.concatenate([w, self._starts]))
+        return self.rollout.residuals(np.concatenate([w, self.starts]))
 
     def cost(self, w: Array, /) -> float:
-        away = w - self._centre
-        return float(np.sum(self._errors(w) ** 2) + away @ self._precision @ away)
+        away = w - self.centre
+        return float(np.sum(self._errors(w) ** 2) + away @ self.precision @ away)
 
     def normal(self, w: Array, /) -> tuple[float, Array, Array, int]:
-        n, away = len(w), w - self._centre
-        if self._width is None:
-            z = np.concatenate([w, self._starts])
-            cost, gradient, square, damped = self._rollout.normal(z)
+        n, away = len(w), w - self.centre
+        if self.width is None:
+            z = np.concatenate([w, self.starts])
+            cost, gradient, square, damped = self.rollout.normal(z)
             gradient, square = gradient[:n], square[:n, :n]
         else:
             errors = self._errors(w)
             slopes = np.empty((len(errors), n))
             for k in range(n):
                 beside = w.copy()
-                beside[k] += self._width
-                slopes[:, k] = (self._errors(beside) - errors) / self._width
+                beside[k] += self.width
+                slopes[:, k] = (self._errors(beside) - errors) / self.width
             cost, gradient, square = float(errors @ errors), slopes.T @ errors, slopes.T @ slopes
             damped = 0
-        cost += float(away @ self._precision @ away)
-        return cost, gradient + self._precision @ away, square + self._precision, damped
+        cost += float(away @ self.precision @ away)
+        return cost, gradient + self.precision @ away, square + self.precision, damped
 
 
 class _Trial:
@@ -339,19 +322,19 @@ class _Trial:
             weights = search.to(strength, self.evaluations)
         return self.attached.at(weights)
 
+    def left(self, fold: int) -> list[Trajectory]:
+        """The parts that a fold leaves out."""
+        return [p for p, k in zip(self.parts, self.fold, strict=True) if k == fold]
+
     def _tried(self, value: float | None, weights: Sequence[Array]) -> _Tried:
-        runs, losses = [], None
-        for i, w in enumerate(weights):
-            own = np.flatnonzero(self.fold == i)
-            left = [self.parts[j] for j in own]
-            run = runs_like(self.fit, self.attached.at(w), left, {})
-            found = _losses(run, len(left))
-            losses = (
-                np.full((len(self.parts), found.shape[1]), np.nan) if losses is None else losses
-            )
-            losses[own] = found
-            runs.append(run)
-        assert losses is not None
+        runs = [
+            runs_like(self.fit, self.attached.at(w), self.left(i), {})
+            for i, w in enumerate(weights)
+        ]
+        found = [_losses(run, len(self.left(i))) for i, run in enumerate(runs)]
+        losses = np.empty((len(self.parts), found[0].shape[1]))
+        for i, own in enumerate(found):
+            losses[self.fold == i] = own
         return _Tried(value, tuple(weights), tuple(runs), losses)
 
     def compared(self, tried: _Tried) -> Strength:
@@ -397,9 +380,7 @@ def _losses(run: FreeRun, records: int) -> Array:
 
 
 class _Search:
-    """A descent from strong penalties to weak ones along some records, whose starts stay where the
-    physics has them.
-    """
+    """A descent from strong penalties to weak ones along some records; starts stay the physics'."""
 
     def __init__(self, made: Attached, fit: FreeRunFit, records: Sequence[Trajectory]) -> None:
         self._made, self._w = made, made.begin
@@ -439,9 +420,7 @@ def _visited(fit: FreeRunFit, records: Sequence[Trajectory]) -> Visited:
 
 
 def _out_of_fold(tried: _Tried, trial: _Trial, members: Sequence[Plant]) -> tuple[Array, Array]:
-    """(root mean square of the errors by time since the start (K, ny), each error in parts of its
-    expected size (m, ny)).
-    """
+    """(root mean square of the errors by time since the start (K, ny), scores as in LearnedFit)."""
     apart = [np.abs(run.predicted - run.measured) for run in tried.runs]
     square = np.full(
         (sum(map(len, apart)), max(e.shape[1] for e in apart), apart[0].shape[2]), np.nan
@@ -452,8 +431,7 @@ def _out_of_fold(tried: _Tried, trial: _Trial, members: Sequence[Plant]) -> tupl
     errors = np.sqrt(np.nanmean(square, axis=0))
     scores = []
     for i, (run, error) in enumerate(zip(tried.runs, apart, strict=True)):
-        left = [p for p, k in zip(trial.parts, trial.fold, strict=True) if k == i]
-        spread = _disagreement(members, trial.fit, run, left, {})
+        spread = _disagreement(members, trial.fit, run, trial.left(i), {})
         own = (error / np.maximum(_sizes(errors, spread), 1e-300)).reshape(-1, error.shape[2])
         scores.append(own[~np.isnan(own).any(axis=1)])
     return errors, np.concatenate(scores)

@@ -21,6 +21,7 @@ from typing import Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 from scipy.cluster.vq import kmeans2
+from scipy.linalg import block_diag
 
 from ...core.errors import (
     InputError,
@@ -36,11 +37,10 @@ from ..statistics import Array
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A function of d scaled variables with n weights.
-
-    value : (variables (d,), weights (n,)) -> scalar. begin : where a search begins, and from where
-    weights are shrunk back to: a function that is zero. linear : which weights (n,) are zero there.
-    precision : (n, n), positive definite; the penalty is (w - begin)' precision (w - begin).
+    """A function of d scaled variables with n weights. value : (variables (d,), weights (n,)) ->
+    scalar. begin : where a search begins, and from where weights are shrunk back to: a function
+    that is zero. linear : which weights (n,) are zero there. precision : (n, n), positive definite;
+    the penalty is (w - begin)' precision (w - begin).
     """
 
     value: Callable[[ca.SX, ca.SX], ca.SX]
@@ -233,17 +233,17 @@ class Visited:
         return np.asarray(np.asarray(found, dtype=float).T)
 
     def shuffled(self, random: np.random.Generator) -> Visited:
-        """Each variable where it was, at another time than the others: along motions the terms of
-        a rate balance each other, here their size shows.
+        """Each variable where it was, at another time than the others: along motions the terms of a
+        rate balance each other, here their size shows.
         """
         return Visited(random.permuted(self.x, axis=0), random.permuted(self.u, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A plant with residuals. weights : names of their parameters. centre, precision : of the
-    penalty (weights - centre)' precision (weights - centre); at ``centre`` the plant is what it
-    was. begin : where a search begins.
+    """A plant with residuals; ``weights`` : names of their parameters. The penalty is (weights -
+    centre)' precision (weights - centre); at ``centre`` the plant is what it was, from ``begin`` a
+    search goes.
     """
 
     plant: Plant
@@ -268,10 +268,7 @@ def attached(
         if any(w.startswith(f"{label}.") for w in found.weights):
             raise InputError(f"residuals[{number}] is a second one of {residual.of}; give one")
         one = _with_one(found.plant, residual, label, visited, random)
-        blocks = found.precision, one.precision
-        sizes = [len(b) for b in blocks]
-        precision = np.zeros((sum(sizes), sum(sizes)))
-        precision[: sizes[0], : sizes[0]], precision[sizes[0] :, sizes[0] :] = blocks
+        precision = block_diag(found.precision, one.precision)
         visited = Visited(np.pad(visited.x, ((0, 0), (0, residual.memory))), visited.u)
         found = Attached(
             one.plant,
@@ -341,19 +338,11 @@ def _with_one(
     begin = values.copy()
     if residual.passive:
         begin[: len(form.begin)] += ASIDE * form.linear * random.standard_normal(len(form.begin))
-    return Attached(
-        plant.with_terms(declare), names, values, begin, _precision(form, leaky.size), memories
-    )
+    precision = block_diag(form.precision, np.eye(leaky.size))
+    return Attached(plant.with_terms(declare), names, values, begin, precision, memories)
 
 
 def _size(values: Array, nominal: float) -> float:
     """Of what varies: its standard deviation over the training motions."""
     found = float(values.std())
     return found if found > LEAST * nominal else nominal
-
-
-def _precision(form: Form, more: int) -> Array:
-    n = len(form.begin)
-    found = np.eye(n + more)
-    found[:n, :n] = form.precision
-    return found

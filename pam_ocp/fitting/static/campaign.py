@@ -124,17 +124,10 @@ def fit_forces(
         :func:`pam_ocp.each`.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    JointForceFit; ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals. With
-    ``candidates`` a Campaign: muscles and groups with their fits, ``table()``, ``report()``,
-    ``plot_data()`` and ``save(folder)``; files that could not be read, and studies that the data do
-    not allow, are listed with the reason.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; no table at all; fewer cells than
-    unknowns. FitError : no stationary point of a joint fit was found.
+    Of a joint fit ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals. Of a
+    Campaign files that could not be read, and studies that the data do not allow, are listed with
+    the reason. Raises InputError, UnknownNameError (arguments that cannot be, no table at all,
+    fewer cells than unknowns), FitError (no stationary point of a joint fit).
 
     Examples
     --------
@@ -163,11 +156,8 @@ def fit_forces(
     if weights is not None or bounds is not None or noise != "equal":
         raise InputError("weights, bounds and noise belong to a joint fit; leave candidates away")
     placed(executor)
-    measured, failed = collected(tables, rest_length, diameter, reading or {})
+    parts, failed = collected(tables, rest_length, diameter, reading or {})
     study = _Study(kind, fixed, loss, errors)
-    parts: dict[str, list[Any]] = {}
-    for one in measured:
-        parts.setdefault(one.muscle, []).append(one)
     muscles: dict[str, MuscleStudy] = {}
     studied = results_of(study.muscle, [*parts.items()], executor=executor, chunk=1, what="muscles")
     for name, found in zip(parts, studied, strict=True):
@@ -197,13 +187,8 @@ def fit_campaign(
 
     Examples
     --------
-    >>> import warnings
-    >>> with warnings.catch_warnings(record=True) as told:
-    ...     warnings.simplefilter("always")
-    ...     campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
-    ...
-    >>> told[0].category.__name__
-    'DeprecationWarning'
+    >>> pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)["M1"].name  # and a warning
+    'M1'
     """
     warnings.warn(
         "fit_campaign(..., length_laws=LAWS) is fit_forces(..., candidates=LAWS), its columns= and "
@@ -226,11 +211,9 @@ def _of_muscles(tables: Any, rest_length: Any, reading: Mapping[str, Any] | None
     if several and not any(isinstance(t, str | Path | Mapping) for t in every):
         return tables
     measured, failed = collected(tables, rest_length, None, reading or {})
-    if failed:
-        name, why = next(iter(failed.items()))
+    for name, why in failed.items():
         raise InputError(f"{name}: {why}")
-    names = dict.fromkeys(one.muscle for one in measured)
-    return {n: joined([one for one in measured if one.muscle == n]) for n in names}
+    return {name: joined(own) for name, own in measured.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,9 +310,7 @@ class _Study:
 
 
 def _runs(fit: ForceFit) -> tuple[RunStudy, ...]:
-    """Each repeat against the mean of the repeats of each of its cells; against the law where
-    no cell was repeated.
-    """
+    """Each repeat against the mean of the repeats of its cells, or, without any, the law."""
     cells = fit.cells
     names = list(dict.fromkeys(cells.run))
     if len(names) < 2:
@@ -344,16 +325,9 @@ def _runs(fit: ForceFit) -> tuple[RunStudy, ...]:
         own = off[np.array([r == name for r in cells.run])]
         own = own[np.isfinite(own)]
         if own.size:
-            spread = float(np.std(own, ddof=1)) if own.size > 1 else float("nan")
-            found.append(
-                RunStudy(
-                    name,
-                    own.size,
-                    float(own.mean()),
-                    spread / own.size**0.5,
-                    float(np.sqrt(np.mean(own**2))),
-                )
-            )
+            error = float(np.std(own, ddof=1)) / own.size**0.5 if own.size > 1 else float("nan")
+            rmse = float(np.sqrt(np.mean(own**2)))
+            found.append(RunStudy(name, own.size, float(own.mean()), error, rmse))
     return tuple(found)
 
 
@@ -371,9 +345,7 @@ def _grouped(muscles: Mapping[str, MuscleStudy]) -> list[list[MuscleStudy]]:
 
 
 def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
-    """Probability that sharing costs as much by noise alone (F-test of nested fits, independent
-    errors).
-    """
+    """Probability that sharing costs as much by noise alone (F-test of nested fits)."""
     if any(f.terms.loss != "squares" for f in alone):
         return float("nan")
     free = sum(f.squares for f in alone)
@@ -420,11 +392,8 @@ def collected(
     rest_length: float | Mapping[str, float] | None,
     diameter: float | Mapping[str, float] | None,
     reading: Mapping[str, Any],
-) -> tuple[list[Measured], dict[str, str]]:
-    """The tables of a campaign, and the files that could not be read, with the reason.
-
-    Raises InputError where there is none.
-    """
+) -> tuple[dict[str, list[Measured]], dict[str, str]]:
+    """The tables of each muscle, and the files that could not be read, with the reason."""
     found: list[Measured] = []
     failed: dict[str, str] = {}
     for name, one in _sources(source):
@@ -440,7 +409,10 @@ def collected(
     if not found:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(failed.items())[:3])
         raise InputError(f"no table of a campaign could be read: {reasons or 'there is no file'}")
-    return found, failed
+    muscles: dict[str, list[Measured]] = {}
+    for part in found:
+        muscles.setdefault(part.muscle, []).append(part)
+    return muscles, failed
 
 
 def _sources(source: Any) -> list[tuple[str, Any]]:

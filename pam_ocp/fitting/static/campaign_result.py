@@ -94,7 +94,6 @@ class Campaign:
 
     Examples
     --------
-    >>> campaign = pam.fit_forces({"M1": table}, candidates=[], rest_length=0.300)
     >>> list(campaign.muscles), round(campaign["M1"].fit.rmse, 1)
     (['M1'], 6.2)
     """
@@ -217,28 +216,19 @@ def _muscle_lines(study: MuscleStudy) -> list[str]:
 
 def _length_lines(group: LengthStudy) -> list[str]:
     lines = [f"[[Diameter {_size(group.diameter)}]] {', '.join(group.muscles)}"]
-    if group.joint is not None:
-        judged = (
-            ""
-            if np.isnan(group.probability)
-            else (
-                f"; probability {group.probability:.2g} that sharing costs so much by noise alone, "
-                + ("the muscles differ" if group.probability < 0.05 else "no sign that they differ")
-            )
-        )
+    if group.joint is None:
+        lines.append(f"    no shared coefficients: {group.problem}")
+    else:
+        p = group.probability
+        differ = "the muscles differ" if p < 0.05 else "no sign that they differ"
+        judged = f"; probability {p:.2g} that sharing costs so much by noise alone, {differ}"
         lines.append(
             f"    shared {', '.join(group.joint.shared) or 'nothing'}: RMSE "
-            f"{group.joint.rmse:.4g} N{judged}"
+            f"{group.joint.rmse:.4g} N{'' if np.isnan(p) else judged}"
         )
-    else:
-        lines.append(f"    no shared coefficients: {group.problem}")
     lines.append("    one set for all lengths: RMSE [N], and at lengths left out [N]")
     for law in group.ranked:
-        lines.append(
-            f"      {law.name:<22}{law.problem}"
-            if law.fit is None
-            else f"      {law.name:<22}{law.fit.rmse:>8.2f}{law.left_out_rmse:>8.2f}  ("
-            + ", ".join(f"{n} {v:.3g}" for n, v in law.left_out.items())
-            + ")"
-        )
+        left = ", ".join(f"{n} {v:.3g}" for n, v in law.left_out.items())
+        found = f"{law.rmse:>8.2f}{law.left_out_rmse:>8.2f}  ({left})" if law.fit else law.problem
+        lines.append(f"      {law.name:<22}{found}")
     return lines

@@ -36,26 +36,20 @@ FEWEST = 6
 
 
 def neighbours(series: Sequence[Array]) -> float:
-    """Correlation of neighbouring values over all series (each about zero);
-    0 where all are zero.
-    """
+    """Correlation of neighbouring values over all series, each about zero."""
     products = sum(float(r[1:] @ r[:-1]) for r in series)
     squares = sum(float(r @ r) for r in series)
     return products / squares if squares else 0.0
 
 
 def widening(rho: float) -> float:
-    """Factor by which a long series with this correlation of neighbours widens the error
-    of a mean.
-    """
+    """Factor by which such a correlation of neighbours widens the error of a long series' mean."""
     return float(np.sqrt((1 + rho) / (1 - min(rho, 0.999))))
 
 
 @dataclass(frozen=True)
 class Order:
-    """An order of the measurements. follows[i] : whether the i-th of that order follows the one
-    before.
-    """
+    """An order of the measurements, and whether each follows the one before."""
 
     words: str
     order: NDArray[np.intp]
@@ -63,10 +57,9 @@ class Order:
 
 
 def sequences(*tables: ForceTable) -> list[Order]:
-    """Orders in which errors of the cells of tables (one behind the other) may be correlated.
-
-    Row after row; row after row within a ramp (contraction level, branch and run); along pressure
-    in each of these. Nothing follows from table to table.
+    """Orders in which errors of cells may be correlated: row after row; the same within a ramp
+    (contraction level, branch and run); along pressure in each of these. Nothing follows from table
+    to table.
     """
     found = [_joined(orders) for orders in zip(*(_orders(t) for t in tables), strict=True)]
     distinct: list[Order] = []
@@ -113,10 +106,8 @@ def _joined(orders: Sequence[Order]) -> Order:
 def serial_errors(
     jacobian: Array, residuals: Array, orders: Sequence[Order]
 ) -> SerialErrors | None:
-    """Whether residuals are serially correlated in one of ``orders``; None when not.
-
-    jacobian, residuals : weighted, (n, k) and (n,), of the measurements alone; rows of other kinds
-    (priors) may stand behind them in the Jacobian, whose errors follow nothing.
+    """Whether residuals are serially correlated in one of ``orders``; None when not. jacobian,
+    residuals : weighted, of the measurements; rows of priors may follow in the Jacobian.
     """
     n = len(residuals)
     basis = spanned(jacobian[:n])
@@ -141,6 +132,7 @@ def serial_errors(
     scale = (squares / squares[0])[counted]
     parts = scale[:, None, None] * _meats(jacobian, order, RHO[counted])
     middle = int(np.nonzero(counted == mean)[0][0])
+    usual = inverse(parts[middle], 1e-10) / max(len(parts[middle]), 1)
     return SerialErrors(
         order.words,
         float(RHO[mean]),
@@ -148,7 +140,7 @@ def serial_errors(
         parts[middle],
         float(np.sqrt(scale[middle])),
         weights[counted] / weights[counted].sum(),
-        _relative(parts, parts[middle]),
+        np.einsum("ij,gji->g", usual, parts),
         freedom,
         RHO[counted],
         np.sqrt(scale),
@@ -156,9 +148,8 @@ def serial_errors(
 
 
 def surprise(residuals: Array, orders: Sequence[Order], price: float) -> float:
-    """-2 ln L of residuals, up to a constant, and ``price`` for a correlation where that pays.
-
-    Errors are normal, of unknown variance, and independent or AR(1) in one of ``orders``.
+    """-2 ln L of normal residuals, independent or AR(1) in one of ``orders``, with a ``price`` for
+    that.
     """
     n, size = len(residuals), max(float(residuals @ residuals), 1e-300)
     found = [n * np.log(size / n)]
@@ -172,10 +163,8 @@ def surprise(residuals: Array, orders: Sequence[Order], price: float) -> float:
 def drawn_errors(
     serial: SerialErrors, order: Order, residuals: Array, sigma: float, random: np.random.Generator
 ) -> Array:
-    """New errors (n,), correlated as those of a fit are; their correlation is drawn, too.
-
-    What is new in each residual is drawn with replacement (a sieve bootstrap: P. Buehlmann,
-    Bernoulli 3 (1997) 123-148). sigma : standard deviation of independent errors.
+    """New errors (n,), correlated as those of a fit are; their correlation is drawn, too. A sieve
+    bootstrap (P. Buehlmann, Bernoulli 3 (1997) 123-148). sigma : of independent errors.
     """
     i = int(random.choice(serial.values.size, p=serial.weights))
     rho, late = float(serial.values[i]), order.follows
@@ -217,9 +206,7 @@ def _following(new: Array, rho: float, order: Order) -> Array:
 
 
 def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Array]:
-    """Logarithm of the restricted likelihood, and the least squares of new errors,
-    for each of RHO.
-    """
+    """Logarithm of the restricted likelihood, and least squares of new errors, for each of RHO."""
     whole = _products(np.column_stack([basis, residuals]), order)
     normal, mixed, square = whole[:, :-1, :-1], whole[:, :-1, -1], whole[:, -1, -1]
     fitted = np.linalg.solve(normal, mixed[:, :, None])[:, :, 0]
@@ -230,9 +217,7 @@ def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Ar
 
 
 def _products(columns: Array, order: Order) -> Array:
-    """X^T R^-1 X (g, k, k) of columns (n, k) for each of RHO, from their differences along the
-    order.
-    """
+    """X^T R^-1 X (g, k, k) of columns (n, k) for each of RHO, by differences along the order."""
     x, late, rho = columns[order.order], order.follows, RHO[:, None, None]
     first, own, before = x[~late], x[late], x[np.nonzero(late)[0] - 1]
     cross = own.T @ before
@@ -242,7 +227,6 @@ def _products(columns: Array, order: Order) -> Array:
 
 def _meats(jacobian: Array, order: Order, rho: Array) -> Array:
     """J^T R J (g, k, k) for each correlation. With z_i = J_i + rho z_(i-1), R = sums of rho^|i-j|.
-
     The recursion runs over pairs, fours, ... of rows (prefix sums, W. Hillis, G. Steele, Comm. ACM
     29 (1986) 1170-1183), until rho to that power counts for nothing.
     """
@@ -261,8 +245,3 @@ def _meats(jacobian: Array, order: Order, rho: Array) -> Array:
         crossed = (z - rows) @ rows.T
         parts.append(crossed + crossed.transpose(0, 2, 1) + jacobian.T @ jacobian)
     return np.concatenate(parts)
-
-
-def _relative(parts: Array, whole: Array) -> Array:
-    """trace(whole^-1 part)/k of each part."""
-    return np.asarray(np.einsum("ij,gji->g", inverse(whole, 1e-10), parts) / max(len(whole), 1))

@@ -28,12 +28,12 @@ from ...muscles.law import ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ...muscles.pneumatic_muscle import Muscle
 from ...muscles.validity import ValidityWarning
-from ..statistics import Array, Prediction, SolverStatistics
+from ..statistics import Array, Prediction, SolverStatistics, require_choice, require_level
 from ..tables.floor import Floor
 from ..tables.force_table import ForceTable
 from .branches import LackOfFit, lack_of_fit
 from .correlation import drawn_errors, scaled_errors, sequences
-from .least_squares import LeastSquares, Terms
+from .least_squares import LeastSquares, Terms, finite
 from .likelihood_profile import Ends, Sweep, profile_ends
 from .optimum import Optimum
 from .report import force_report, force_warnings
@@ -166,10 +166,8 @@ class ForceFit(Optimum):
         pressure, contraction = _places(p, kappa)
         away = _beyond(self.table, pressure, contraction)
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
-        force, error = (
-            force.reshape(pressure.shape),
-            self.linearisation.stderr(gradient).reshape(pressure.shape),
-        )
+        force = force.reshape(pressure.shape)
+        error = self.linearisation.stderr(gradient).reshape(pressure.shape)
         t = self.linearisation.reach(level)
         with np.errstate(invalid="ignore"):
             half = np.where(error > 0, t * error, 0.0)
@@ -182,9 +180,7 @@ class ForceFit(Optimum):
 
     @cached_property
     def _bends(self) -> bool:
-        """Whether a band by linearisation would mislead: the one nonlinear coefficient is hardly
-        known.
-        """
+        """Whether a linearised band misleads: the one nonlinear coefficient is hardly known."""
         if len(self.problem.nonlinear) != 1 or not self.has_profile or not self.sigma > 0:
             return False
         c = self.coefficients[self.problem.names[self.problem.nonlinear[0]]]
@@ -235,8 +231,7 @@ class ForceFit(Optimum):
         time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.
         """
         require_count("n", n, 2)
-        if method not in ("residuals", "cases"):
-            raise InputError(f"method = {method!r}: choose 'residuals' or 'cases'")
+        require_choice("method", method, ("residuals", "cases"))
         if method == "residuals" and self.dof < 1:
             raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
         random = np.random.default_rng(require_count("seed", seed, 0))
@@ -338,12 +333,9 @@ class ForceFit(Optimum):
         """Write law, coefficients, data and statistics;
         :meth:`from_json` reads them back exactly.
         """
-        table: dict[str, Any] = {
-            n: getattr(self.table, n).tolist() for n in ("pressure", "contraction", "force")
-        }
-        table |= {
-            n: list(getattr(self.table, n)) for n in ("branch", "run") if getattr(self.table, n)
-        }
+        kept = ("pressure", "contraction", "force", "branch", "run")
+        columns = {n: np.asarray(getattr(self.table, n)) for n in kept}
+        table: dict[str, Any] = {n: c.tolist() for n, c in columns.items() if c.size}
         table["censored"] = self.table.slack.tolist()
         floor, serial = self.table.floor_found, self.serial
         content = {
@@ -354,13 +346,13 @@ class ForceFit(Optimum):
             "coefficients": {n: float(v) for n, v in self.law.values.items()},
             "held": list(self.held),
             "stderr": {n: c.stderr for n, c in self.coefficients.items() if np.isfinite(c.stderr)},
-            "intervals": {n: [_finite(e) for e in pair] for n, pair in self.intervals().items()},
+            "intervals": {n: list(map(finite, pair)) for n, pair in self.intervals().items()},
             "open": self.open_ends(),
             "correlation": None
             if serial is None
             else {"along": serial.order, "neighbours": serial.correlation},
             "rmse": self.rmse,
-            "r2": _finite(self.r2),
+            "r2": finite(self.r2),
             "warnings": list(self.warnings),
             "solver": asdict(self.solver),
             "terms": self.terms.to_json(),
@@ -421,14 +413,7 @@ def _law_named(name: Any) -> type[ForceLaw]:
         raise InputError(f"{error} Give the class of an own law: law=...") from None
 
 
-def _finite(value: float) -> float | None:
-    """JSON has no infinity: null for an open end."""
-    return float(value) if np.isfinite(value) else None
-
-
 # ---- where a prediction is asked for -------------------------------------------------------------
-
-
 MARGIN = 0.02
 """Of the range of the data: so far beyond their hull a place still counts as within."""
 REACH = (-1.0, 1.0)
@@ -436,11 +421,7 @@ REACH = (-1.0, 1.0)
 
 
 def _places(p: Any, kappa: Any) -> tuple[Array, Array]:
-    """Gauge pressures [Pa] and contractions, broadcast: numbers, or texts as "3 bar" and "10 %".
-
-    Warns (UnitWarning) where another unit was probably meant. Raises InputError for what no muscle
-    can be.
-    """
+    """Gauge pressures [Pa] and contractions, broadcast: numbers, or texts as "3 bar" and "10 %"."""
     pressure = np.asarray(require_numbers("p", p, "Pa", doubted=True))
     kappas = np.asarray(require_numbers("kappa", kappa, "1"))
     low = pressure < -AMBIENT
@@ -526,8 +507,7 @@ class Bootstrap:
         """Percentile interval of one coefficient."""
         if name not in self.names:
             raise UnknownNameError("fitted coefficient", name, self.names)
-        if not 0 < level < 1:
-            raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+        level = require_level(level)
         column = self.samples[:, self.names.index(name)]
         low, high = np.quantile(column, [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)

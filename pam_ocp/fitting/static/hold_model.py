@@ -39,12 +39,11 @@ BLOCK = 4096
 
 @dataclass(frozen=True, eq=False)
 class HoldModel:
-    """The equilibria of n holds as functions of k parameters.
-
-    given : values (n,) of inputs and states. measured : what is compared. parameters : of the
-    plant, to be estimated. zeroed : given variables whose sensor may have a zero, in the order of
-    the estimates behind the parameters. side : (n,), the way in which each hold was come to.
-    start : (n, states that are sought), where Newton's method begins.
+    """The equilibria of n holds as functions of k parameters. given : values (n,) of inputs and
+    states. measured : what is compared. parameters : of the plant, to be estimated. zeroed : given
+    variables whose sensor may have a zero, in the order of the estimates behind the parameters.
+    side : (n,), the way in which each hold was come to. start : (n, states that are sought), where
+    Newton's method begins.
     """
 
     plant: Plant
@@ -139,9 +138,8 @@ class HoldModel:
     def solved(
         self, estimates: Array, start: Array, moved: Sequence[int] | None = None
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Where the plant rests (n, sought), and which of the holds were found.
-
-        moved : numbers of the states that are sought, by default all; the others stay.
+        """Where the plant rests (n, sought), and which holds were found; only states ``moved`` are
+        free.
         """
         places = list(range(len(self.sought)) if moved is None else moved)
         z, part, nominal = start.copy(), np.ones(len(start)), self.nominal[places]
@@ -172,10 +170,9 @@ class HoldModel:
         return self.solved(estimates, self.start, other)[0] if other else self.start.copy()
 
     def predicted(self, estimates: Array, start: Array | None) -> tuple[Array, Array, Array]:
-        """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z.
-
-        start : where to begin; None for the linear model at the measured positions, which also
-        stands in where Newton's method finds no rest.
+        """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z. Without
+        a ``start``, and where Newton's method finds no rest, by the linear model at the measured
+        positions.
         """
         z = self.anchored(estimates) if start is None else self.solved(estimates, start)[0]
         residual, slopes, by, y, y_z, y_by = self.at(z, estimates)
@@ -264,32 +261,22 @@ class Holds:
         self.variables = [
             plant.variable(n.removeprefix("zero.").removeprefix("band.")) for n in names
         ]
-        self.own = [v.causality == "parameter" for v in self.variables]
-        start = [
-            float(v.start or 0.0) if p else 0.0
-            for v, p in zip(self.variables, self.own, strict=True)
-        ]
-        self.start = np.array(start)
+        self.own = np.array([v.causality == "parameter" for v in self.variables])
+        self.start = np.where(self.own, [float(v.start or 0.0) for v in self.variables], 0.0)
         self.nominal = np.array([v.nominal for v in self.variables])
 
     def limits(self, bounds: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
         """Lower and upper bounds of the estimates. Raises InputError, UnknownNameError."""
-        pairs = zip(self.variables, self.own, strict=True)
-        low, high = (
-            list(e)
-            for e in zip(
-                *((v.min, v.max) if p else (-np.inf, np.inf) for v, p in pairs), strict=True
-            )
-        )
-        for i, name in enumerate(self.names):
-            low[i] = 0.0 if name.startswith("band.") else low[i]
+        low = np.where(self.own, [v.min for v in self.variables], -np.inf)
+        high = np.where(self.own, [v.max for v in self.variables], np.inf)
+        low[[n.startswith("band.") for n in self.names]] = 0.0
         for name, ends in bounds.items():
             if name not in self.names:
                 raise UnknownNameError("estimate in bounds", name, self.names)
             i = self.names.index(name)
             first, second = require_ends(f"bounds[{name!r}]", ends, self.variables[i].unit)
             low[i], high[i] = max(low[i], first), min(high[i], second)
-        return np.array(low), np.array(high)
+        return low, high
 
     def __call__(self, estimates: Array) -> tuple[Array, Array]:
         """Measured less predicted (n, y), and its derivatives (n, y, k)."""
@@ -336,9 +323,7 @@ def _minimised(
     factors: Array,
     moved: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Least squares of residuals times ``factors`` (n, y) within bounds; ``moved`` (k,) estimates
-    change, by default all.
-    """
+    """Least squares of residuals times ``factors`` (n, y) within bounds; ``moved`` : or all."""
     free = np.ones(len(start), dtype=bool) if moved is None else moved
     squares = _Weighted(problem, factors, free)
     low, high = (end[None, free] for end in limits)
@@ -348,8 +333,7 @@ def _minimised(
             "the plant finds no rest at these pressures near the measured positions; give start "
             "values nearer to the truth (plant.with_values(...)) or bounds"
         )
-    found: Array = ended.coefficients[0]
-    return found
+    return np.asarray(ended.coefficients[0])
 
 
 class _End(NamedTuple):
@@ -361,12 +345,10 @@ class _End(NamedTuple):
 
 
 def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
-    """The best optimum that is found; the problem rests there.
-
-    A muscle that goes slack on the way makes several optima. A fit is begun at the plant's values,
-    over the linear model at the measured positions, which needs no rest to be found, and at the
-    optima of the poorer fits, which hold one estimate more at the plant's values. These count
-    themselves: a richer fit is never worse.
+    """The best optimum that is found; the problem rests there. A muscle that goes slack on the way
+    makes several optima. Begun at the plant's values, over the linear model at the measured
+    positions, and at the optima of the poorer fits, which count themselves: a richer fit is never
+    worse.
     """
     model, first = problem.model, problem.start
     wrong: list[FitError] = []

@@ -24,7 +24,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, require_plant
 from ...plants.plant_data import carried
 from ..estimates import Estimates, at_edge, correlation_lines
-from ..statistics import Array, Coefficient, Linearisation, spanned
+from ..statistics import Array, Coefficient, Linearisation, require_choice, spanned
 from ..tables.cells import named_branch
 from ..tables.records import read_record
 from ..tables.sources import load
@@ -50,10 +50,7 @@ class HoldsFit(Estimates):
 
     Examples
     --------
-    >>> p = np.array([2e5, 3e5, 4e5, 5e5])
-    >>> x = [plant.equilibrium({"muscle.pressure": v})["x"] for v in p]
-    >>> found = pam.fitting.fit_holds(plant, {"muscle_pressure": p, "x": x}, "mass")
-    >>> round(found.values["mass"], 3)
+    >>> round(pam.fitting.fit_holds(plant, holds, "mass").values["mass"], 3)
     10.0
     """
 
@@ -253,30 +250,22 @@ def fit_holds(
     columns, units : as for :func:`read_record`.
     time_limit : [s]; OutOfTime when it is over.
 
-    Returns
-    -------
-    HoldsFit: estimates with intervals, the fitted plant, residuals, a report.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments or holds that cannot be.
-    FitError : the holds do not tell what was asked; it names the combination that stays open.
+    Raises InputError, UnknownNameError (arguments or holds that cannot be), FitError (the holds do
+    not tell what was asked; it names the combination that stays open).
 
     Examples
     --------
-    >>> p = np.array([2e5, 3e5, 4e5, 5e5])
-    >>> x = [plant.equilibrium({"muscle.pressure": v})["x"] for v in p]
-    >>> found = pam.fitting.fit_holds(plant, {"muscle_pressure [bar]": p / 1e5, "x": x}, "mass")
+    >>> found = pam.fitting.fit_holds(plant, holds, "mass")  # pressures and positions, side by side
     >>> round(found.values["mass"], 3)
     10.0
     """
     require_plant(plant)
-    if loss not in ("squares", "huber", "bisquare"):
-        raise InputError(f"loss = {loss!r}: choose 'squares', 'huber' or 'bisquare'")
+    require_choice("loss", loss, ("squares", "huber", "bisquare"))
     names = require_names("estimate", estimate)
     table, label = _read(plant, holds, columns, units)
     compared = _compared(plant, table, measured)
-    given = {n: a for n, a in table.items() if n not in compared and n in _settable(plant)}
+    settable = {v.name for v in (*plant.states, *plant.inputs)}
+    given = {n: a for n, a in table.items() if n not in compared and n in settable}
     count = len(next(iter(table.values())))
     for name, value in (inputs or {}).items():
         given[plant.variable(name).name] = np.full(count, plant.variable(name).check(value))
@@ -325,10 +314,6 @@ def _read(
     numbered = {**raw.columns, clock: list(range(count))}
     record = read_record(numbered, plant, columns=columns, units=units, time=clock)
     return {v.name: np.asarray(record[v.name]) for v in record.variables}, label
-
-
-def _settable(plant: Plant) -> set[str]:
-    return {v.name for v in (*plant.states, *plant.inputs)}
 
 
 def _compared(plant: Plant, table: Mapping[str, Array], measured: Any) -> list[str]:
@@ -397,7 +382,8 @@ def _ways(
         if given == "sequence":
             return None
         given = [given] * n
-    words = [_word(s) for s in given]
+    texts = (str("" if s is None else s).strip().lower() for s in given)
+    words = [named_branch(text.removesuffix(".0")) for text in texts]
     bad = [w for w in words if w not in SIDES]
     if bad or len(words) != n:
         raise InputError(
@@ -422,11 +408,6 @@ def _sequence(model: HoldModel, measured: Mapping[str, Array]) -> Array:
     return np.asarray(np.nan_to_num(np.sign(moved)))
 
 
-def _word(value: Any) -> str:
-    text = str("" if value is None else value).strip().lower()
-    return named_branch(text.removesuffix(".0"))
-
-
 def _result(
     problem: Holds,
     found: Array,
@@ -449,11 +430,8 @@ def _result(
     follows = np.tile(np.arange(rows) > 0, y)
     counted = (rest / sizes * weights).ravel()
     quiet = alone or np.linalg.norm(scaled) <= 1e-9 * np.linalg.norm(problem.y / sizes)
-    serial = (
-        None
-        if quiet
-        else serial_errors(jacobian, counted, [Order("from hold to hold", order, follows)])
-    )
+    orders = [] if quiet else [Order("from hold to hold", order, follows)]
+    serial = serial_errors(jacobian, counted, orders)
     units = [v.unit for v in problem.variables]
     linear = Linearisation(problem.names, found, units, jacobian, scale, dof, serial=serial)
     _require_seen(linear, problem.nominal)

@@ -27,8 +27,7 @@ DECADES = (-2.0, 1.5)
 """A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
 POINTS_PER_DECADE = 12
 SLACK_TOLERANCE = 1.0
-"""A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp).
-"""
+"""Force [N] with which a law still counts as slack: the width of the muscle's clamp."""
 AT_ONCE = 100_000
 """Cells times scan points that are held in memory at once."""
 REWEIGHTINGS = 12
@@ -45,11 +44,7 @@ BISQUARE = 4.685
 def nonlinear_coefficients(
     law: type[ForceLaw], held: frozenset[str] = frozenset()
 ) -> tuple[str, ...]:
-    """The fewest coefficients which, once fixed, leave the law linear in all others together.
-
-    Found from the structure of the second derivative: two coefficients that share a non-zero
-    entry cannot both count as linear. ``held`` coefficients do not count.
-    """
+    """The fewest coefficients which, once fixed, leave the law linear in all others together."""
     function = law.function()
     c = ca.SX.sym("c", function.size1_in(2))
     tension = function(ca.SX.sym("p"), ca.SX.sym("kappa"), c)[0]
@@ -113,39 +108,32 @@ class Terms:
 
     def to_json(self) -> dict[str, Any]:
         """For JSON, which has no infinity: null in its place."""
-        content = asdict(self)
-        content["threshold"] = self.threshold if np.isfinite(self.threshold) else None
-        content["bounds"] = [
-            (n, *(value if np.isfinite(value) else None for value in ends))
-            for n, *ends in self.bounds
-        ]
-        return content
+        bounds = [(n, finite(low), finite(high)) for n, low, high in self.bounds]
+        return asdict(self) | {"threshold": finite(self.threshold), "bounds": bounds}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Terms:
         """What :meth:`to_json` gave; plain squares of nothing."""
         if not content:
             return cls()
-        threshold = content["threshold"]
-        return cls(
-            content["loss"],
-            np.inf if threshold is None else threshold,
-            content["censored"],
-            tuple(
-                (n, -np.inf if low is None else low, np.inf if high is None else high)
-                for n, low, high in content["bounds"]
-            ),
-            tuple((n, mean, deviation) for n, mean, deviation in content["priors"]),
-            content["noise"],
-            content.get("independent", False),
+        threshold = np.inf if content["threshold"] is None else content["threshold"]
+        bounds = tuple(
+            (n, -np.inf if low is None else low, np.inf if high is None else high)
+            for n, low, high in content["bounds"]
         )
+        priors = tuple((n, mean, deviation) for n, mean, deviation in content["priors"])
+        return cls(**{**content, "threshold": threshold, "bounds": bounds, "priors": priors})
+
+
+def finite(value: float) -> float | None:
+    """JSON has no infinity: null for an open end."""
+    return float(value) if np.isfinite(value) else None
 
 
 class Sums(NamedTuple):
-    """What Newton's method wants of a sum of squares.
-
-    cost (m,): |r|^2. right (m, all): J^T r, downhill. normal (m, all, all): J^T J. second
-    (m, all, all): what the second derivatives of r add to it.
+    """What Newton's method wants of a sum of squares. cost (m,): |r|^2. right (m, all): J^T r,
+    downhill. normal (m, all, all): J^T J. second (m, all, all): what the second derivatives of r
+    add to it.
     """
 
     cost: Array
@@ -181,9 +169,7 @@ class LeastSquares:
         terms: Terms = PLAIN,
         few: bool = False,
     ) -> LeastSquares:
-        """``few`` : the table may hold fewer cells than there are coefficients, for a part of a
-        fit.
-        """
+        """few : whether fewer cells than coefficients will do, for a part of a fit."""
         names = [v.name for v in law.coefficient_variables()]
         free = tuple(i for i, n in enumerate(names) if n not in held)
         bent = nonlinear_coefficients(law, frozenset(held))
@@ -264,11 +250,8 @@ class LeastSquares:
         return np.array([v.min for v in variables]), np.array([v.max for v in variables])
 
     def near(self, start: Array) -> tuple[Array, Array]:
-        """Bounds of the free coefficients next to ``start`` (all): the law's own; what the scan
-        left at its edge is held there.
-
-        At an edge the law degenerates (exp(a3 kappa) becomes a straight line, or a step), the
-        linear coefficients grow without end, and no optimum is reached by going on.
+        """Bounds of the free coefficients near ``start`` (all): the law's own; what the scan left
+        at its edge stays there, as the law degenerates beyond and has no optimum.
         """
         lower, upper = self.bounds()
         for place, i in enumerate(self.free):
@@ -280,9 +263,7 @@ class LeastSquares:
 
     @property
     def slack_tolerance(self) -> float:
-        """With so much force [N] the law still counts as slack: the width of the muscle's clamp,
-        or what cells at the floor of the load cell may hide.
-        """
+        """Force [N] with which the law counts as slack: of the clamp or the load cell's floor."""
         floor = self.slack.floor_found
         return max(SLACK_TOLERANCE, floor.limit if floor else 0.0)
 
@@ -368,10 +349,9 @@ class LeastSquares:
     def linear_in(
         self, values: Array, rows: Callable[[Array], tuple[Array, Array]]
     ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """What is left for the linear coefficients at nonlinear ``values`` (m, k), they being 0.
-
-        rows : ``evaluate`` or ``with_priors``. Returns coefficients (m, all), targets (m, n),
-        columns (m, n, linear) and which of the m are finite.
+        """Coefficients (m, all) with the linear ones 0, targets (m, n), columns (m, n, linear), and
+        which of the m are finite, at nonlinear ``values`` (m, k); rows by ``evaluate`` or
+        ``with_priors``.
         """
         c = np.tile(self.base, (len(values), 1))
         c[:, list(self.nonlinear)] = values
@@ -382,11 +362,9 @@ class LeastSquares:
         return c, target, columns, np.asarray(good)
 
     def triangles(self, values: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """What is left for the linear coefficients at nonlinear ``values`` (m, k), in short.
-
-        Returns coefficients (m, all), the linear ones 0; R (m, <= linear + 1, linear + 1) with
-        |R (-c, 1)| the residual of linear coefficients c (QR of columns and target, block by
-        block); and which of the m are finite.
+        """Coefficients (m, all), the linear ones 0; R (m, <= linear + 1, linear + 1) with |R (-c,
+        1)| the residual of linear coefficients c (QR of columns and target, block by block); which
+        are finite.
         """
         m, columns = len(values), [1 + i for i in self.linear]
         c = np.tile(self.base, (m, 1))
@@ -408,10 +386,8 @@ class LeastSquares:
         return c, found, good
 
     def project(self, values: Array) -> tuple[Array, Array]:
-        """Best linear coefficients for nonlinear ``values`` (m, k): costs (m,), all (m, c).
-
-        Inequalities are left out; a robust loss is met by reweighting. Memory stays that of the
-        table.
+        """Costs (m,), all (m, c) with the best linear coefficients at ``values`` (m, k), no
+        inequalities.
         """
         if self.terms.loss == "squares":
             c, whole, good = self.triangles(values)
@@ -453,8 +429,8 @@ def least_squares(columns: Array, target: Array) -> tuple[Array, Array]:
 
 
 def projected(triangles: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Costs (m,), best linear coefficients (m, k) and roots of their covariances (m, k, k), of what
-    :meth:`LeastSquares.triangles` gives; costs are infinite where it is not ``good``.
+    """Costs (m,) (infinite where not ``good``), best linear coefficients (m, k) and roots of their
+    covariances (m, k, k), of what :meth:`LeastSquares.triangles` gives.
     """
     columns, target = triangles[:, :, :-1], triangles[:, :, -1]
     best, root = least_squares(columns, target)
@@ -475,15 +451,13 @@ def sizes(variable: Variable) -> Array:
     if not values.size:  # narrow bounds beyond the scan
         values = np.array([variable.min if np.isfinite(variable.min) else variable.max])
     order = np.argsort(np.abs(values - variable.nominal), kind="stable")
-    result: Array = values[order]
-    return result
+    return np.asarray(values[order])
 
 
 # ---- scales of robust fits -----------------------------------------------------------------------
 def spread(residuals: Array, fitted: int) -> float:
-    """Standard deviation of normal errors from the median of the largest n - fitted residuals.
-
-    A fit of k coefficients by absolute values leaves k residuals at zero, which say nothing.
+    """Standard deviation of normal errors: the median of the largest n - fitted residuals (as k are
+    0).
     """
     size = np.sort(np.abs(residuals))[min(fitted, residuals.size - 1) :]
     return float(np.median(size) / 0.6745)
@@ -491,22 +465,17 @@ def spread(residuals: Array, fitted: int) -> float:
 
 def robust_scale(terms: Terms, residuals: Array, fitted: int) -> float:
     """The factor s of the covariance s^2 (J^T J)^-1 of a robust fit (weighted residuals [N]).
-
-    Huber, bisquare: P. Huber, Robust Statistics (1981), eq. 7.6.6, with its correction for small
-    samples.
+    Huber, bisquare: P. Huber, Robust Statistics (1981), eq. 7.6.6, corrected for small samples.
     Absolute values: 1/(2 f(0)), the density f of the residuals by a normal kernel of Silverman's
     width (asymptotic; G. Bassett, R. Koenker, J. Am. Stat. Assoc. 73 (1978) 618-622).
     """
     n = residuals.size
-    if terms.loss == "huber":
-        inside = float(np.mean(np.abs(residuals) <= terms.threshold))
+    if terms.loss != "l1":
         slopes = np.clip(residuals, -terms.threshold, terms.threshold)
-        correction = 1 + fitted / n * (1 - inside) / inside
-        return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / inside)
-    if terms.loss == "bisquare":
-        near = terms.reweighting(residuals, 0.0)  # 1 - u2
-        slopes = residuals * near**2
-        bends = near * (5 * near - 4)  # (1 - u2)(1 - 5 u2), 0 beyond
+        bends = np.where(np.abs(residuals) <= terms.threshold, 1.0, 0.0)
+        if terms.loss == "bisquare":
+            near = terms.reweighting(residuals, 0.0)  # 1 - u2
+            slopes, bends = residuals * near**2, near * (5 * near - 4)  # (1 - u2)(1 - 5 u2)
         mean = float(np.mean(bends))
         correction = 1 + fitted / n * float(np.var(bends)) / mean**2
         return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / mean)

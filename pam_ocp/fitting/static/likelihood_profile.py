@@ -23,16 +23,14 @@ from ...core.plausible import UnitWarning
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .least_squares import DECADES, LeastSquares, projected, sizes
-from .local_optimum import Bounded, descend
+from .local_optimum import Problem, descend
 from .optimum import Optimum
 from .search import minimise
 
 SAME_COST = 1e-9
 """Relative fall of the cost at which the others count as fitted, where one of them walks."""
 FARTHEST = 1e4
-"""Standard errors (or, if more, values of the coefficient) within which an end is sought by
-walking.
-"""
+"""Standard errors (or, if more, values of the coefficient) as far as which a walk seeks an end."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +46,7 @@ def profile_ends(
     fit: Optimum, names: Sequence[str], reach: float, executor: Place = None
 ) -> dict[str, Ends]:
     """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
-
-    A standard error that is larger than that of independent errors widens the interval as much.
-
-    executor : where coefficients walk. A sweep takes milliseconds for all, and is done here.
+    executor : where coefficients walk; a sweep takes milliseconds for all, and is done here.
     """
     placed(executor)
     plain = dict(zip(fit.free, fit.linearisation.independent.stderr().tolist(), strict=True))
@@ -80,9 +75,8 @@ def _end(fit: Optimum, walk: tuple[str, float, float]) -> tuple[float, str]:
 
 def _others(fit: Optimum, place: int, start: Array) -> tuple[Array, float]:
     """The best of all but coefficient number ``place``, near ``start``, and what they cost.
-
-    Inequalities make several optima, so censored cells ask for a whole fit. Where the law cannot
-    be slack there, the place is out of reach: it costs more than any limit (but a finite sum).
+    Censored cells ask for a whole fit; a place where the law cannot be slack costs more than any
+    limit.
     """
     problem, beyond = fit.problem, float(np.finfo(float).max)
     if not problem.censored:
@@ -100,7 +94,7 @@ def _others(fit: Optimum, place: int, start: Array) -> tuple[Array, float]:
     return best, cost if np.all(pull <= 1.001 * problem.slack_tolerance) else beyond
 
 
-def refitted(problem: Bounded, start: Array, held: Sequence[int]) -> tuple[Array, float]:
+def refitted(problem: Problem, start: Array, held: Sequence[int]) -> tuple[Array, float]:
     """The best of the unknowns near ``start`` that are not ``held``, and what they cost."""
     free = list(problem.free)
     low, high = (
@@ -112,8 +106,7 @@ def refitted(problem: Bounded, start: Array, held: Sequence[int]) -> tuple[Array
 
 def profile_end(fit: Optimum, name: str, step: float, limit: float) -> tuple[float, str]:
     """Value of ``name``, on the side of ``step``, at which the profiled cost reaches ``limit``, or
-    why there is none; see :func:`walked`. A nonlinear coefficient is followed as far as it is
-    sought.
+    why there is none; see :func:`walked`.
     """
     place, problem = list(fit.law.values).index(name), fit.problem
     variable, best = problem.variables[place], float(fit.law.values[name])
@@ -134,12 +127,9 @@ def walked(
     bounds: tuple[float, float],
     reach: float,
 ) -> tuple[float, str]:
-    """Value of unknown number ``place``, on the side of ``step``, at which the cost reaches
-    ``limit``, the others fitted anew from step to step.
-
-    others : the best of the others near given unknowns, and what they cost. bounds : of the
-    unknown, which may come first. reach : how far it is followed. Infinite, with the reason, where
-    the cost stays below the limit or cannot be computed.
+    """Where the cost reaches ``limit`` on the side of ``step`` of unknown number ``place``. others
+    : the best of the others near given unknowns, and what they cost. bounds : of the unknown. reach
+    : how far it is followed. Infinite, with the reason, where the cost stays below.
     """
     from scipy.optimize import brentq
 
@@ -184,9 +174,7 @@ ZOOMS, POINTS = 5, 41
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """Profile intervals and bands of a law with one nonlinear coefficient q, over its whole range:
-    costs and ends of all linear coefficients over values of q.
-
+    """Profile intervals and bands of a law with one nonlinear coefficient q, over all of its range.
     For a given q the cost is least + (c - best)^2/variance in each linear coefficient c.
     """
 
@@ -227,9 +215,7 @@ class Sweep:
         return projected(*problem.triangles(values[:, None])[1:])
 
     def ends(self, asked: Sequence[tuple[int, float, float]]) -> list[tuple[float, str]]:
-        """Ends of intervals, and why they are infinite, each for (number among the free
-        coefficients, side, limit).
-        """
+        """Ends of intervals, for (number among the free coefficients, side, limit), or why none."""
         last, count = len(self.values) - 1, len(asked)
         first = [
             int(np.argmax(self._reached(self.values, self._told(self.results, *one), *one)))
@@ -304,9 +290,7 @@ class Sweep:
         return np.where((above <= 0) & np.isfinite(far), far, -np.inf)
 
     def band(self, p: Array, kappa: Array, limits: Array) -> tuple[Array, Array]:
-        """Lowest and highest force (n,) at places (n,) over all laws that cost no more than
-        ``limits`` (n,).
-        """
+        """Lowest and highest force (n,) at places (n,) over laws of no more than these costs."""
         cost, best, root = self.results
         kept = cost <= max(float(limits.max()), float(cost.min()))
         with warnings.catch_warnings():
@@ -323,9 +307,7 @@ class Sweep:
         return np.asarray(low.min(axis=0)), np.asarray(high.max(axis=0))
 
     def _at_edge(self, j: int) -> bool:
-        """Whether the law degenerates at this value: the ends of the scan, and where it passes
-        zero.
-        """
+        """Whether the law degenerates at this value: an end of the scan, or beside zero."""
         if j in (0, len(self.values) - 1):
             return True
         variable = self.problem.variables[self.place]

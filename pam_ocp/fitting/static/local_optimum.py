@@ -49,56 +49,36 @@ class Squares(Protocol):
 
     @property
     def free(self) -> Sequence[int]: ...
-
     @property
-    def size(self) -> float:
-        """Norm of the weighted measurements."""
-        ...
-
+    def size(self) -> float: ...  # norm of the weighted measurements
     def sums(self, coefficients: Array, second: bool = False) -> Sums: ...
 
 
-class Bounded(Squares, Protocol):
-    """One whose free unknowns have bounds."""
-
-    def bounds(self) -> tuple[Array, Array]: ...
-
-
-class Problem(Bounded, Protocol):
+class Problem(Squares, Protocol):
     """One of force laws, whose ``nonlinear`` unknowns are scanned."""
 
     @property
     def law(self) -> type[ForceLaw]: ...
-
     @property
     def names(self) -> tuple[str, ...]: ...
-
     @property
     def nonlinear(self) -> Sequence[int]: ...
-
     @property
     def terms(self) -> Terms: ...
-
     @property
     def limited(self) -> bool: ...
-
     @property
     def scales(self) -> list[Array]: ...
-
     def thinned(self) -> Problem: ...
-
+    def bounds(self) -> tuple[Array, Array]: ...
     def near(self, start: Array) -> tuple[Array, Array]: ...
-
     def project(self, values: Array) -> tuple[Array, Array]: ...
-
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]: ...
 
 
 @dataclass(frozen=True, eq=False)
 class Descended:
-    """Where starts came to: coefficients (m, all), costs (m,), steps (m,), and which free
-    coefficients rest at a bound (m, free).
-    """
+    """Where starts came to; ``resting`` : free coefficients at a bound (m, free)."""
 
     coefficients: Array
     cost: Array
@@ -109,11 +89,9 @@ class Descended:
 def descend(
     problem: Squares, starts: Array, low: Array, high: Array, settled: float = 0.0
 ) -> Descended:
-    """Follow starts (m, all) to the least squares next to them, priors included.
-
-    low, high : bounds of the free coefficients, (m, free); those with low = high stay where they
-    are. settled : relative fall of the cost in one step at which a descent ends; by default it goes
-    on to a stationary point. Costs are infinite where the law gives no finite force at the start.
+    """Follow starts (m, all) to the least squares next to them, priors included. low, high : (m,
+    free). settled : relative fall of the cost at which a descent ends, by default none. Costs are
+    infinite where the law gives no finite force at the start.
     """
     return _Descent(problem, starts, low, high, settled).run()
 
@@ -177,16 +155,12 @@ class _Descent:
         return Descended(self.c, self.cost, self.steps, self.resting)
 
     def _idle(self, least: float, count: int) -> NDArray[np.bool_]:
-        """Starts that need not be followed: on their way to where another has come, or long on a
-        way from far above it.
-        """
+        """Starts that come to where another has been, or are long on a way from far above it."""
         same = (self.cost >= least) & (self.cost <= least * (1 + SAME))
         return same | ((self.cost > FAR * least) & (count > PATIENCE))
 
     def _at(self, c: Array, near: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:
-        """Cost, J^T r, J^T J and second derivatives of the free coefficients; the last only where
-        ``near``.
-        """
+        """Cost, J^T r, J^T J and (where ``near``) second derivatives of the free coefficients."""
         m, k = len(c), len(self.free)
         found = (np.empty(m), np.empty((m, k)), np.empty((m, k, k)), np.zeros((m, k, k)))
         for chosen, second in ((~near, False), (near, True)):
@@ -241,17 +215,11 @@ def _without(matrix: Array, resting: NDArray[np.bool_]) -> Array:
 
 # ---- optima --------------------------------------------------------------------------------------
 EXPANDED = 1000
-"""Cells up to which the solver's functions are written out, which makes many small fits fast.
-
-Beyond, one law is mapped over the cells: what it takes to build does not grow with each of them.
-"""
-
+"""Cells up to which the solver's functions are written out; beyond, one law is mapped over them."""
 STATIONARY = 1e-6
 """Largest cosine between the residual and a column of the Jacobian at an optimum."""
-
 SPLIT = ("huber", "l1")
-"""Losses with a kink, or a jump of their curvature, which the solver meets by splitting residuals.
-"""
+"""Losses with a kink, or a jump of their curvature: the solver splits residuals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,10 +235,8 @@ class Minimum:
 def _solver(
     law: type[ForceLaw], free: tuple[int, ...], count: int, loss: Loss, priors: int, slack: int
 ) -> Nlp:
-    """min sum rho(w (F - y)/unit)/2 over scaled coefficients; built once per law and size.
-
-    Huber's loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|. So
-    IPOPT sees a smooth problem whose solution is that of the loss itself. Tukey's is smooth itself.
+    """min sum rho(w (F - y)/unit)/2 over scaled coefficients; built once per law and size. Huber's
+    loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|: smooth.
     """
     total = law.function().size1_in(2)
     z, base = ca.MX.sym("z", len(free)), ca.MX.sym("base", total)
@@ -411,9 +377,7 @@ def _data(problem: LeastSquares, limp: Any, base: Array, scale: Array, unit: flo
 def _gradient(
     problem: LeastSquares, c: Array, inside: list[int], size: float, statistics: dict[str, Any]
 ) -> float:
-    """Largest cosine of residual and Jacobian; for robust losses and inequalities IPOPT's own
-    measure.
-    """
+    """Largest cosine of residual and Jacobian; IPOPT's own measure for kinks and inequalities."""
     if problem.terms.loss in SPLIT or problem.censored:
         done = statistics["success"] and np.isfinite(problem.cost(c))
         return float(statistics["iterations"]["inf_du"][-1]) if done else float("inf")

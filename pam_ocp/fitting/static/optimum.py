@@ -32,11 +32,8 @@ def sensitivity(law: ForceLaw, free: Sequence[str], p: Array, kappa: Array) -> t
 
 @dataclass(frozen=True, eq=False)
 class Optimum(Estimates):
-    """A force law at the coefficients that fit a table best, and the problem near them.
-
-    law : the fitted law. table : the data, slack cells included. held : coefficients that were
-    not fitted. weights : of the taut cells, or None. solver : how the optimum was found.
-    terms : loss, censoring, bounds and priors of the fit.
+    """A force law at the coefficients that fit a table best, and the problem near them; the fields
+    are those of :class:`ForceFit`.
     """
 
     law: ForceLaw
@@ -119,10 +116,7 @@ class Optimum(Estimates):
 
     @property
     def sigma(self) -> float:
-        """Standard deviation s of a measurement of weight 1 [N]; NaN without freedom.
-
-        After a robust fit from the median of the absolute residuals, or the scale of the bisquare.
-        """
+        """Standard deviation s of a measurement of weight 1 [N], robust after a robust fit."""
         if not self.dof:
             return float("nan")
         if self.terms.loss == "bisquare":
@@ -165,9 +159,7 @@ class Optimum(Estimates):
 
     @property
     def serial(self) -> SerialErrors | None:
-        """The serial correlation of errors along a ramp, which widens all intervals; None where
-        there is none.
-        """
+        """The serial correlation of errors along a ramp, if any; it widens all intervals."""
         return self.linearisation.serial
 
     @property

@@ -33,11 +33,7 @@ Fit = TypeVar("Fit", ForceFit, JointForceFit)
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Generic[Fit]):
-    """A law that was tried.
-
-    fit : None, with the reason in ``problem``, where there is none.
-    left_out : what was left out of a fit (a level, a muscle) -> RMSE [N] there.
-    """
+    """A law tried: its fit (None by a ``problem``), RMSE [N] by what was ``left_out`` of a fit."""
 
     name: str
     fit: Fit | None
@@ -75,8 +71,7 @@ class ComparedLaw(Candidate[ForceFit]):
 
     Examples
     --------
-    >>> best = pam.compare_laws(table, ["six-parameter", "five-parameter"]).laws[0]
-    >>> best.name, round(best.left_out_rmse, 1)
+    >>> comparison.best.name, round(comparison.best.left_out_rmse, 1)
     ('five-parameter', 16.4)
     """
 
@@ -111,9 +106,8 @@ class LawComparison:
 
     Examples
     --------
-    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
-    >>> found.best.name
-    'five-parameter'
+    >>> [law.name for law in comparison.laws]
+    ['five-parameter', 'six-parameter']
     """
 
     laws: tuple[ComparedLaw, ...]
@@ -170,29 +164,18 @@ def compare_laws(
     executor : where the laws are fitted, as for :func:`pam_ocp.each`.
     time_limit : [s]; laws that are not reached are listed with it as the reason.
 
-    Returns
-    -------
-    LawComparison; ``print`` it for a table. Laws whose constants are not given, or whose fit is not
-    found, are listed with the reason.
-
-    Raises
-    ------
-    InputError : no law, or a name in ``fixed`` that no law knows.
+    ``print`` the result for a table. Laws whose constants are not given, or whose fit is not found,
+    are listed with the reason. Raises InputError, UnknownNameError (no law, or a name in ``fixed``
+    that no law knows).
 
     Examples
     --------
-    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
-    >>> [law.name for law in found.laws]
-    ['five-parameter', 'six-parameter']
+    >>> pam.compare_laws(table, ["six-parameter", "five-parameter"]).best.name
+    'five-parameter'
     """
     require_table(table)
-    chosen: list[str | type[ForceLaw]] = (
-        [*LAWS, polynomial_law(1, 3)]
-        if laws is None
-        else [laws]
-        if isinstance(laws, str)
-        else list(laws)
-    )
+    given: Iterable[str | type[ForceLaw]] = [*LAWS, polynomial_law(1, 3)] if laws is None else laws
+    chosen = [given] if isinstance(given, str) else list(given)
     if not chosen:
         raise InputError("laws is empty: give names or classes of force laws")
     kinds = [law_class(law) for law in chosen]

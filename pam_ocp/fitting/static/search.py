@@ -37,11 +37,8 @@ STEPS = 40
 
 def robust_start(problem: LeastSquares) -> tuple[Array, float]:
     """Coefficients (all) from which to seek the optimum of a bisquare, and where it ends [N].
-
-    Twice: what lies beyond the end at first is taken out before scale and start are found again,
-    so that wrong cells do not change how many of the others are left out.
-
-    Raises FitError where no subset gives a finite law.
+    Twice: what lies beyond the end at first is taken out before scale and start are found again, so
+    that wrong cells do not change how many of the others are left out. Raises FitError.
     """
     least = 1e-9 * problem.size
     within = replace(problem, terms=replace(problem.terms, loss="bisquare"))
@@ -58,11 +55,8 @@ def robust_start(problem: LeastSquares) -> tuple[Array, float]:
 
 
 def trimmed_start(problem: LeastSquares) -> tuple[Array, float]:
-    """Coefficients (m, all), the best first, and the standard deviation of the cells kept [N].
-
-    The deviation is that of normal errors whose largest were left out.
-
-    Raises FitError where no subset gives a finite law.
+    """Coefficients (m, all), the best first, and the standard deviation of the cells kept [N]: that
+    of normal errors whose largest were left out. Raises FitError where no law is finite.
     """
     trim = _Trim.of(problem)
     followed = [_followed(problem, c, trim) for c in _candidates(problem, trim)]
@@ -87,10 +81,7 @@ def _normal_factor(share: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Trim:
-    """Which cells are left out: the ``count`` largest residuals, at most half of a level.
-
-    groups : the cells of each contraction level.
-    """
+    """Which cells are left out: the ``count`` largest residuals, at most half of a level."""
 
     count: int
     groups: tuple[NDArray[np.intp], ...]
@@ -126,7 +117,9 @@ class _Trim:
 def _candidates(problem: LeastSquares, trim: _Trim) -> Array:
     """The best coefficients (FOLLOWED, all) through random subsets, after two improvements."""
     random = np.random.default_rng(19840701)
-    values = _nonlinear_values(problem, random)
+    values = _points(problem, NONLINEAR[1], random)
+    if len(problem.scales) == 1:
+        values = values[np.linspace(0, len(values) - 1, NONLINEAR[0]).astype(int)]
     c, target, columns, good = problem.linear_in(values, problem.evaluate)
     if not good.any():
         raise FitError(f"the {problem.law.name} law gives no finite force anywhere in the scan")
@@ -148,15 +141,14 @@ def _candidates(problem: LeastSquares, trim: _Trim) -> Array:
     return np.array(found)[np.argsort(costs)[:FOLLOWED]]
 
 
-def _nonlinear_values(problem: LeastSquares, random: np.random.Generator) -> Array:
+def _points(problem: Problem, count: int, random: np.random.Generator) -> Array:
+    """Places (m, k) of the nonlinear coefficients: the scale of one, random ones of several."""
     scales = problem.scales
+    if len(scales) == 1:
+        return np.sort(scales[0])[:, None]
     if not scales:
         return np.zeros((1, 0))
-    if len(scales) == 1:
-        ordered = np.sort(scales[0])
-        places = np.linspace(0, ordered.size - 1, NONLINEAR[0]).astype(int)
-        return np.asarray(ordered[places][:, None])
-    return np.stack([random.choice(s, NONLINEAR[1]) for s in scales], axis=1)
+    return np.stack([random.choice(s, count) for s in scales], axis=1)
 
 
 def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, float]:
@@ -175,9 +167,7 @@ def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, 
 
 
 class Effort(NamedTuple):
-    """points : of the scan with two or more nonlinear unknowns (always the same ones). followed :
-    how many local minima of it are followed up.
-    """
+    """points : of the scan with several nonlinear unknowns. followed : local minima of it."""
 
     points: int
     followed: int
@@ -189,8 +179,7 @@ NEAR = Effort(100, 6)
 POLISHED_ALONE = 3
 """As many for a law with one nonlinear coefficient."""
 FLAT = 1e-7
-"""Part of the cost by which a point that is not stationary must be better to be looked at at all.
-"""
+"""Part of the cost by which a point that is not stationary must be better to count at all."""
 DOUBT = (
     "the optimum is so flat, or so near to where the law degenerates, that the solver came to no "
     "stationary point: other coefficients may fit as well (see condition and rank)"
@@ -240,9 +229,7 @@ def minimise(
 
 
 def _settled(problem: Problem, found: Minimum) -> Minimum:
-    """A point at which Newton steps did not end, followed by IPOPT; accepted with a doubt, if need
-    be.
-    """
+    """A point at which Newton steps did not end, followed by IPOPT; if need be, with a doubt."""
     if isinstance(problem, LeastSquares) and problem.smooth:
         again = by_ipopt(problem, found.coefficients, found.solver.scanned)
         if again.cost <= found.cost * (1 + FLAT):
@@ -255,13 +242,10 @@ def _settled(problem: Problem, found: Minimum) -> Minimum:
 def _scan(problem: Problem, start: Array | None, effort: Effort) -> tuple[Array, int]:
     """Coefficients (m, all) from which the optimum is to be sought, best first; points scanned."""
     scales = problem.scales
+    points = _points(problem, effort.points, np.random.default_rng(20150101))
     if not scales:
-        return problem.project(np.zeros((1, 0)))[1], 1
-    if len(scales) == 1:
-        points = np.sort(scales[0])[:, None]
-    else:
-        random = np.random.default_rng(20150101)
-        points = np.stack([random.choice(s, effort.points) for s in scales], axis=1)
+        return problem.project(points)[1], 1
+    if len(scales) > 1:
         points[0] = [s[0] for s in scales]
     if start is not None:
         points = np.concatenate([points, start])

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,10 +21,17 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.cases import results_of
 from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.executors import Place, placed
-from ...core.variables import Variable
 from ...muscles.law import ForceLaw
 from ..estimates import Estimates, at_edge, correlation_lines
-from ..statistics import Array, Linearisation, SerialErrors, SolverStatistics, even, spanned
+from ..statistics import (
+    Array,
+    Linearisation,
+    SerialErrors,
+    SolverStatistics,
+    even,
+    require_choice,
+    spanned,
+)
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
 from .force_fit import ForceFit
@@ -65,9 +73,7 @@ class MemberFit(ForceFit):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """As of a fit alone, but for the number of levels:
-        the other tables tell more than these.
-        """
+        """As of a fit alone, but for the number of levels: the other tables tell more."""
         return (*floor_doubts(self), *unseen(self), *at_edge(self.solver.at_bound, self.law.values))
 
     @property
@@ -91,10 +97,7 @@ class MemberFit(ForceFit):
 
 
 def marginal_root(jacobian: Array, place: Any) -> Array:
-    """R (k, k) with R^T R the information on some unknowns when the others are unknown too.
-
-    The columns of the others are projected out of theirs (what is left of a QR decomposition).
-    """
+    """R (k, k) with R^T R the information on some unknowns, the others projected out (by QR)."""
     scaled, norms = even(jacobian)
     others, rest = spanned(np.delete(scaled, place, axis=1), 1e-12), scaled[:, place]
     rest = rest - others @ (others.T @ rest)
@@ -221,8 +224,7 @@ def jointly_fitted(
     """See :func:`fit_forces`; tables : {muscle: table}, or a sequence of tables."""
     began = time.perf_counter()
     named = _named(tables)
-    if noise not in ("equal", "each"):
-        raise InputError(f"noise = {noise!r}: choose 'equal' or 'each'")
+    require_choice("noise", noise, ("equal", "each"))
     problem, common, units = _stated(kind, named, shared, fixed, weights, bounds)
     optimum, factors = _settled(problem, noise)
     weighted = problem.weighted(factors)
@@ -273,13 +275,9 @@ def _settled(problem: JointProblem, noise: str) -> tuple[Minimum, list[float]]:
 
 def _separate(problem: JointProblem) -> Array | None:
     """Nonlinear unknowns that the tables alone would have: every one's for what is shared."""
-    alone = []
-    for part in problem.parts:
-        try:
-            alone.append(minimise(part).coefficients)
-        except FitError:  # a table too poor to be fitted alone gives no start
-            continue
-    if len(alone) < len(problem.parts):
+    try:
+        alone = [minimise(part).coefficients for part in problem.parts]
+    except FitError:  # a table too poor to be fitted alone gives no start
         return None
     starts = []
     for lead in range(len(alone)):
@@ -307,8 +305,7 @@ def _stated(
     ]
     free = [n for n in every if n not in helds[0]]
     common = tuple(free) if shared == "all" else _shared(shared, every, free)
-    if weights is None:
-        weights = [None] * len(tables)
+    weights = [None] * len(tables) if weights is None else weights
     if len(weights) != len(tables):
         raise InputError(
             f"weights: {len(weights)} for {len(tables)} tables; give one (or None) each"
@@ -363,29 +360,23 @@ def _member(
     c = problem.coefficients(optimum.coefficients[None])[i][0]
     names = part.names
     free = tuple(names[j] for j in part.free)
-    root = marginal_root(linear.jacobian, place)
-    marginal = Linearisation(
-        free,
-        linear.values[place],
-        [linear.units[j] for j in place],
-        root / factor,
-        linear.scale / factor,
-        linear.dof,
-        serial=_marginal_serial(linear, root / factor, place, factor),
+    root, unknowns = marginal_root(linear.jacobian, place) / factor, place.tolist()
+    marginal = replace(
+        linear,
+        names=free,
+        values=linear.values[place],
+        units=[linear.units[j] for j in unknowns],
+        jacobian=root,
+        scale=linear.scale / factor,
+        serial=_marginal_serial(linear, root, place, factor),
     )
+    at_bound = [linear.names[j] in solver.at_bound for j in unknowns]
     return MemberFit(
         law=part.law(**dict(zip(names, c.tolist(), strict=True))),
         table=table,
         held=tuple(n for n in names if n not in free),
         weights=None if np.all(part.weights == 1) else part.weights,
-        solver=replace(
-            solver,
-            at_bound=tuple(
-                own
-                for own, z in zip(free, place, strict=True)
-                if linear.names[z] in solver.at_bound
-            ),
-        ),
+        solver=replace(solver, at_bound=tuple(compress(free, at_bound))),
         terms=PLAIN,
         marginal=marginal,
     )
@@ -501,13 +492,12 @@ class JointProblem:
     @cached_property
     def nonlinear(self) -> list[int]:
         """Positions in z of the coefficients in which the law is not linear."""
-        found = {
-            int(z)
-            for part, place in zip(self.parts, self.places, strict=True)
-            for i, z in zip(part.free, place, strict=True)
-            if i in part.nonlinear
-        }
-        return sorted(found)
+        return sorted({z for part, i, z in self._each() if i in part.nonlinear})
+
+    def _each(self) -> Iterator[tuple[LeastSquares, int, int]]:
+        """(a table's problem, one of its free coefficients, where in z it stands)."""
+        for part, place in zip(self.parts, self.places, strict=True):
+            yield from ((part, i, z) for i, z in zip(part.free, place.tolist(), strict=True))
 
     def coefficients(self, z: Array) -> list[Array]:
         """All coefficients of each law (m, all) at unknowns (m, count)."""
@@ -571,24 +561,19 @@ class JointProblem:
     def bounds(self) -> tuple[Array, Array]:
         """Of z: the narrowest of all tables that share an unknown."""
         low, high = np.full(self.count, -np.inf), np.full(self.count, np.inf)
-        for part, place in zip(self.parts, self.places, strict=True):
-            for i, z in zip(part.free, place, strict=True):
-                low[z] = max(low[z], part.variables[i].min)
-                high[z] = min(high[z], part.variables[i].max)
+        for part, i, z in self._each():
+            low[z] = max(low[z], part.variables[i].min)
+            high[z] = min(high[z], part.variables[i].max)
         return low, high
 
     @cached_property
     def scales(self) -> list[Array]:
         """Values at which each nonlinear unknown is scanned."""
-        variables: dict[int, Variable] = {}
-        for part, place in zip(self.parts, self.places, strict=True):
-            variables |= {int(z): part.variables[i] for i, z in zip(part.free, place, strict=True)}
+        variables = {z: part.variables[i] for part, i, z in self._each()}
         return [sizes(variables[z]) for z in self.nonlinear]
 
     def near(self, start: Array) -> tuple[Array, Array]:
-        """Bounds within the reach of the scan: beyond it a law degenerates,
-        and nothing is reached.
-        """
+        """Bounds within the reach of the scan: beyond it a law degenerates."""
         low, high = self.bounds()
         for i, scale in zip(self.nonlinear, self.scales, strict=True):
             if not np.isfinite(high[i] - low[i]):

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from ...core.stop import verb
 from ...core.variables import Variable
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import law_named
-from ..statistics import Array
+from ..statistics import Array, require_choice
 from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
 from .least_squares import HUBER, LeastSquares, Loss, Terms, sizes, spread
@@ -71,14 +71,8 @@ def fit_force(
         after measuring in random order.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Returns
-    -------
-    ForceFit, with coefficients, intervals and residuals.
-
-    Raises
-    ------
-    InputError, UnknownNameError : arguments that cannot be; fewer taut cells than coefficients.
-    FitError : the solver found no stationary point.
+    Raises InputError, UnknownNameError (arguments that cannot be, fewer taut cells than
+    coefficients), FitError (no stationary point was found).
 
     Examples
     --------
@@ -93,7 +87,7 @@ def fit_force(
     kind = law_class(law)
     held = held_coefficients(kind, dict(fixed or {}), table)
     terms = Terms(
-        _loss(loss),
+        require_choice("loss", loss, get_args(Loss)),
         censored=bool(censored),
         bounds=checked_pairs(kind, "bounds", bounds, held),
         priors=checked_pairs(kind, "priors", priors, held),
@@ -193,16 +187,8 @@ def _are_equal(weights: Any, table: ForceTable) -> bool:
     return weights is None and not known
 
 
-def _loss(loss: Any) -> Loss:
-    if loss not in ("squares", "huber", "l1", "bisquare"):
-        raise InputError(f"loss = {loss!r}: choose 'squares', 'huber', 'l1' or 'bisquare'")
-    return loss  # type: ignore[no-any-return]
-
-
 def independent(errors: Any) -> bool:
-    if errors not in ("as found", "independent"):
-        raise InputError(f"errors = {errors!r}: choose 'as found' or 'independent'")
-    return bool(errors == "independent")
+    return bool(require_choice("errors", errors, ("as found", "independent")) == "independent")
 
 
 def checked_pairs(
@@ -232,10 +218,7 @@ def _prior(where: str, value: Any) -> tuple[float, float]:
 
 
 def _settled(problem: LeastSquares, noise: float | None) -> tuple[LeastSquares, Array | None]:
-    """The problem with the scales that its loss and its priors need, from the data themselves.
-
-    Also where to begin, for a loss that has more than one optimum.
-    """
+    """The problem with the scales that its loss and priors need from the data; where to begin."""
     terms = problem.terms
     if terms.priors and noise is None:
         bare = replace(problem, terms=replace(terms, priors=(), loss="squares"))
@@ -266,11 +249,8 @@ def _start(problem: LeastSquares, start: Mapping[str, Any]) -> Array | None:
     values = np.array([[given.get(n, nominal[n][0]) for n in wanted]])
     # beyond the edges of the scan a law has degenerated; a start there counts as the edge
     reach = [np.abs(nominal[n]) for n in wanted]
-    signs = np.where(values < 0, -1.0, 1.0)
-    clipped: Array = signs * np.clip(
-        np.abs(values), [s.min() for s in reach], [s.max() for s in reach]
-    )
-    return clipped
+    sizes_ = np.clip(np.abs(values), [s.min() for s in reach], [s.max() for s in reach])
+    return np.asarray(np.where(values < 0, -sizes_, sizes_))
 
 
 @verb
@@ -283,12 +263,6 @@ def fit_branches(
 
     Examples
     --------
-    >>> both = pam.fitting.ForceTable(
-    ...     np.tile(table.pressure, 2),
-    ...     np.tile(table.contraction, 2),
-    ...     np.tile(table.force, 2),
-    ...     branch=("inflation",) * 126 + ("deflation",) * 126,
-    ... )
     >>> sorted(pam.fitting.fit_branches(both))
     ['deflation', 'inflation']
     """

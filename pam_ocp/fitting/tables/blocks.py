@@ -81,10 +81,8 @@ def looks_pivoted(grid: Grid, start: int) -> bool:
 
 
 def pivoted(grid: Grid, start: int, said: Sequence[str] | None) -> RawTable:
-    """The cells of a pivot as rows of three columns; empty cells are left out, and counted.
-
-    said : (down, across) or (down, across, cells), as headers. Raises InputError where they must
-    be said.
+    """The cells of a pivot as rows of three columns said (down, across[, cells]), empty ones
+    counted.
     """
     place = _corner_row(grid, start)
     if place is None:
@@ -359,10 +357,8 @@ def clocked(tables: Mapping[str, Any]) -> bool:
 
 
 def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> RawTable:
-    """The columns of all on the clock of the one with most rows, where all were recorded.
-
-    Commands are held between their samples, what is measured is interpolated linearly, never
-    across a gap. Raises InputError where they were not recorded together.
+    """The columns of all on the clock of the one with most rows, where all were recorded. Commands
+    are held between their samples, what is measured interpolated, never across a gap.
     """
     raws = {n: RawTable(f"{label}: {n}", t) for n, t in tables.items()}
     heads: dict[str, str] = {n: str(find_clock(raw)[1]) for n, raw in raws.items()}
@@ -414,10 +410,7 @@ def merged(tables: Mapping[str, Mapping[str, Sequence[Any]]], label: str) -> Raw
 def _on_one_scale(
     raws: Mapping[str, RawTable], heads: Mapping[str, str], label: str
 ) -> tuple[dict[str, NDArray[np.float64]], tuple[Doubt, ...], bool]:
-    """(times [s] from one zero, what is doubted of them, whether they say that they are seconds).
-
-    Raises InputError where clocks are of several kinds, or go back.
-    """
+    """(times [s] from one zero, what is doubted of them, whether they were said to be seconds)."""
     units = {raw.unit(heads[n]) for n, raw in raws.items()}
     cells = [c for n, raw in raws.items() for c in raw.columns[heads[n]]]
     first = heads[next(iter(heads))]

@@ -169,9 +169,7 @@ def is_unit(text: str) -> bool:
 
 
 def matching(names: frozenset[str], headers: Iterable[str]) -> list[str]:
-    """The headers that bear one of the names; only where none does, those that say besides that
-    it was measured (``p_meas``, ``Druck Ist``).
-    """
+    """The headers that bear one of the names, or else those that also say "measured"."""
     parsed = {h: parse_header(h)[0] for h in headers}
     exact = [h for h, name in parsed.items() if name in names]
     if exact:
@@ -325,10 +323,8 @@ def without_units(
     places: Sequence[Any],
     headers: Mapping[int, str] | None = None,
 ) -> tuple[dict[int, list[Any]], dict[int, str], str | None]:
-    """(columns of plain numbers, their units, decimal sign) of those columns whose cells name a
-    unit; the others are not in it. A bare number has the unit of the others.
-
-    places : of each row, for messages. Raises InputError where one column mixes units.
+    """(columns of plain numbers, their units, decimal sign) of columns whose cells name a unit. A
+    bare number has the unit of the others; ``places`` : of each row, for messages.
     """
     found: dict[int, list[Any]] = {}
     units: dict[int, str] = {}

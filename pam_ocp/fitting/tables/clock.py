@@ -27,7 +27,6 @@ from .columns import column_scale
 from .raw import Doubt, RawTable
 
 Array: TypeAlias = NDArray[np.float64]
-
 DAY = 86400.0
 DATES = frozenset(
     {"date", "datetime", "date time", "timestamp", "time stamp", "datum", "zeitstempel"}
@@ -67,10 +66,7 @@ _OF_DAY = re.compile(_TIME + "$")
 
 
 def seconds_of_stamps(cells: Sequence[Any], place: Any) -> tuple[Array, str]:
-    """(seconds since the first stamp with NaN for empty cells, what they are) of dates or times.
-
-    place : a function of the index, for messages. Raises InputError for a cell that is none.
-    """
+    """(seconds since the first stamp with NaN for empty cells, what they are) of dates or times."""
     parsed = [None if is_empty(c) else _parsed(c) for c in cells]
     for i, (cell, one) in enumerate(zip(cells, parsed, strict=True)):
         if one is None and not is_empty(cell):
@@ -113,7 +109,8 @@ def _parsed(cell: Any) -> _Stamp | None:
         return None, 3600 * cell.hour + 60 * cell.minute + cell.second + 1e-6 * cell.microsecond
     text = str(cell).strip()
     match = _YEAR_FIRST.match(text)
-    if _unknown_zone(text):
+    zone = re.search(r"\d\s*([A-Z]{3,4})(?:\[.*)?$", text)
+    if zone is not None and zone[1] not in (*ZONES, "UTC"):
         return None
     if match:
         return (int(match["y"]), int(match["a"]), int(match["b"]), "y"), _of_day(match)
@@ -123,11 +120,6 @@ def _parsed(cell: Any) -> _Stamp | None:
         return (year, int(match["a"]), int(match["b"]), match["sign"]), _of_day(match)
     match = _OF_DAY.match(text)
     return (None, _of_day(match)) if match else None
-
-
-def _unknown_zone(text: str) -> bool:
-    name = re.search(r"\d\s*([A-Z]{3,4})(?:\[.*)?$", text)
-    return name is not None and name[1] not in (*ZONES, "UTC")
 
 
 def _of_day(match: re.Match[str]) -> float:
@@ -171,10 +163,7 @@ def _seconds(stamp: _Stamp, month_first: bool | None, since: int = 0) -> float:
 def seconds_of_numbers(
     values: Array, header: str, said: str | None, *, settled: bool = False
 ) -> tuple[Array, str]:
-    """(times, what was made of them) of numbers in seconds, or without a unit.
-
-    settled : they are seconds, since 1970 at most.
-    """
+    """(times, what was made of them) of numbers in seconds (``settled`` : surely), or of none."""
     known = values[~np.isnan(values)]
     if known.size < 2:
         return values, ""
@@ -258,10 +247,7 @@ def usual_step(t: Array, steps: Array | None = None) -> float:
 
 
 def find_clock(raw: RawTable, time: str | None = None) -> tuple[RawTable, str | None]:
-    """(table, header of its time; None without). A column of days beside one of times is joined.
-
-    Raises UnknownNameError where ``time`` is no column.
-    """
+    """(table, header of its time; None without). A column of days beside one of times is joined."""
     if time is not None:
         if time not in raw.columns:
             raise UnknownNameError("column of the time", time, raw.columns)
@@ -282,10 +268,7 @@ def find_clock(raw: RawTable, time: str | None = None) -> tuple[RawTable, str | 
 def read_clock(
     raw: RawTable, header: str, wanted: str | None
 ) -> tuple[Array, str, tuple[Doubt, ...]]:
-    """(times [s] with NaN for empty cells, what they were, whether that is doubted).
-
-    Raises InputError.
-    """
+    """(times [s] with NaN for empty cells, what they were, whether that is doubted)."""
     cells = raw.columns[header]
     there = [c for c in list(cells)[:200] if c is not None and c != ""]
 
@@ -307,10 +290,7 @@ def read_clock(
 
 
 def doubts_of_clock(header: str, t: Array, said: str | None, wanted: str | None) -> list[Doubt]:
-    """Doubts of the unit of times [s]: steps, or a length, that records of such rigs do not have.
-
-    said, wanted : the units that the file and the user name.
-    """
+    """Doubts of the unit of times [s], by steps and length; the file and the user may name it."""
     steps = np.diff(t)
     if wanted is not None or t.size < 3 or not np.any(steps > 0):
         return []
@@ -346,9 +326,8 @@ def doubts_of_clock(header: str, t: Array, said: str | None, wanted: str | None)
 
 
 def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTable, Array]:
-    """Table and times without what can be mended: stamps that repeat, single wrong ones, wraps.
-
-    factor : seconds per count of the column. What was done is among the notes of the table.
+    """Table and times without stamps that repeat, single wrong ones, wraps at ``factor`` s per
+    count.
     """
     if t.size and t.min() == t.max():
         return raw, t
@@ -379,9 +358,8 @@ def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTabl
 
 
 def rows_before_jumps(raw: RawTable, header: str, t: Array) -> NDArray[np.intp]:
-    """Rows that a table of held inputs (FMI) repeats at the time of a jump, with the values before.
-
-    None where any repeated time is something else, as the ticks of a coarse clock.
+    """Rows that a table of held inputs (FMI) repeats at the time of a jump, with the values before;
+    none where any repeated time is something else, as the ticks of a coarse clock.
     """
     still = np.nonzero(np.diff(t) == 0)[0]
     none = still[:0]
@@ -445,10 +423,7 @@ def _glitches(t: Array) -> NDArray[np.intp]:
 def parts_of(
     raw: RawTable, header: str, t: Array, max_gap: float | None, cut: bool
 ) -> list[tuple[int, int]]:
-    """(first, behind last) of the parts between gaps and backward steps.
-
-    Raises InputError where there are several and they are not to be cut.
-    """
+    """(first, behind last) of the parts between gaps and backward steps."""
     if len(t) < 2:
         raise InputError(f"{raw.label}: {len(t)} sample; a record needs at least 2")
     steps = np.diff(t)

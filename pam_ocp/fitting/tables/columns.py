@@ -62,10 +62,7 @@ def assigned(
     units: Mapping[str, str],
     ambient: float = AMBIENT,
 ) -> dict[str, Column]:
-    """{quantity: column} of a table, from the user's words first, then from the headers.
-
-    Raises InputError, UnknownNameError.
-    """
+    """{quantity: column} of a table, from the user's words first, then from the headers."""
     for argument, given, known in (
         ("columns", columns, (*QUANTITIES, *LABELS)),
         ("units", units, (*QUANTITIES,)),
@@ -96,13 +93,9 @@ def column_scale(
     *,
     exact: bool = False,
 ) -> Scale | None:
-    """How a column's numbers become SI; None where nothing says a unit.
-
-    name : how ``units=`` calls the column. base : what it must measure; None for anything. wanted :
-    the user's unit or calibration. exact : numbers without a kind are refused, and so is a unit
-    beside another one of the header's.
-
-    Raises InputError.
+    """How a column's numbers become SI; None where nothing says a unit. name : how ``units=`` calls
+    the column. base : what it must measure. wanted : the user's unit or calibration. exact :
+    numbers without a kind are refused, so is a unit beside the header's.
     """
     said = raw.unit(header)
     text = wanted or said
@@ -186,12 +179,8 @@ def _near_headers(quantity: str, headers: Iterable[str], raw: RawTable) -> list[
 
 
 def read_labels(raw: RawTable, columns: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-    """Columns that hold labels, as text.
-
-    Branches are called "inflation" and "deflation" whichever of the usual words stand there ("up",
-    "venting", -1 beside 1); other words stay as they are.
-
-    Raises InputError where two columns read as one label.
+    """Columns that hold labels, as text. Branches are "inflation" and "deflation" whichever of the
+    usual words stand there ("up", "venting", -1 beside 1); other words stay as they are.
     """
     found = {}
     for label, names in LABELS.items():

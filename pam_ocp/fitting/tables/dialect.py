@@ -25,7 +25,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_COLUMNS, MOST_LINE, MOST_SHEET_CELLS, require_size
-from .cells import decimal_of, is_empty, is_number, is_stamp, number, parted
+from .cells import decimal_of, is_empty, is_number, is_stamp, number, numbers_of, parted
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
@@ -55,10 +55,9 @@ def nothing_in(label: str, of: str = "") -> InputError:
 
 @dataclass
 class Grid:
-    """Cells row by row, as they stand. lines : where each row stands in its file.
-
-    comments : lines of comment, cut like the others, one of which may name the columns. text : rows
-    that are too short are faults, not rows whose last cells are empty.
+    """Cells row by row, as they stand. lines : where each row stands in its file. comments : lines
+    of comment, cut like the others, one of which may name the columns. text : rows that are too
+    short are faults, not rows whose last cells are empty.
     """
 
     label: str
@@ -79,10 +78,7 @@ def grid_of_text(
     delimiter: str | None = None,
     decimal: str | None = None,
 ) -> Grid:
-    """The cells of a text. skip : lines at its beginning that are left out.
-
-    Raises InputError for what the csv module does not read.
-    """
+    """The cells of a text. skip : lines at its beginning that are left out."""
     lines: list[tuple[int, str]] = []
     comments: list[str] = []
     for i, line in enumerate(text.splitlines(), start=1):
@@ -164,10 +160,7 @@ MOSTLY = 0.7
 
 
 def _pairs(lines: Sequence[tuple[int, str]]) -> tuple[list[Sequence[Any]], list[int]] | None:
-    """Rows of a text of ``t=0.01 p=1.2 bar F=200`` below their keys; None where it is none.
-
-    Lines that are none become rows of one cell.
-    """
+    """Rows of a text of ``t=0.01 p=1.2 bar F=200`` below their keys; None where it is none."""
     sample = [line for _, line in lines[:SAMPLE]]
     if sum(len(_PAIR.findall(line)) >= 2 for line in sample) < MOSTLY * len(sample):
         return None
@@ -265,10 +258,7 @@ def is_lvm(text: str) -> bool:
 
 
 def segments_of(text: str, label: str) -> dict[str, Any]:
-    """{segment: {column: numbers}}; where channels have times of their own, a part for each.
-
-    Raises InputError for cells that are no numbers.
-    """
+    """{segment: {column: numbers}}; where channels have times of their own, a part for each."""
     lines = text.splitlines()
     ends = [i for i, line in enumerate(lines) if line.startswith(_END)]
     if not ends:
@@ -344,16 +334,14 @@ def _waveform(head: dict[str, list[str]], channel: int, count: int) -> list[floa
 
 
 def _numbers(cells: Sequence[tuple[int, str]], name: str, sign: str, label: str) -> list[float]:
-    made = []
-    for line, cell in cells:
-        try:
-            made.append(number(cell, sign))
-        except ValueError:
-            raise InputError(
-                f"{label}: line {line}, column {name!r} holds {cell[:40]!r}, which is no number "
-                f"with the decimal sign {sign!r} that the file names; mend the line"
-            ) from None
-    return made
+    found, bad = numbers_of([cell for _, cell in cells], sign)
+    if bad is not None:
+        line, cell = cells[bad]
+        raise InputError(
+            f"{label}: line {line}, column {name!r} holds {cell[:40]!r}, which is no number with "
+            f"the decimal sign {sign!r} that the file names; mend the line"
+        )
+    return list(found.tolist())
 
 
 _STARTS = re.compile(
@@ -379,9 +367,8 @@ def tables_of(text: str) -> dict[str, list[Any]]:
 
 
 class _Tables(HTMLParser):
-    """Cells as they are shown; a cell that spans several stands in the first of them.
-
-    The standard library's parser takes any text in linear time, which suits files of strangers.
+    """Cells as they are shown; a cell that spans several stands in the first of them. The standard
+    library's parser takes any text in linear time, which suits files of strangers.
     """
 
     def __init__(self) -> None:

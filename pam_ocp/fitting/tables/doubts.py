@@ -23,7 +23,6 @@ from .cells import NAMES, PLACES, is_empty, is_number, number, numbers_of
 from .raw import Doubt, RawTable
 
 Array: TypeAlias = NDArray[np.float64]
-
 FEW_ROWS = 20
 """Fewer are set points that were held, and no record of what a sensor read."""
 VACUUM = -1.1e5
@@ -104,9 +103,8 @@ class Understood:
 
 
 def kind_of(name: str, measured: str | None, *, told: bool) -> str:
-    """The kind of quantity, a key of MEASURED, of a column called ``name``; "" where not known.
-
-    measured : SI unit where it is known. told : a plant says the unit, so the name alone is none.
+    """The kind, a key of MEASURED, of a column; "" where not known, or where a plant ``told`` its
+    unit.
     """
     words = [
         w.strip("0123456789") for w in name.replace(".", " ").replace("_", " ").lower().split()
@@ -129,10 +127,8 @@ def _called(text: str, names: frozenset[str]) -> bool:
 
 # ---- cells that hold no reading ------------------------------------------------------------------
 def checked_cells(raw: RawTable, columns: Sequence[Column], missing: Any = "found") -> RawTable:
-    """The table with the decimal sign of each column, and without values that mark missing ones.
-
-    missing : "found"; None: there are none; or the values, as they stand in the file. What was done
-    is among the notes.
+    """The table with the decimal sign of each column, and without values that mark missing ones:
+    those ``missing``, as they stand in the file; "found"; or none. What was done is noted.
     """
     if raw.own:
         return raw
@@ -175,9 +171,7 @@ def _emptied(raw: RawTable, header: str, gone: NDArray[np.bool_]) -> RawTable:
 
 
 def _sentinels(numbers: Array, column: Column) -> NDArray[np.bool_]:
-    """Which numbers mark a missing value: no measure is as large; of the usual marks, and apart
-    from all others; or beyond what can be, the same again and again, and far apart.
-    """
+    """Which numbers mark a missing value: beyond all, usual marks apart from others, or absurd."""
     known = ~np.isnan(numbers)
     gone = known & (np.abs(numbers) >= BEYOND_NUMBERS)
     values, counts = np.unique(numbers[known & ~gone], return_counts=True)
@@ -334,10 +328,7 @@ def _turned(column: Column, si: str) -> str:
 
 
 def above_ambient(column: Column, si: Array, command: Array | None = None) -> list[Doubt]:
-    """The doubt whether a pressure that never falls below the atmosphere's is absolute.
-
-    command : of the same muscle in the same record, which counts from the atmosphere.
-    """
+    """The doubt whether a pressure (whose ``command`` is gauge) never below ambient is absolute."""
     if column.settled or not si.size or column.shift:
         return []
     low = float(np.percentile(si, 5)) if si.size >= FEW_ROWS else float(si.min())

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]
-
 DETECTED = 3.29
 """Standard deviations above the floor from which a reading is a force (1 in 2000 lies above)."""
 DEEP = 4.0
@@ -150,9 +149,8 @@ def find_floor(
     file: Sequence[str] = (),
 ) -> tuple[Floor, Mask] | None:
     """The floor, and the cells at it (those of a negative reading included); None without evidence.
-
-    Evidence is that the surface, fitted to the other cells, lies far below the readings (the law
-    would push), that these do not follow it, and that they crowd together as taut ones do not.
+    The surface through the other cells must lie far below the readings, these not follow it, and
+    crowd together as taut ones do not.
     """
     y, n, top = force, len(force), float(np.max(force, initial=0.0))
     if np.sum(y > 0) < FEWEST or not min(np.ptp(contraction), np.ptp(pressure)) > 0:
@@ -201,9 +199,7 @@ def part_names(branch: Sequence[str], file: Sequence[str], n: int) -> list[str]:
 
 # ---- the hinge -----------------------------------------------------------------------------------
 def _hinges(cells: _Cells) -> list[_Hinge]:
-    """Hinges, the best first: of least cost over numbers of slack cells to begin with, then over
-    degrees.
-    """
+    """Hinges, the best first: of least cost over numbers of slack cells, then over degrees."""
     order, n = np.argsort(cells.y, kind="stable"), len(cells.y)
     below = int(np.sum(cells.y <= 0))
     sizes = np.linspace(max(below, 1), max(0.85 * n, below), STARTS).astype(int)

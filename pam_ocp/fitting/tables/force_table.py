@@ -43,7 +43,6 @@ from .raw import RawTable, Reading, complete, say
 from .sources import is_source, load, naming, sources_of
 
 Array: TypeAlias = NDArray[np.float64]
-
 MEASURES = ("pressure", "contraction", "force", "scatter", "error")
 LABELLED = ("branch", "run", "file")
 """Of each cell."""
@@ -96,8 +95,7 @@ class ForceTable:
     censored: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("pressure", "contraction", "force"):
-            unit = {"pressure": "Pa", "contraction": "1", "force": "N"}[name]
+        for name, unit in (("pressure", "Pa"), ("contraction", "1"), ("force", "N")):
             given = require_numbers(name, getattr(self, name), unit, doubted=unit == "Pa")
             array = np.array(given)
             if array.shape != (array.size,) or array.size != np.size(self.pressure):
@@ -171,9 +169,8 @@ class ForceTable:
                 )
             limit = require_positive("floor", floor, "N", zero=True)
             return replace(self, floor=None, censored=self.force <= limit)
-        fresh = (
-            self if isinstance(self.floor, Floor) else replace(self, floor="found", censored=None)
-        )
+        known = isinstance(self.floor, Floor)
+        fresh = self if known else replace(self, floor="found", censored=None)
         found, slack = fresh._floor
         if found is None:
             raise InputError(
@@ -186,10 +183,7 @@ class ForceTable:
             force=self.force - fresh._zeros(found),
             floor=replace(found, value=0.0, limit=DETECTED * found.scatter, by={}),
             censored=slack,
-            notes=(
-                *self.notes,
-                f"{found}; as the zero of the load cell it is taken off all forces",
-            ),
+            notes=(*self.notes, f"{found}; as the zero of the load cell taken off all forces"),
         )
 
     def _zeros(self, floor: Floor) -> Array:
@@ -326,14 +320,9 @@ def read_table(
         ReadingWarning. "zero": that is the zero of the load cell, and taken off all forces
         (:meth:`ForceTable.with_floor`). None: there is none, any positive force is one.
 
-    Returns
-    -------
-    ForceTable in SI, slack cells included.
-
-    Raises
-    ------
-    InputError, UnknownNameError : one sentence with column, row, value and remedy. What no rig
-    measures, but cannot be ruled out, is doubted in a UnitWarning with the keyword to settle it.
+    The table is in SI, slack cells included. Raises InputError, UnknownNameError: one sentence with
+    column, row, value and remedy. What no rig measures, but cannot be ruled out, is doubted in a
+    UnitWarning with the keyword to settle it.
 
     Examples
     --------
@@ -376,10 +365,7 @@ class TableArguments(Reading):
 
 
 def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:
-    """The table that columns hold; ``seen`` is told what was understood until an error.
-
-    Raises InputError.
-    """
+    """The table that columns hold; ``seen`` is told what was understood until an error."""
     seen = seen or Understood(raw)
     columns = assigned(raw, words.columns, words.units, words.ambient_pressure)
     seen.meanings |= {column.header: (q, column.scale) for q, column in columns.items()}
@@ -521,9 +507,7 @@ def joined_tables(tables: Sequence[ForceTable]) -> ForceTable:
 
 
 def joined_floor(tables: Sequence[ForceTable]) -> dict[str, Any]:
-    """``floor`` and ``censored`` of tables behind each other: found anew, for one file may hold one
-    length, unless one of them says more.
-    """
+    """``floor`` and ``censored`` of tables together: found anew, unless one of them says more."""
     if all(t.floor == "found" and t.censored is None for t in tables):
         return {}
     floors = [t.floor for t in tables if isinstance(t.floor, Floor)]

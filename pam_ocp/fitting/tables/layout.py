@@ -35,13 +35,9 @@ def tabulated(
     pick: Any = None,
     drop: bool = False,
 ) -> RawTable:
-    """Columns of a grid.
-
-    names : of the columns, from the left; None or "" leaves one out. Without them the grid must
-    hold them. pivot : what runs down, across, and stands in the cells of a pivot. pick : which of
-    several blocks side by side. drop : lines that are no rows are left out, and counted.
-
-    Raises InputError.
+    """Columns of a grid. names : of the columns, from the left; None or "" leaves one out. pivot :
+    what runs down, across, and stands in the cells. pick : which of several blocks side by side.
+    drop : lines that are no rows are left out, and counted.
     """
     grid = _upright(_trimmed(grid))
     grid, in_cells = _bare(grid, names)
@@ -326,10 +322,8 @@ def _body(
     heads: Sequence[Sequence[Any]] = (),
     numeric: Sequence[bool] | None = None,
 ) -> tuple[list[Sequence[Any]], list[int], tuple[str, ...]]:
-    """The rows of numbers, all of one width; names and units that come again are left out.
-
-    numeric : columns of numbers, where rows that do not fit are left out. Raises InputError where
-    one does not.
+    """The rows of numbers, all of one width; names and units that come again are left out. numeric
+    : columns of numbers, where rows that do not fit are left out.
     """
     rows, lines, notes = _without_heads(grid.rows[start:], grid.lines[start:], heads)
     width = len(names)

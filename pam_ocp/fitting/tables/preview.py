@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
@@ -205,6 +206,9 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     if kind != "record" and "pivot" in options:
         general["pivot"] = options["pivot"]
     how = Reading(**general)
+    result: ForceTable | list[Trajectory] | None = None
+    notes: Sequence[str] = ()
+    problem = ""
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -212,11 +216,23 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
         except Unsaid as error:  # columns are not known before a keyword says more
             label = Path(source).name if isinstance(source, str | Path) else "source"
             nothing = Understood(RawTable(label, {}))
-            return _preview(source, kind or "table", nothing, {}, None, (), str(error), options)
+            return _preview(source, kind or "table", nothing, None, None, (), str(error), options)
         kind = kind or _kind(seen.raw, options)
+        words: TableArguments | RecordArguments = (
+            TableArguments(**for_table) if kind == "table" else RecordArguments(**for_record)
+        )
+        try:
+            if isinstance(words, TableArguments):
+                result = table_of(seen.raw, words, seen)
+                notes = result.notes
+            else:
+                result, notes = record_parts(seen.raw, plant, words, seen)
+        except InputError as error:
+            problem = str(error)
         if kind == "table":
-            return _table(source, seen, TableArguments(**for_table), options)
-        return _record(source, seen, plant, RecordArguments(**for_record), options)
+            _name_columns(seen, words.columns)
+            plant = None
+        return _preview(source, kind, seen, plant, result, notes, problem, options)
 
 
 def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
@@ -236,35 +252,14 @@ def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
     return "table" if whole else "record"
 
 
-# ---- tables --------------------------------------------------------------------------------------
-def _table(
-    source: Any, seen: Understood, words: TableArguments, options: dict[str, Any]
-) -> Preview:
-    problem, table = "", None
-    try:
-        table = table_of(seen.raw, words, seen)
-    except InputError as error:
-        problem = str(error)
-    seen.meanings = seen.meanings or _named(seen.raw, words)
-    for label, names in LABELS.items():
-        header = seen.raw.header(label, names, words.columns)
-        if header:
-            seen.meanings[header] = (label, None)
-    notes = table.notes if table else ()
-    return _preview(source, "table", seen, QUANTITIES, table, notes, problem, options)
-
-
-def _named(raw: RawTable, words: TableArguments) -> dict[str, tuple[str, Scale | None]]:
-    """Which columns bear the name of a quantity, whatever their units say."""
-    found: dict[str, tuple[str, Scale | None]] = {}
-    for quantity, (_, names) in QUANTITIES.items():
-        try:
-            header = raw.header(quantity, names, words.columns)
-        except InputError:
-            continue
-        if header is not None and header in raw.columns:
-            found[header] = (quantity, None)
-    return found
+def _name_columns(seen: Understood, columns: Mapping[str, str]) -> None:
+    """Which columns bear the name of a label, or (where none is known yet) of a quantity."""
+    quantities = {q: names for q, (_, names) in QUANTITIES.items() if not seen.meanings}
+    for meaning, names in (*quantities.items(), *LABELS.items()):
+        with suppress(InputError):
+            header = seen.raw.header(meaning, names, columns)
+            if header:
+                seen.meanings[header] = (meaning, None)
 
 
 def _column(
@@ -307,36 +302,19 @@ def _saturated(header: str, values: Any) -> list[str]:
     return [f"{header!r} stands at its largest value, {-top:g}, in {count} rows: saturated?"]
 
 
-# ---- records -------------------------------------------------------------------------------------
-def _record(
-    source: Any,
-    seen: Understood,
-    plant: Plant | None,
-    words: RecordArguments,
-    options: dict[str, Any],
-) -> Preview:
-    problem, records = "", None
-    notes: Sequence[str] = ()
-    try:
-        records, notes = record_parts(seen.raw, plant, words, seen)
-    except InputError as error:
-        problem = str(error)
-    known = {v.name: (v.unit,) for v in plant.variables} if plant is not None else {}
-    return _preview(source, "record", seen, known, records, notes, problem, options, plant)
-
-
 def _preview(
     source: Any,
     kind: str,
     seen: Understood,
-    known: Mapping[str, Any],
+    plant: Plant | None,
     result: ForceTable | list[Trajectory] | None,
     notes: Sequence[str],
     problem: str,
     options: Mapping[str, Any],
-    plant: Plant | None = None,
 ) -> Preview:
-    """known : {quantity or variable: (SI unit, ...)}."""
+    known: Mapping[str, Any] = QUANTITIES if kind == "table" else {}
+    if plant is not None:
+        known = {v.name: (v.unit,) for v in plant.variables}
     raw, named = seen.raw, isinstance(source, str | Path)
     columns = tuple(_column(raw, h, *seen.meanings.get(h, ("", None)), known) for h in raw.columns)
     told = notes or raw.notes
@@ -510,9 +488,7 @@ def read_folder(
     options : of :func:`read_table` or :func:`read_record`, for all files; ``kind="table"`` or
         "record" where they are taken for the other one.
 
-    Raises
-    ------
-    InputError : a folder without such files, a pattern or an option that is invalid.
+    Raises InputError (a folder without such files, a pattern or an option that is invalid).
 
     Examples
     --------
@@ -558,12 +534,10 @@ def _wanted(path: Path, pattern: str) -> bool:
 def _file(
     path: Path, plant: Plant | None, pattern: str | None, options: dict[str, Any]
 ) -> FileRead:
+    labels: dict[str, Any] = {}
     try:
         labels = labels_of(path.name, pattern)
-    except InputError as error:
-        return FileRead(path, {}, None, str(error))
-    more = {} if pattern is None else {"pattern": Path(pattern).name}
-    try:
+        more = {} if pattern is None else {"pattern": Path(pattern).name}
         view = look(path, plant, **options, **more)
     except InputError as error:
         return FileRead(path, labels, None, str(error))

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Rows: TypeAlias = NDArray[np.intp]
-
 FEWEST = 400
 """Rows below which a table is taken cell by cell."""
 FINE = 0.006
@@ -57,10 +56,7 @@ class Ramp:
 
 
 def floor_of(force: Array) -> float | None:
-    """The value at which a sensor stops, where it returns again and again to its least; or None.
-
-    A value that is clipped stands in many rows exactly, its neighbours by chance in few.
-    """
+    """The value, exactly the same in many rows, at which a sensor clips its least; or None."""
     values, counts = np.unique(force, return_counts=True)
     if values.size < 5 or counts[0] < max(5, 0.002 * force.size):
         return None
@@ -69,9 +65,8 @@ def floor_of(force: Array) -> float | None:
 
 
 def ramp_of(pressure: Array, contraction: Array, force: Array, asked: bool = False) -> Ramp | None:
-    """The ramp that these rows are, in the order in which they were measured; None for a table.
-
-    asked : the user says that it is one: fewer rows and larger steps will do.
+    """The ramp that these rows are, as measured; None for a table. ``asked`` by the user: more
+    lenient.
     """
     n = pressure.size
     if n < (40 if asked else FEWEST):
@@ -256,9 +251,7 @@ def _stairs(piece: _Piece) -> list[Rows]:
 
 
 def _scatter(groups: list[Rows], moving: Array, force: Array) -> tuple[float, float, list[float]]:
-    """(correlation of neighbouring rows' errors, factor by which it widens the error of a cell's
-    mean, standard deviation of each cell's rows about a line).
-    """
+    """(correlation of neighbours, factor by which a mean's error widens, scatter of each cell)."""
     found, products, counts = [], [], []
     for rows in groups:
         x = moving[rows] - moving[rows].mean()
@@ -278,11 +271,9 @@ def _scatter(groups: list[Rows], moving: Array, force: Array) -> tuple[float, fl
 
 def _memory(seen: Array, n: int) -> tuple[float, float]:
     """(correlation of neighbours, factor of the error of a mean) of errors whose residuals about
-    lines, n rows each, follow each other as seen.
-
-    Errors are a process that forgets (AR(1), rho) and white noise on it, of shares c and 1 - c.
-    What a line leaves of them is M R M with R_ij = c rho^|i-j| and M = 1 - projector; the pair
-    (rho, c) is taken whose residuals would look as these do.
+    lines, n rows each, follow each other as seen. AR(1) with rho of a share c, and white noise. A
+    line leaves M R M, R_ij = c rho^|i-j|, M = 1 - projector: (rho, c) is taken whose residuals look
+    as these do.
     """
     line = np.linalg.qr(np.column_stack([np.ones(n), np.linspace(-1, 1, n)]))[0]
     left = np.eye(n) - line @ line.T

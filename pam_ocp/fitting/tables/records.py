@@ -126,11 +126,9 @@ def read_record(
     sheet, skip, pick, delimiter, decimal, encoding, bad_lines, constants, pattern, empty,
     missing : as for :func:`read_table`.
 
-    Raises
-    ------
-    InputError : time that runs backwards or has a gap (and where), cells that are no numbers, units
-        that do not fit, no column of use. UnknownNameError : names that are not there. What no rig
-        measures, but cannot be ruled out, is doubted in a UnitWarning that names the remedy.
+    Raises InputError (time that runs backwards or has a gap (and where), cells that are no numbers,
+    units that do not fit, no column of use), UnknownNameError. What no rig measures, but cannot be
+    ruled out, is doubted in a UnitWarning that names the remedy.
 
     Examples
     --------
@@ -231,9 +229,7 @@ def loaded(source: Any, how: Reading) -> RawTable:
 def record_parts(
     raw: RawTable, plant: Plant | None, words: RecordArguments, seen: Understood | None = None
 ) -> tuple[list[Trajectory], list[str]]:
-    """(records between the cuts, what was left out or mended); ``seen`` is told what was understood
-    until an error. Raises InputError.
-    """
+    """(records between the cuts, notes); ``seen`` is told what was understood until an error."""
     seen, between = seen or Understood(raw), words.interpolation
     if HELD in raw.columns:
         between = between or interpolation_of(raw.numbers(HELD), raw.label)
@@ -290,10 +286,7 @@ COUNTED = "time [s]"
 
 
 def _clock_of(raw: RawTable, words: RecordArguments) -> tuple[RawTable, str]:
-    """(table, header of its time), which is counted where the user says how long a row takes.
-
-    Raises InputError where there is none.
-    """
+    """(table, header of its time), which is counted where the user says how long a row takes."""
     raw, header = find_clock(raw, words.time)
     if header is not None:
         return raw, header

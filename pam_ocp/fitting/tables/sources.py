@@ -75,7 +75,8 @@ def _loaded(source: Any, how: Reading) -> RawTable:
     if isinstance(source, str | Path):
         raw = _load_file(source, how)
     elif isinstance(source, Mapping):
-        raw = _from_mapping(source, "the table")
+        columns = {str(n): np.ravel(v).tolist() for n, v in source.items()}
+        raw = _bare(RawTable("the table", columns))
     elif hasattr(source, "columns") and hasattr(source, "to_numpy"):
         raw = _from_frame(source, "the DataFrame")
     elif isinstance(source, np.ndarray):
@@ -103,10 +104,7 @@ def is_source(source: Any) -> bool:
 
 
 def sources_of(source: Any) -> list[Any]:
-    """Several sources: of a list, a folder (its readable files by name), or a pattern.
-
-    Raises InputError where there are none.
-    """
+    """Several sources: of a list, a folder (its readable files by name), or a pattern."""
     if not isinstance(source, str | Path):
         found = [s for one in source for s in ([one] if is_source(one) else sources_of(one))]
         if not found:
@@ -141,10 +139,6 @@ def naming(source: Any) -> AbstractContextManager[None]:
 
 
 # ---- mappings and frames -------------------------------------------------------------------------
-def _from_mapping(columns: Mapping[Any, Any], label: str) -> RawTable:
-    return _bare(RawTable(label, {str(n): np.ravel(v).tolist() for n, v in columns.items()}))
-
-
 def _from_frame(frame: Any, label: str) -> RawTable:
     names = [_column_name(c) for c in frame.columns]
     require_distinct(names, label)
@@ -410,10 +404,6 @@ def _promise(grid: Grid) -> int:
     return sum(bool(words & names) for names in NAMES.values())
 
 
-def _read_parquet(path: Path, how: Reading) -> RawTable:
-    return _from_frame(read_frame(path), path.name)
-
-
 _READERS: dict[str, Callable[[Path, Reading], RawTable]] = {
     ".npz": lambda path, how: _from_tree(read_arrays(path), path.name, how),
     ".npy": lambda path, how: _from_tree(read_array(path), path.name, how),
@@ -422,7 +412,7 @@ _READERS: dict[str, Callable[[Path, Reading], RawTable]] = {
     ".hdf5": lambda path, how: _from_tree(read_hdf5(path), path.name, how),
     ".json": lambda path, how: _from_tree(_json(content_of(path)), path.name, how),
     ".jsonl": lambda path, how: _from_tree(_json(content_of(path)), path.name, how),
-    ".parquet": _read_parquet,
+    ".parquet": lambda path, how: _from_frame(read_frame(path), path.name),
     ".xlsx": _read_sheet,
     ".xlsm": _read_sheet,
     ".xlsb": _read_calamine,

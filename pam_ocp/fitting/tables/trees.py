@@ -33,10 +33,9 @@ MOST_TABLES = 2000
 def chosen_table(
     tree: Any, label: str, pick: str | Sequence[str] | None
 ) -> tuple[Found | RawTable, tuple[str, ...]]:
-    """(the table of a tree, which it is).
-
-    pick : its name, as ``run.data`` or ``runs[2]``, or several to be put on one clock; needed where
-    there are several that do not have clocks of their own. Raises an InputError that names them.
+    """(the table of a tree, which it is). pick : its name, as ``run.data`` or ``runs[2]``, or
+    several to be put on one clock; needed where there are several that do not have clocks of their
+    own.
     """
     _require_few(label, list(_arrays(tree, 0)))
     tables = _renamed(dict(_tables(rewritten(tree), "", label, 0)))
@@ -45,7 +44,7 @@ def chosen_table(
         if name.strip() not in tables:
             raise UnknownNameError(f"table of {label}", name, tables)
     if len(wanted) == 1:
-        return tables[wanted[0].strip()], _beside(tables, wanted[0].strip())
+        return tables[wanted[0].strip()], _which(wanted[0].strip())
     if wanted:
         several = {n.strip(): tables[n.strip()] for n in wanted}
         if not clocked(several):
@@ -68,7 +67,7 @@ def chosen_table(
         raise Unsaid(
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
-    return tables[top[0]], _beside(tables, top[0])
+    return tables[top[0]], _which(top[0])
 
 
 def _renamed(tables: dict[str, Found]) -> dict[str, Found]:
@@ -128,7 +127,7 @@ def _arrays(tree: Any, level: int) -> Iterator[NDArray[Any]]:
         yield from (a for i in inner if isinstance(i, nested) for a in _arrays(i, level + 1))
 
 
-def _beside(tables: Mapping[str, Found], taken: str) -> tuple[str, ...]:
+def _which(taken: str) -> tuple[str, ...]:
     return (f"table {taken!r}",) if taken else ()
 
 
@@ -176,10 +175,7 @@ def _of_mapping(
 
 
 def _columns(tree: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """The columns of a mapping: its rows of the commonest length; {} where fewer than two are.
-
-    A matrix of as many rows gives several columns.
-    """
+    """The columns of a mapping: its rows of the commonest length (two at least; also matrices')."""
     vectors = {str(k): v for k, v in ((k, _vector(v)) for k, v in tree.items()) if v is not None}
     lengths = Counter(len(v) for v in vectors.values() if len(v) > 1 and not _is_text(v))
     if not lengths:
@@ -295,13 +291,11 @@ def _of_list(tree: Sequence[Any], name: str, label: str, level: int) -> Iterator
     if len(tree) > 1 and all(isinstance(r, Mapping) for r in tree):
         keys = list(dict.fromkeys(str(k) for r in tree for k in r))
         flat = [{str(k): _plain(v) for k, v in r.items()} for r in tree]
-        kept = [k for k in keys if all(r.get(k) is not _NESTED for r in flat)]
-        if len(kept) >= 2 and any(isinstance(r.get(k), int | float) for r in flat for k in kept):
-            rows = {k: [r.get(k) for r in flat] for k in kept}
-            nested = len(kept) < len(keys)
-            if not nested:
-                yield name, rows
-                return
+        cells = [v for r in flat for v in r.values()]
+        nested = any(v is _NESTED for v in cells)
+        if len(keys) >= 2 and not nested and any(isinstance(v, int | float) for v in cells):
+            yield name, {k: [r.get(k) for r in flat] for k in keys}
+            return
     elif len(tree) > 1 and all(isinstance(r, list | tuple) for r in tree):
         rows_ = [[_plain(c) for c in row] for row in tree]
         if all(c is not _NESTED for row in rows_ for c in row) and max(map(len, rows_)) >= 2:
