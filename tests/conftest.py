@@ -150,9 +150,21 @@ def fmus(tmp_path_factory):
 
 
 @pytest.fixture(params=["2.0", "3.0"])
-def fmu(request, fmus):
+def fmi(request):
     """One version after the other."""
-    return fmus[request.param]
+    return request.param
+
+
+@pytest.fixture
+def fmu(fmus, fmi):
+    """The slide in a version."""
+    return fmus[fmi]
+
+
+@pytest.fixture
+def slide_unit(fmu):
+    """The same as a file."""
+    return fmu.folder.with_name(f"{fmu.fmi[0]}.fmu")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

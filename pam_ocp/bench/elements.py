@@ -90,6 +90,20 @@ def note(text: str = "", classes: str = "bench-note") -> TextElement:
     return tag("p", text, classes, style="margin: 2px 0")
 
 
+class Verdict:
+    """Words that are read out whenever they change."""
+
+    def __init__(self) -> None:
+        self.element = note("", "bench-verdict")
+        self.element._props["aria-live"] = "polite"
+
+    def say(self, text: str = "", good: bool | None = None) -> None:
+        """Say this, in the colour of what is good or bad."""
+        colour = {True: "bench-good", False: "bench-bad", None: ""}[good]
+        self.element.set_text(text)
+        self.element.classes(remove="bench-good bench-bad", add=colour)
+
+
 def button(
     text: str, act: Callable[..., Any], *, main: bool = False, **attributes: Any
 ) -> ui.button:
@@ -219,7 +233,17 @@ class Tick(Text):
         return bool(said)
 
 
-class Field(Element, component=STATIC / "field.js"):
+class Component(Element):
+    """A component of static/, whose properties are named there."""
+
+    def set(self, **props: Any) -> None:
+        """Show other values of its properties."""
+        if any(self._props.get(name) != value for name, value in props.items()):
+            self._props.update(props)
+            self.update()
+
+
+class Field(Component, component=STATIC / "field.js"):
     """A field as it is described, on one line with its label."""
 
     def __init__(self, described: Number | Text | Menu) -> None:
@@ -237,20 +261,15 @@ class Field(Element, component=STATIC / "field.js"):
     def show(self, value: Any, act: Callable[[Any], Any]) -> None:
         """Show a value; ``act`` is called with another one, what it raises stays with it."""
         self._value, self._act = value, act
-        self._update(value=self._described.text(value, self._unit), wrong="")
-
-    def _update(self, **props: Any) -> None:
-        if any(self._props.get(k) != v for k, v in props.items()):
-            self._props.update(props)
-            self.update()
+        self.set(value=self._described.text(value, self._unit), wrong="")
 
     def _heard(self, event: Any) -> Any:
         said = event.args["value"]
-        self._update(heard=int(event.args["number"]))
+        self.set(heard=int(event.args["number"]))
         try:
             value = self._described.read(said, self._unit)
         except PamError as error:
-            self._update(value=said, wrong=str(error))
+            self.set(value=said, wrong=str(error))
             return None
         self.show(value, self._act)
         return self._act(value)
@@ -258,7 +277,7 @@ class Field(Element, component=STATIC / "field.js"):
     def _turned(self, event: Any) -> None:
         if event.args in self._described.options and isinstance(self._described, Number):
             self._unit = event.args
-            self._update(unit=self._unit, value=self._described.text(self._value, self._unit))
+            self.set(unit=self._unit, value=self._described.text(self._value, self._unit))
 
 
 @dataclass(frozen=True)
@@ -278,7 +297,7 @@ class Slide:
     of: Any = None
 
 
-class Slider(Element, component=STATIC / "slider.js"):
+class Slider(Component, component=STATIC / "slider.js"):
     """A :class:`Slide` and its number."""
 
     def __init__(self, said: Slide) -> None:
@@ -288,8 +307,7 @@ class Slider(Element, component=STATIC / "slider.js"):
 
         def moved(event: Any) -> None:
             self._slide(float(event.args))
-            self._props["seen"] += 1  # the next may come
-            self.update()
+            self.set(seen=self._props["seen"] + 1)  # the next may come
 
         self.on("slide", moved)
         self.on("settle", lambda event: self._settle(float(event.args)))
@@ -299,9 +317,7 @@ class Slider(Element, component=STATIC / "slider.js"):
     ) -> None:
         """Show a value."""
         self._slide, self._settle = act
-        if self._props.get("value") != value:
-            self._props["value"] = value
-            self.update()
+        self.set(value=value)
 
 
 # ---- what stands between fields ------------------------------------------------------------------
@@ -399,6 +415,23 @@ _DRAWN: dict[type, Callable[[Any], Any]] = {
 }
 
 
+def form(title: str, small: str = "", classes: str = "") -> Form:
+    """A section that holds a form alone."""
+    with section(title, small):
+        return Form(classes)
+
+
+def box(title: str, *, wide: bool = False) -> Element:
+    """A section that holds what is put into it."""
+    with section(title, wide=wide):
+        return ui.element("div")
+
+
+def row() -> Element:
+    """What stands beside each other."""
+    return ui.element("div").classes("bench-row")
+
+
 def fields(
     described: Mapping[str, Any], values: Mapping[str, Any], act: Callable[[str, Any], Any]
 ) -> list[Row]:
@@ -425,7 +458,9 @@ def table(
     chosen: int | None = None,
     label: str = "",
 ) -> Element:
-    """A table; numbers stand right, already as text or to four digits. act : of a row's button."""
+    """A table; numbers stand right, already as text or to four digits; what can be called draws
+    itself. act : of a row's button.
+    """
     with tag("table", "", "bench-table", aria_label=label or None) as made:
         with tag("thead"), tag("tr"):
             for j, head in enumerate(heads):
@@ -446,7 +481,10 @@ def _cell(cell: Any, pressed: Any) -> None:
     number = isinstance(cell, int | float)
     if isinstance(cell, float):
         cell = "" if math.isnan(cell) else f"{cell:.4g}"
-    if pressed:  # the row's own click does the work: a button is what a keyboard reaches
+    if callable(cell):
+        with tag("td"):
+            cell()
+    elif pressed:  # the row's own click does the work: a button is what a keyboard reaches
         with tag("td"):
             tag("button", str(cell), type="button")
     else:

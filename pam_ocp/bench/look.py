@@ -127,6 +127,21 @@ def quantity(unit: str) -> str:
     return name if unit == "1" else f"{name} [{unit}]"
 
 
+def colour(number: int) -> str:
+    """Of a curve among others."""
+    return COLOURS[number % len(COLOURS)]
+
+
+def symbol(number: int) -> str:
+    """Of points among others."""
+    return SYMBOLS[number % len(SYMBOLS)]
+
+
+def scale(words: str) -> dict[str, Any]:
+    """What the colours of a picture mean, beside it."""
+    return {"title": {"text": words}, "thickness": 12, "outlinewidth": 0}
+
+
 ABOVE: dict[str, Any] = {
     "legend": {"orientation": "h", "x": 0.0, "y": 1.0, "yanchor": "bottom", "font": {"size": 11}},
     "margin": {"l": 56, "r": 12, "t": 48, "b": 42},

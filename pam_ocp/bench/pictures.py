@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from nicegui import ui
-from nicegui.element import Element
 
 from . import look
-from .elements import tag
+from .elements import STATIC, Component, tag
 
-STATIC = Path(__file__).with_name("static")
 _ids = itertools.count()
 
 
@@ -28,7 +25,6 @@ class Plot:
 
     def __init__(
         self,
-        figure: dict[str, Any],
         label: str,
         on_click: Callable[[dict[str, Any]], Any] | None = None,
         *,
@@ -41,9 +37,13 @@ class Plot:
         self.element._props.update({"role": "figure", "aria-label": label})
         self.element._props["aria-describedby"] = name
         self._words = tag("p", "", "bench-unseen", id=name)
-        self.draw(figure)
+        self.clear()
         if on_click is not None:
             self.element.on("plotly_click", lambda e: self._clicked(e, on_click), js_handler=_PICK)
+
+    def clear(self) -> None:
+        """Show that there is nothing yet."""
+        self.draw(look.figure([]))
 
     @staticmethod
     def _clicked(event: Any, act: Callable[[dict[str, Any]], Any]) -> Any:
@@ -81,8 +81,9 @@ _PICK = """(e) => { const p = e.points && e.points[0];
     data: p.customdata}); }"""
 
 
-class Scene(Element, component=STATIC / "scene.js"):
-    """A plant drawn to scale and moving. scene : of figures.film.scene_of, or None for nothing.
+class Scene(Component, component=STATIC / "scene.js"):
+    """A plant drawn to scale and moving. ``set(scene=...)`` : of figures.film.scene_of, or None
+    for nothing.
 
     label : for who cannot see it. words, unit : of what its slider moves along ("time", "s").
     seconds : that playing it takes. A scene's ``still`` is the moment that is shown first.
@@ -92,7 +93,6 @@ class Scene(Element, component=STATIC / "scene.js"):
     def __init__(
         self,
         label: str,
-        scene: Mapping[str, Any] | None = None,
         *,
         height: int = 300,
         words: str = "time",
@@ -102,18 +102,12 @@ class Scene(Element, component=STATIC / "scene.js"):
     ) -> None:
         super().__init__()
         self._props.update(label=label, height=height, words=words, unit=unit, seconds=seconds)
-        self._props.update(scene=scene, held=pull is not None)
+        self._props.update(scene=None, held=pull is not None)
         if pull is not None:
             self.on("pull", lambda e: pull(e.args) if isinstance(e.args, dict) else None)
 
-    def show(self, scene: Mapping[str, Any] | None, **said: Any) -> None:
-        """Another scene; further arguments as at first."""
-        self._props.update(said)
-        self._props["scene"] = scene
-        self.update()
 
-
-class Stops(Element, component=STATIC / "stops.js"):
+class Stops(Component, component=STATIC / "stops.js"):
     """Stops and the motion between them.
 
     slide : called with {"stop", "at", "leg"} (leg: seconds that the leg before it takes, or None)
@@ -133,29 +127,18 @@ class Stops(Element, component=STATIC / "stops.js"):
         for name, act in (("slide", slide), ("settle", settle), ("add", add), ("remove", remove)):
             self.on(name, lambda e, act=act: act(e.args) if isinstance(e.args, dict) else None)
 
-    def show(self, **props: Any) -> None:
-        """Show other stops, curves, bounds (names of stops.js)."""
-        self._props.update(props)
-        self.update()
-
-    def shown(self, **props: Any) -> None:
-        """As :meth:`show`, and the next position of the hand may come."""
-        self._props["seen"] += 1
-        self.show(**props)
+    def shown(self) -> None:
+        """The next position of the hand may come."""
+        self.set(seen=self._props["seen"] + 1)
 
 
-class Strip(Element, component=STATIC / "strip.js"):
+class Strip(Component, component=STATIC / "strip.js"):
     """The last seconds of a run. reference : called with what is to be reached, as shown."""
 
     def __init__(self, label: str, reference: Callable[[float], Any]) -> None:
         super().__init__()
         self._props.update(label=label, low=0.0, high=1.0, reference=0.0, inputs=[])
         self.on("reference", lambda e: reference(float(e.args)))
-
-    def show(self, **props: Any) -> None:
-        """Names of strip.js."""
-        self._props.update(props)
-        self.update()
 
     def add(self, chunk: Mapping[str, Any]) -> None:
         """What has happened since: {"t": [...], "rows": {name: [...]}, "restart": bool}."""

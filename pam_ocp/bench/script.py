@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ..core.errors import InputError
@@ -327,14 +327,39 @@ def is_followed(said: Mapping[str, Any]) -> bool:
     return said["kind"] != "lqr" or bool(said["gains"]["integral"])
 
 
+class _Code(str):
+    """Code that stands as it is among values."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+def law_keywords(
+    said: Mapping[str, Any], position: str, velocity: str, rate: Callable[[float], Any]
+) -> dict[str, Any]:
+    """The keywords of PointPid, lqr or Mpc that a controller stands for. rate : weights of the
+    inputs' rates, each of one weight.
+    """
+    gains, found = said["gains"], {"sample_time": said["sample_time"]}
+    if said["kind"] == "pid":
+        return {**gains, **found}
+    if said["kind"] == "mpc":
+        track = {position: gains["position"]}
+        horizon = round(gains["horizon"])
+        return {"horizon": horizon, **found, "track": track, "rate": rate(gains["rate"])}
+    if gains["integral"]:
+        found["integral"] = {position: gains["integral"]}
+    weights = {position: gains["position"], velocity: gains["velocity"]}
+    return {"weights": weights, "effort": gains["effort"], **found}
+
+
 def control_lines(state: Mapping[str, Any]) -> list[str]:
     """Each controller with its run against the plant, which can be pushed."""
     if state["muscle"] is None or not state["point"] or not state["controllers"]:
         return []
-    lines = []
     side = pushed(state["plant"])
-    lines += [f"side = {plant_code(side) if can_be_pushed(side) else 'plant'}"]
-    lines += ["position = next(iter(plant.positions))"]
+    lines = [f"side = {plant_code(side) if can_be_pushed(side) else 'plant'}"]
+    lines += ["position = next(iter(plant.positions))", "velocity = plant.positions[position]"]
     lines += ["start = {v.name: point[v.name] for v in (*plant.states, *plant.inputs)}"]
     for said in state["controllers"]:
         lines += _run_lines(said)
@@ -342,41 +367,33 @@ def control_lines(state: Mapping[str, Any]) -> list[str]:
 
 
 def _run_lines(said: Mapping[str, Any]) -> list[str]:
-    id, study, gains = said["id"], said["study"], said["gains"]
-    time = {"sample_time": said["sample_time"]}
-    if said["kind"] == "pid":
-        lines = [f"{id} = {call('pam.control.PointPid', 'plant', 'point', **gains, **time)}"]
-    elif said["kind"] == "lqr":
-        weights = f"{{position: {gains['position']!r}, velocity: {gains['velocity']!r}}}"
-        integral = f"integral={{position: {gains['integral']!r}}}, " if gains["integral"] else ""
-        lines = [
-            "velocity = plant.positions[position]",
-            f"{id} = pam.lqr(plant, point, weights={weights}, effort={gains['effort']!r}, "
-            f"{integral}sample_time={said['sample_time']!r})",
-        ]
-    else:
-        rate = f"{{v.name: {gains['rate']!r} for v in plant.inputs if not v.disturbance}}"
-        lines = [
-            f"{id} = pam.Mpc(plant, horizon={round(gains['horizon'])}, "
-            f"sample_time={said['sample_time']!r}, track={{position: {gains['position']!r}}}, "
-            f"rate={rate})",
-        ]
-    reference = (
-        f"{{position: point[position] + {study['step']!r}}}" if is_followed(said) else "None"
+    id, study, position = said["id"], said["study"], _Code("position")
+
+    def rate(weight: float) -> _Code:
+        return _Code(f"{{v.name: {weight!r} for v in plant.inputs if not v.disturbance}}")
+
+    made = {"pid": "pam.control.PointPid", "lqr": "pam.lqr", "mpc": "pam.Mpc"}[said["kind"]]
+    given = ("plant",) if said["kind"] == "mpc" else ("plant", "point")
+    law = call(made, *given, **law_keywords(said, position, _Code("velocity"), rate))
+    wanted = {position: _Code(f"point[position] + {study['step']!r}")}
+    run = call(
+        "pam.closed_loop",
+        id,
+        "side",
+        repr(wanted if is_followed(said) else None),
+        duration=study["duration"],
+        start=_Code("start"),
+        disturbances={PUSH: (study["push"], study["push_from"])} if study["push"] else None,
+        noise={position: study["noise"]} if study["noise"] else None,
     )
-    more = f", disturbances={{{PUSH!r}: ({study['push']!r}, {study['push_from']!r})}}"
-    more = more if study["push"] else ""
-    if study["noise"]:
-        more += f", noise={{position: {study['noise']!r}}}"
-    lines += [
-        f"{id}_run = pam.closed_loop({id}, side, {reference}, duration={study['duration']!r}, "
-        f"start=start{more})",
+    return [
+        f"{id} = {law}",
+        f"{id}_run = {run}",
         f"print({id}_run)",
         f'figures[f"{id}.final({{position}})"] = float({id}_run[position][-1])',
         f'figures[f"{id}.max({{position}})"] = float({id}_run[position].max())',
         f'figures[f"{id}.min({{position}})"] = float({id}_run[position].min())',
     ]
-    return lines
 
 
 # ---- exports -------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import tomli_w
 from ..judge.statement import Stop
 from ..plants.plant import Plant
 from ..studies.steps.measured import TableStep
-from .jobs.control import lqr_arguments, mpc_arguments
+from .jobs.control import law_arguments
 from .jobs.export import STEPS, TOLERANCE
 from .made import World, muscle_of, plant_of, point_of
 from .script import METHODS, PUSH, arguments, can_be_pushed, is_followed, platforms_of, pushed
@@ -63,17 +63,9 @@ def _controllers(world: World, plant: Plant, muscle: str) -> Steps:
         law = steps[f"{said['id']}-law"] = {"kind": "controller", "plant": "plant"}
         if said["kind"] != "mpc":
             law["rest"] = state["point"]
-        law["controller"] = _law(plant, said)
+        law["controller"] = {"kind": said["kind"], **law_arguments(plant, said)}
         steps[said["id"]] = _run(world, plant, said, against)
     return steps
-
-
-def _law(plant: Plant, said: State) -> dict[str, Any]:
-    """The table of a controller: the arguments that the page gives its class."""
-    if said["kind"] == "pid":
-        return {"kind": "pid", **said["gains"], "sample_time": said["sample_time"]}
-    arguments = {"lqr": lqr_arguments, "mpc": mpc_arguments}[said["kind"]]
-    return {"kind": said["kind"], **arguments(plant, said)}
 
 
 def _run(world: World, plant: Plant, said: State, against: str) -> dict[str, Any]:

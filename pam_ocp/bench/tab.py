@@ -31,11 +31,14 @@ import logging
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from nicegui import background_tasks, ui
 
-from ..core.errors import PamError
+from ..core.errors import InputError, PamError
+from .elements import Form, Row, buttons, words
 from .made import World
 from .rig_room import RigRoom
 from .session import Session
@@ -125,6 +128,10 @@ class Page:
         with self.client:
             ui.download.content(content, name)
 
+    def deliver(self, path: Path) -> None:
+        """A file that a job has written."""
+        self.download(path.read_bytes(), path.name)
+
 
 class Tab:
     """One tab in one browser."""
@@ -167,6 +174,23 @@ class Tab:
     def close(self) -> None:
         """The browser is gone."""
 
+    @contextmanager
+    def rows(self, *forms: Form) -> Iterator[list[list[Row]]]:
+        """Rows to be filled in for each form: shown at the end, also where that is an error."""
+        found: list[list[Row]] = [[] for _ in forms]
+        try:
+            yield found
+        finally:
+            for form, own in zip(forms, found, strict=True):
+                form.show(own)
+
+    def without_muscle(self, what: str) -> list[Row]:
+        """Rows that say that a motion, a controller needs one."""
+        return [
+            words(f"{what} needs a muscle: choose or fit one in the tab Muscle."),
+            buttons({"To the tab Muscle": partial(self.bench.open, "Muscle")}),
+        ]
+
 
 class Members(Tab):
     """A tab of a list of the session's, ``part``, one member of which is at hand."""
@@ -181,6 +205,13 @@ class Members(Tab):
         return chosen or (members[-1] if members else None)
 
     @property
+    def held(self) -> dict[str, Any]:
+        """The same for an event, which raises InputError where it is gone."""
+        if self.at_hand is None:
+            raise InputError(f"none of the {self.part} is left")
+        return self.at_hand
+
+    @property
     def names(self) -> dict[str, str]:
         """{id: name}"""
         return {m["id"]: m["name"] for m in self.state[self.part]}
@@ -192,9 +223,7 @@ class Members(Tab):
 
     def change(self, label: str, **values: Any) -> None:
         """One step of undo of the one at hand."""
-        said = self.at_hand
-        if said is not None:
-            self.session.put(label, self.part, {**said, **values})
+        self.session.put(label, self.part, {**self.held, **values})
 
     def rename(self, name: str) -> None:
         """Of the one at hand."""
@@ -207,6 +236,4 @@ class Members(Tab):
 
     def drop(self) -> None:
         """The one at hand."""
-        said = self.at_hand
-        if said is not None:
-            self.session.drop(f"delete {said['name']}", self.part, said["id"])
+        self.session.drop(f"delete {self.held['name']}", self.part, self.held["id"])

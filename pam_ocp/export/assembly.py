@@ -13,15 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from .. import __version__
 from ..core.files import atomic_path, require_ending
 from ..core.trajectory import Trajectory
 from . import compile as compiler
 from . import description, documentation, source
-from .c_keywords import C_KEYWORDS
 from .layout import Entry, Layout
-from .runtime import c_text
 from .settings import Settings
-from .source import MAIN_SOURCE
+from .source import C_KEYWORDS, MAIN_SOURCE, c_text
 
 _DATE = (2000, 1, 1, 0, 0, 0)
 _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
@@ -79,38 +78,16 @@ def _contents(
     texts = source.hand_written(settings.fmi, content.kind)
     files = {f"sources/{name}": text for name, text in texts.items()}
     files |= {f"sources/{name}": text for name, text in code.files.items()}
+    names: dict[str, Any] = {"identifier": identifier, "token": _PLACEHOLDER}
     files["sources/model_data.h"] = source.model_data(
-        layout,
-        code.work,
-        identifier=identifier,
-        token=_PLACEHOLDER,
-        tolerance=settings.tolerance,
-        fixed_step=settings.fixed_step,
-        **content.data,
+        layout, code.work, settings, **names, **content.data
     )
-    files["modelDescription.xml"] = description.to_text(
-        description.model_description(
-            layout,
-            settings.fmi,
-            identifier=identifier,
-            token=_PLACEHOLDER,
-            tolerance=source.proposed_tolerance(settings.tolerance),
-            step_size=settings.step_size,
-            stop_time=settings.stop_time,
-            fixed_step=settings.fixed_step,
-            tool=f"pam_ocp {_version()}",
-            about=settings.about,
-        )
-    )
+    tool = f"pam_ocp {__version__}"
+    root = description.model_description(layout, settings, **names, tool=tool)
+    files["modelDescription.xml"] = description.to_text(root)
     token = _token(files)
     files |= _pages(layout, settings, identifier, content)
     return {name: text.replace(_PLACEHOLDER, token) for name, text in files.items()}
-
-
-def _version() -> str:
-    from .. import __version__
-
-    return str(__version__)
 
 
 def _token(files: Mapping[str, str]) -> str:
@@ -141,11 +118,8 @@ def _pages(layout: Layout, settings: Settings, identifier: str, content: Content
         for suffix, entries in (("in", layout.of("input")), ("ref", layout.outputs)):
             table = documentation.reference_table(reference, {e.name for e in entries})
             pages[f"documentation/{identifier}_{suffix}.csv"] = table
-        span = float(reference.t[0]), float(reference.t[-1])
         trees[f"{extra}/fmi-ls-manifest.xml"] = references(identifier)
-        trees[f"{extra}/experiments.xml"] = experiments(
-            identifier, *span, settings.step_size, source.proposed_tolerance(settings.tolerance)
-        )
+        trees[f"{extra}/experiments.xml"] = experiments(identifier, reference, settings)
     return pages | {name: description.to_text(tree) for name, tree in trees.items()}
 
 
@@ -186,12 +160,9 @@ def _binaries(libraries: Mapping[str, bytes], identifier: str, fmi: str) -> dict
 
 
 def _icons(fmi: str) -> dict[str, bytes]:
-    png, folder = documentation.icon_png(), "terminalsAndIcons"
-    icons = {
-        f"{folder}/icon.png": png,
-        f"{folder}/{SIGNAL_ICON}.png": documentation.signal_png(),
-    }
-    return icons | ({"model.png": png} if fmi == "2.0" else {})
+    pictures = {name: documentation.stored(name) for name in ("icon.png", f"{SIGNAL_ICON}.png")}
+    icons = {f"terminalsAndIcons/{name}": content for name, content in pictures.items()}
+    return icons | ({"model.png": pictures["icon.png"]} if fmi == "2.0" else {})
 
 
 def write_archive(path: Path, content: Mapping[str, bytes]) -> None:
@@ -306,9 +277,7 @@ def references(identifier: str) -> ET.Element:
     return root
 
 
-def experiments(
-    identifier: str, start: float, stop: float, step: float, tolerance: float
-) -> ET.Element:
+def experiments(identifier: str, motion: Trajectory, settings: Settings) -> ET.Element:
     """experiments.xml beside the manifest: stimuli and results of the reference motion."""
     root = ET.Element("Experiments")
     experiment = ET.SubElement(
@@ -316,10 +285,10 @@ def experiments(
         "Experiment",
         name="reference",
         description="the reference motion: inputs are joined by straight lines",
-        startTime=repr(start),
-        stopTime=repr(stop),
-        tolerance=repr(tolerance),
-        stepSize=repr(step),
+        startTime=repr(float(motion.t[0])),
+        stopTime=repr(float(motion.t[-1])),
+        tolerance=repr(settings.proposed_tolerance),
+        stepSize=repr(settings.step_size),
     )
     for element, suffix in (("Stimuli", "in"), ("References", "ref")):
         file = f"../../documentation/{identifier}_{suffix}.csv"

@@ -198,7 +198,7 @@ def check_fmus(
     while len(found) < len(files):  # again behind a unit that has ended the process
         rest = len(found)
         told = _inspected(jobs[rest:], files[rest], time_limit, against)
-        found += [t.check(f, tolerance) for t, f in zip(told, files[rest:], strict=False)]
+        found += [_verdict(t, f, tolerance) for t, f in zip(told, files[rest:], strict=False)]
     return found
 
 
@@ -215,70 +215,57 @@ def _readable(file: Path) -> Path:
 
 def _inspected(
     jobs: Sequence[Mapping[str, Any]], file: Path, time_limit: float, against: Trajectory | None
-) -> list[_Told]:
+) -> list[dict[str, Any]]:
     """What came of the first jobs: of all of them, or up to the one that ended the process."""
-    told = [_Told()]
+    told: list[dict[str, Any]] = [{"findings": []}]
 
-    def hear(next_unit: bool = False, **what: Any) -> None:
+    def hear(next_unit: bool = False, findings: Sequence[str] = (), **what: Any) -> None:
         if next_unit:
-            told.append(_Told())
-        else:
-            told[-1].hear(**what)
+            told.append({"findings": []})
+        told[-1]["findings"] += findings
+        told[-1].update(what)
 
     try:
         with tempfile.TemporaryDirectory(prefix="pam_ocp_", ignore_cleanup_errors=True) as name:
             work = "pam_ocp.export.inspection:inspect_each"
             limit = time_limit * len(jobs)
             ended = run_alone(work, {"units": jobs}, Path(name), limit, hear)
-            for i, unit in enumerate(told):
-                unit.read(Path(name) / str(i), against)
+            if against is not None:
+                for i, unit in enumerate(told):
+                    unit["runs"] = _runs(unit, Path(name) / str(i), against)
     except OSError as error:
         raise SimulationError(f"{file}: there is no room to unpack it ({error})") from None
     if not ended.finished:
-        told[-1].findings.append(f"the unit {ended}; the check ended there")
+        told[-1]["findings"].append(f"the unit {ended}; the check ended there")
     return told
 
 
-@dataclass
-class _Told:
-    """What came from the unit's process until now."""
+def _runs(told: Mapping[str, Any], folder: Path, against: Trajectory) -> dict[str, Trajectory]:
+    """What the unit did, while its files are there."""
+    inputs, names = against.named("input"), told.get("compared", ())
+    runs: dict[str, Trajectory] = {}
+    for kind, file in told.get("played", {}).items():
+        with contextlib.suppress(OSError, ValueError):  # the unit has touched the file
+            values = np.load(folder / file, allow_pickle=False)
+            columns = {n: against[n] for n in inputs} | dict(zip(names, values.T, strict=True))
+            variables = [against.variable(n) for n in (*names, *inputs)]
+            runs[kind] = Trajectory(against.t, columns, variables, against.interpolation)
+    return runs
 
-    fmi: str = ""
-    platforms: list[str] = field(default_factory=list)
-    findings: list[str] = field(default_factory=list)
-    deviations: dict[str, dict[str, float]] = field(default_factory=dict)
-    compared: list[str] = field(default_factory=list)
-    played: dict[str, str] = field(default_factory=dict)
-    refused: str = ""
-    runs: dict[str, Trajectory] = field(default_factory=dict)
 
-    def hear(self, findings: Sequence[str] = (), **other: Any) -> None:
-        self.findings += findings
-        for name, value in other.items():
-            setattr(self, name, value)
-
-    def read(self, folder: Path, against: Trajectory | None) -> None:
-        """What the unit did, while its files are there."""
-        if against is None:
-            return
-        for kind, file in self.played.items():
-            with contextlib.suppress(OSError, ValueError):  # the unit has touched the file
-                values = np.load(folder / file, allow_pickle=False)
-                self.runs[kind] = _run(against, self.compared, values)
-
-    def check(self, file: Path, tolerance: float) -> FmuCheck:
-        """The verdict. Raises InputError where nothing could be compared."""
-        if self.refused:
-            raise InputError(self.refused)
-        return FmuCheck(
-            file,
-            self.fmi,
-            tolerance,
-            tuple(self.platforms),
-            tuple(self.findings),
-            self.deviations,
-            self.runs,
-        )
+def _verdict(told: Mapping[str, Any], file: Path, tolerance: float) -> FmuCheck:
+    """Raises InputError where nothing could be compared."""
+    if "refused" in told:
+        raise InputError(told["refused"])
+    return FmuCheck(
+        file,
+        told.get("fmi", ""),
+        tolerance,
+        tuple(told.get("platforms", ())),
+        tuple(told["findings"]),
+        told.get("deviations", {}),
+        told.get("runs", {}),
+    )
 
 
 def _plain(record: Trajectory | None) -> Trajectory | None:
@@ -287,10 +274,3 @@ def _plain(record: Trajectory | None) -> Trajectory | None:
         return None
     columns = {n: record[n] for n in record.names}
     return Trajectory(record.t, columns, record.variables, record.interpolation, (), record.signals)
-
-
-def _run(record: Trajectory, names: list[str], values: Array) -> Trajectory:
-    inputs = record.named("input")
-    columns = {n: record[n] for n in inputs} | dict(zip(names, values.T, strict=True))
-    variables = [record.variable(n) for n in (*names, *inputs)]
-    return Trajectory(record.t, columns, variables, record.interpolation)

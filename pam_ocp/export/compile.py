@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import platform as host
@@ -21,18 +20,8 @@ from pathlib import Path
 
 from ..core.errors import ExportError, InputError, UnknownNameError, require_names
 from ..core.processes import Processes
-from .cache import cache_folder, home_folder, keep, kept, usable_folder
-from .runtime import c_text
-
-__all__ = [
-    "PLATFORMS",
-    "Platform",
-    "cache_folder",
-    "compile_library",
-    "native",
-    "platforms_named",
-    "universal",
-]
+from .cache import digest, home_folder, keep, kept, usable_folder
+from .source import c_text
 
 LOG = logging.getLogger(__name__)
 
@@ -213,10 +202,8 @@ def _command(compiler: _Compiler, platform: Platform, output: str, source: str) 
 
 
 def _key(sources: Mapping[str, str], command: Iterable[str], version: str) -> str:
-    digest = hashlib.sha256()
-    for part in (version, *command, *(t for item in sorted(sources.items()) for t in item)):
-        digest.update(f"{len(part)}:".encode() + part.encode())
-    return digest.hexdigest()
+    parts = (version, *command, *(t for item in sorted(sources.items()) for t in item))
+    return digest(b"".join(f"{len(part)}:".encode() + part.encode() for part in parts))
 
 
 def compile_library(

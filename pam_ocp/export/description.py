@@ -8,12 +8,15 @@ from collections.abc import Iterable, Mapping
 
 from . import quantities
 from .layout import Dependency, Entry, Layout
+from .settings import Settings
 from .source import MAIN_SOURCE
 
 GENERATED = "2000-01-01T00:00:00Z"
 """The date of an FMU that is given none, so that the same plant gives the same bytes."""
 
 Types = Mapping[quantities.Type, str]
+Unknowns = list[tuple[int, tuple[Dependency, ...]]]
+"""Value references of unknowns, and what each depends on."""
 
 _LOG_CATEGORIES = {
     "logStatusError": "refused calls",
@@ -32,25 +35,11 @@ def to_text(root: ET.Element) -> str:
 
 
 def model_description(
-    layout: Layout,
-    fmi: str,
-    *,
-    identifier: str,
-    token: str,
-    tolerance: float,
-    step_size: float,
-    stop_time: float,
-    fixed_step: float,
-    tool: str,
-    about: Mapping[str, str],
+    layout: Layout, settings: Settings, *, identifier: str, token: str, tool: str
 ) -> ET.Element:
-    """The root element of modelDescription.xml.
-
-    about : author, version, copyright, license, date of the model; each may be missing.
-    """
-    said = {
-        name: about[name] for name in ("author", "version", "copyright", "license") if name in about
-    }
+    """The root element of modelDescription.xml."""
+    fmi, about = settings.fmi, dict(settings.about)
+    date = about.pop("date", GENERATED)
     root = ET.Element(
         "fmiModelDescription",
         {
@@ -58,15 +47,15 @@ def model_description(
             "modelName": layout.name,
             "guid" if fmi == "2.0" else "instantiationToken": token,
             "description": layout.description,
-            **said,
+            **about,
             "generationTool": tool,
-            "generationDateAndTime": about.get("date", GENERATED),
+            "generationDateAndTime": date,
             "variableNamingConvention": "structured",
         },
     )
     if fmi == "2.0":
         root.set("numberOfEventIndicators", "0")
-    _interfaces(root, fmi, identifier, fixed_step, layout.sample_time)
+    _interfaces(root, fmi, identifier, settings.fixed_step, layout.sample_time)
     variables = [e.variable for e in layout.entries]
     quantities.add_units(ET.SubElement(root, "UnitDefinitions"), variables)
     types = quantities.type_names(variables[1:])
@@ -78,16 +67,12 @@ def model_description(
         root,
         "DefaultExperiment",
         startTime="0.0",
-        stopTime=repr(stop_time),
-        tolerance=repr(tolerance),
-        stepSize=repr(step_size),
+        stopTime=repr(settings.stop_time),
+        tolerance=repr(settings.proposed_tolerance),
+        stepSize=repr(settings.step_size),
     )
-    if fmi == "2.0":
-        _variables_2(root, layout, types)
-        _structure_2(root, layout)
-    else:
-        _variables_3(root, layout, types)
-        _structure_3(root, layout)
+    _variables(root, layout, fmi, types)
+    _structure(root, layout, fmi)
     return root
 
 
@@ -150,16 +135,15 @@ def _causality(entry: Entry, sampled: bool) -> dict[str, str]:
     """Causality, variability and initial of a variable, the same in FMI 2 and 3."""
     if entry.role == "time":
         return {"causality": "independent", "variability": "continuous"}
+    tuned = "tunable" if entry.variable.tunable else "fixed"
     if entry.role == "parameter":
-        variability = "tunable" if entry.variable.tunable else "fixed"
-        return {"causality": "parameter", "variability": variability, "initial": "exact"}
+        return {"causality": "parameter", "variability": tuned, "initial": "exact"}
     if entry.role == "input":
         variability = "continuous" if entry.type == "Real" else "discrete"
         return {"causality": "input", "variability": variability}
     if entry.is_calculated:
-        variability = "tunable" if entry.variable.tunable else "fixed"
         causality = "calculatedParameter"
-        return {"causality": causality, "variability": variability, "initial": "calculated"}
+        return {"causality": causality, "variability": tuned, "initial": "calculated"}
     return {
         "causality": "output" if entry.is_output else "local",
         "variability": "discrete" if sampled else "continuous",
@@ -182,13 +166,9 @@ def _quantity(entry: Entry, types: Types) -> dict[str, str]:
     attributes = {"unit": variable.unit}
     if entry.role != "time":
         attributes["declaredType"] = quantities.declared(variable, types)
-    if variable.display_unit != variable.unit:
-        attributes["displayUnit"] = variable.display_unit
-    if entry.role == "time":
-        return attributes
-    for name in ("min", "max", "nominal"):
-        if math.isfinite(getattr(variable, name)):
-            attributes[name] = repr(float(getattr(variable, name)))
+    attributes |= quantities.range_of(variable)
+    if entry.role != "time" and math.isfinite(variable.nominal):
+        attributes["nominal"] = repr(float(variable.nominal))
     if settable:
         attributes["start"] = repr(float(variable.start or 0.0))
     return attributes
@@ -201,30 +181,25 @@ def _head(entry: Entry, sampled: bool) -> dict[str, str]:
     return head | _causality(entry, sampled)
 
 
-def _variables_2(root: ET.Element, layout: Layout, types: Types) -> None:
-    """Without time, which FMI 2 does not ask for and FMI Library complains about."""
+def _variables(root: ET.Element, layout: Layout, fmi: str, types: Types) -> None:
+    """In FMI 2 without time, which it does not ask for and FMI Library complains about."""
     parent = ET.SubElement(root, "ModelVariables")
-    for entry in layout.entries[1:]:
-        real = _quantity(entry, types)
-        if entry.role == "derivative":
-            real["derivative"] = str(entry.reference - len(layout.of("state")))
-        head = _head(entry, layout.sample_time is not None)
-        ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), entry.type, real)
-
-
-def _variables_3(root: ET.Element, layout: Layout, types: Types) -> None:
-    parent = ET.SubElement(root, "ModelVariables")
-    for entry in layout.entries:
+    number = "Float32" if layout.single else "Float64"
+    for entry in layout.entries[1:] if fmi == "2.0" else layout.entries:
         if entry.reference in layout.within:
             if entry.reference in layout.arrays:
                 _array(parent, layout, entry)
             continue
-        attributes = _head(entry, layout.sample_time is not None) | _quantity(entry, types)
+        head = _head(entry, layout.sample_time is not None)
+        about = _quantity(entry, types)
         if entry.role == "derivative":
-            attributes["derivative"] = str(entry.reference - len(layout.of("state")))
-        number = "Float32" if layout.single and entry.role != "time" else "Float64"
-        ET.SubElement(parent, number if entry.type == "Real" else entry.type, attributes)
-    if layout.clock and layout.sample_time is not None:
+            about["derivative"] = str(entry.reference - len(layout.of("state")))
+        if fmi == "2.0":
+            ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), entry.type, about)
+        else:
+            kind = "Float64" if entry.role == "time" else number
+            ET.SubElement(parent, kind if entry.type == "Real" else entry.type, head | about)
+    if fmi == "3.0" and layout.clock and layout.sample_time is not None:
         _clock(parent, layout, layout.sample_time)
 
 
@@ -263,21 +238,17 @@ def _clock(parent: ET.Element, layout: Layout, sample_time: float) -> None:
 # ---- model structure ----------------------------------------------------------------------------
 
 
-def _outputs(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
-    itself: tuple[Dependency, ...]
-    found = []
-    for entry in layout.outputs:
-        itself = ((entry.reference, "constant"),)
-        known = itself if entry.role == "state" else layout.dependencies[entry.reference]
-        found.append((entry.reference, known))
-    return found
+def _outputs(layout: Layout) -> Unknowns:
+    known: dict[int, tuple[Dependency, ...]] = {**layout.dependencies}
+    known |= {e.reference: ((e.reference, "constant"),) for e in layout.of("state")}
+    return [(e.reference, known[e.reference]) for e in layout.outputs]
 
 
-def _derivatives(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
+def _derivatives(layout: Layout) -> Unknowns:
     return [(e.reference, layout.dependencies[e.reference]) for e in layout.of("derivative")]
 
 
-def _initial(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
+def _initial(layout: Layout) -> Unknowns:
     return [
         (e.reference, _once(layout, layout.initial_dependencies[e.reference]))
         for e in layout.entries
@@ -292,37 +263,21 @@ def _once(layout: Layout, known: Iterable[Dependency]) -> tuple[Dependency, ...]
     return tuple(dict.fromkeys((layout.within.get(r, r), kind) for r, kind in known))
 
 
-def _dependency_attributes(known: Iterable[Dependency]) -> dict[str, str]:
-    pairs = list(known)
-    return {
-        "dependencies": " ".join(str(reference) for reference, _ in pairs),
-        "dependenciesKind": " ".join(kind for _, kind in pairs),
-    }
-
-
-def _structure_2(root: ET.Element, layout: Layout) -> None:
+def _structure(root: ET.Element, layout: Layout, fmi: str) -> None:
     """FMI 2 counts variables from 1 in the order of the file: the index is our reference."""
-    parent = ET.SubElement(root, "ModelStructure")
-    for name, unknowns in (
-        ("Outputs", _outputs(layout)),
-        ("Derivatives", _derivatives(layout)),
-        ("InitialUnknowns", _initial(layout)),
-    ):
-        if not unknowns:  # FMI 2 allows no empty groups
-            continue
-        group = ET.SubElement(parent, name)
-        for reference, known in unknowns:
-            attributes = {"index": str(reference)} | _dependency_attributes(known)
-            ET.SubElement(group, "Unknown", attributes)
-
-
-def _structure_3(root: ET.Element, layout: Layout) -> None:
-    parent = ET.SubElement(root, "ModelStructure")
+    two, parent = fmi == "2.0", ET.SubElement(root, "ModelStructure")
     for name, unknowns in (
         ("Output", _outputs(layout)),
-        ("ContinuousStateDerivative", _derivatives(layout)),
+        ("Derivative" if two else "ContinuousStateDerivative", _derivatives(layout)),
         ("InitialUnknown", _initial(layout)),
     ):
+        group = parent
+        if two and unknowns:  # FMI 2 allows no empty groups
+            group = ET.SubElement(parent, f"{name}s")
         for reference, known in unknowns:
-            attributes = {"valueReference": str(reference)} | _dependency_attributes(known)
-            ET.SubElement(parent, name, attributes)
+            attributes = {
+                "index" if two else "valueReference": str(reference),
+                "dependencies": " ".join(str(r) for r, _ in known),
+                "dependenciesKind": " ".join(kind for _, kind in known),
+            }
+            ET.SubElement(group, "Unknown" if two else name, attributes)

@@ -10,6 +10,7 @@ from collections.abc import Container, Iterable, Sequence
 from importlib import resources
 
 import casadi as ca
+import numpy as np
 
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -142,16 +143,16 @@ def page(
 
 
 def reference_table(motion: Trajectory, shown: Container[str]) -> str:
-    """Those columns of a motion [SI] that are shown,
-    in the CSV format of FMI's reference results.
-    """
+    """Those columns of a motion that are shown."""
     names = [v.name for v in motion.variables if v.name in shown]
+    return table(names, np.column_stack([motion.t, motion.array(names)]))
+
+
+def table(names: Iterable[str], rows: Iterable[Iterable[float]]) -> str:
+    """Columns behind the time [SI], in the CSV format of FMI's reference results."""
     header = ",".join(f'"{name}"' for name in ("time", *names))
-    rows = (
-        ",".join(repr(float(c)) for c in (t, *row))
-        for t, row in zip(motion.t, motion.array(names), strict=True)
-    )
-    return "\n".join([header, *rows, ""])
+    lines = (",".join(repr(float(c)) for c in row) for row in rows)
+    return "\n".join([header, *lines, ""])
 
 
 def picture(motion: Trajectory) -> bytes:
@@ -181,15 +182,8 @@ def icon_svg() -> str:
     )
 
 
-def icon_png() -> bytes:
-    """The same drawing as PNG, 100 x 100 pixels: a file, so that an export needs no matplotlib."""
-    return _stored("icon.png")
-
-
-def signal_png() -> bytes:
-    """The picture of a terminal: a disc, 32 x 32 pixels."""
-    return _stored("signal.png")
-
-
-def _stored(name: str) -> bytes:
+def stored(name: str) -> bytes:
+    """A picture as PNG: the same drawing (icon.png, 100 x 100 pixels), a disc for terminals
+    (signal.png, 32 x 32); files, so that an export needs no matplotlib.
+    """
     return (resources.files("pam_ocp.export") / "icons" / name).read_bytes()

@@ -20,8 +20,7 @@ from ..core.expressions import steps_of
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import check
 from ..plants.plant import Plant
-from .runtime import c_text
-from .source import number
+from .source import c_text, number, solver_rows
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -50,6 +49,11 @@ INFIX = {
     "if_else_zero": "(V)((M)({} != 0.0) & (M){})",
     "constpow": "v_pow({}, {})",
 }
+SIGNATURES = {
+    "plant_rhs": "const V *x, const V *u, const V *p, V *xdot",
+    "plant_linearize": "const V *x, const V *u, const V *p, V *xdot, V *jacobian",
+    "plant_slope": "const V *x, const V *u, const V *p, const V *rise, V *slope",
+}
 CALLS = {
     1: "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh floor ceil fabs "
     "sign erf log1p expm1",
@@ -74,29 +78,14 @@ def lanes_here() -> tuple[int, str]:
 
 def lane_sources(plant: Plant) -> dict[str, str] | None:
     """C files; None where the equations hold what has no words here."""
-    x, u, p = plant.x, plant.u, plant.p
-    xdot = ca.densify(plant.function(x, u, p)[0])
-    rise = ca.SX.sym("rise", u.size1())
-    jacobian = ca.densify(ca.jacobian(xdot, x))
-    rows: dict[str, tuple[list[ca.SX], list[ca.SX], str]] = {
-        "plant_rhs": ([x, u, p], [xdot], "const V *x, const V *u, const V *p, V *xdot"),
-        "plant_linearize": (
-            [x, u, p],
-            [xdot, jacobian],
-            "const V *x, const V *u, const V *p, V *xdot, V *jacobian",
-        ),
-        "plant_slope": (
-            [x, u, p, rise],
-            [ca.densify(ca.jtimes(xdot, u, rise))],
-            "const V *x, const V *u, const V *p, const V *rise, V *slope",
-        ),
-    }
+    rows = solver_rows(plant)
     try:
-        code = [_function(name, *row) for name, row in rows.items()]
+        code = [_function(name, *rows[name], signature) for name, signature in SIGNATURES.items()]
     except KeyError:
         return None
     count, target = lanes_here()
-    defines = {"SOLVER_N": x.size1(), "NU": u.size1(), "NP": p.size1(), "LANES": count}
+    sizes = (len(plant.states), len(plant.inputs), len(plant.parameters), count)
+    defines = dict(zip(("SOLVER_N", "NU", "NP", "LANES"), sizes, strict=True))
     data = "".join(f"#define {name} {value}\n" for name, value in defines.items())
     data += f'#define LANES_TARGET "{target}"\n' if target else ""
     own = {name: c_text(name) for name in OWN}

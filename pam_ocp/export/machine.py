@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import ctypes
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -27,8 +28,7 @@ from .cache import cache_folder, digest, keep, kept, usable_folder
 from .compile import compile_library, native
 from .lanes import MAIN as LANES
 from .lanes import LaneCases, lane_sources, lanes_here
-from .runtime import c_text
-from .source import plant_code, work_of
+from .source import c_text, functions_of, plant_code, solver_rows, work_of
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -159,6 +159,16 @@ class _Known:
     looked = False
 
 
+@contextmanager
+def _refused(build: bool) -> Iterator[None]:
+    """Nothing where code is not built and cannot be used; InputError where it was to be built."""
+    try:
+        yield
+    except ExportError as error:
+        if build:
+            raise InputError(f"compiled = True: {error}; or leave compiled out") from None
+
+
 def machine_plant(plant: Plant, build: bool) -> MachinePlant | None:
     """The plant's library where it is there, or where ``build`` asks for it; else None.
 
@@ -167,11 +177,8 @@ def machine_plant(plant: Plant, build: bool) -> MachinePlant | None:
     known: _Known = plant.cached(("machine",), _Known)
     if known.machine is None and (build or not known.looked):
         known.looked = True
-        try:
+        with _refused(build):
             known.machine = _machine(plant, build)
-        except ExportError as error:
-            if build:
-                raise InputError(f"compiled = True: {error}; or leave compiled out") from None
     return known.machine
 
 
@@ -192,14 +199,11 @@ def _machine(plant: Plant, build: bool) -> MachinePlant | None:
     if kept(stored) is None:
         if not build:
             return None
-        sources = _sources(plant)
-        keep(stored, compile_library(sources, MAIN, native(), NAME))
+        keep(stored, compile_library(_sources(plant), MAIN, native(), NAME))
     try:
         machine = MachinePlant(stored, len(plant.states), len(plant.outputs))
     except OSError as error:
-        if build:
-            raise ExportError(f"{stored} cannot be loaded ({error})") from None
-        return None
+        raise ExportError(f"{stored} cannot be loaded ({error})") from None
     if _alike(plant, machine):
         machine.lanes = cache(partial(_lanes, plant, machine, build))
         return machine
@@ -223,24 +227,15 @@ def _digest(plant: Plant) -> str:
 
 
 def _sources(plant: Plant) -> dict[str, str]:
-    x, u, p = plant.x, plant.u, plant.p
-    xdot, y = (ca.densify(e) for e in plant.function(x, u, p)[:2])
-    rise = ca.SX.sym("rise", u.size1())
-    rows = {
-        "plant_rhs": ([x, u, p], [xdot]),
-        "plant_outputs": ([x, u, p], [y]),
-        "plant_linearize": ([x, u, p], [xdot, ca.densify(ca.jacobian(xdot, x))]),
-        "plant_slope": ([x, u, p, rise], [ca.densify(ca.jtimes(xdot, u, rise))]),
-    }
-    functions = [ca.Function(name, *row, {"cse": True}) for name, row in rows.items()]
+    functions = functions_of(solver_rows(plant))
     defines = {
-        "SOLVER_N": x.size1(),
-        "NU": u.size1(),
-        "NY": y.size1(),
+        "SOLVER_N": len(plant.states),
+        "NU": len(plant.inputs),
+        "NY": len(plant.outputs),
         **work_of("PLANT", functions),
     }
-    data = "\n".join(f"#define {name} {value}" for name, value in defines.items())
-    return {**_own(), "simulate_data.h": f"{data}\n", "plant.c": plant_code(functions)}
+    data = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+    return {**_own(), "simulate_data.h": data, "plant.c": plant_code(functions)}
 
 
 def _alike(plant: Plant, machine: MachinePlant) -> bool:
@@ -322,35 +317,25 @@ def machine_function(function: ca.Function, build: bool) -> ca.Function | None:
 
     Raises InputError where it is to be built and cannot be.
     """
-    try:
-        return _machine_function(function, build)
-    except ExportError as error:
-        if build:
-            raise InputError(f"compiled = True: {error}; or leave compiled out") from None
-        return None
-
-
-def _machine_function(function: ca.Function, build: bool) -> ca.Function | None:
-    parts = (function.serialize(), ca.CasadiMeta.version(), native().name)
-    stored = _place("function", digest(chr(0).join(parts).encode()), build)
-    if stored is None:
-        return None
-    if kept(stored) is None:
-        if not build:
+    with _refused(build):
+        parts = (function.serialize(), ca.CasadiMeta.version(), native().name)
+        stored = _place("function", digest(chr(0).join(parts).encode()), build)
+        if stored is None:
             return None
-        generator = ca.CodeGenerator("function.c")
-        generator.add(function)
-        source = {"function.c": _HEAD + generator.dump()}
-        keep(stored, compile_library(source, "function.c", native(), function.name()))
-    try:
-        found = ca.external(function.name(), str(stored))
-    except RuntimeError as error:
-        if build:
+        if kept(stored) is None:
+            if not build:
+                return None
+            generator = ca.CodeGenerator("function.c")
+            generator.add(function)
+            source = {"function.c": _HEAD + generator.dump()}
+            keep(stored, compile_library(source, "function.c", native(), function.name()))
+        try:
+            found = ca.external(function.name(), str(stored))
+        except RuntimeError as error:
             raise ExportError(f"{stored} cannot be loaded ({error})") from None
-        return None
-    point = [ca.DM(function.sparsity_in(i), 0.1) for i in range(function.n_in())]
-    same = all(
-        np.allclose(np.asarray(a), np.asarray(b), rtol=ALIKE, atol=ALIKE, equal_nan=True)
-        for a, b in zip(found.call(point), function.call(point), strict=True)
-    )
-    return found if same else None
+        point = [ca.DM(function.sparsity_in(i), 0.1) for i in range(function.n_in())]
+        same = all(
+            np.allclose(np.asarray(a), np.asarray(b), rtol=ALIKE, atol=ALIKE, equal_nan=True)
+            for a, b in zip(found.call(point), function.call(point), strict=True)
+        )
+        return found if same else None

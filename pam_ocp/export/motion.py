@@ -21,8 +21,8 @@ from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import source
 from .assembly import Content, write_fmu
+from .documentation import table
 from .layout import PlantLayout
-from .runtime import c_text
 from .settings import FmiVersion, checked
 
 Array: TypeAlias = NDArray[np.float64]
@@ -101,12 +101,9 @@ def save_input_table(
     require_ending(path, ".csv", "a table of inputs")
     chosen = _columns(motion, names)
     rows = _rows(_signals(motion, chosen), motion, chosen)
-    header = ",".join(f'"{n}"' for n in ("time", *chosen))
-    lines = (",".join(repr(float(c)) for c in row) for row in rows)
-    target = Path(path)
-    with atomic_path(target) as temporary:
-        temporary.write_text("\n".join([header, *lines, ""]), encoding="utf-8")
-    return target
+    with atomic_path(path) as temporary:
+        temporary.write_text(table(chosen, rows), encoding="utf-8")
+    return Path(path)
 
 
 def _columns(motion: Trajectory, names: Sequence[str] | None) -> list[str]:
@@ -227,7 +224,7 @@ def _code(
         ]
     )
     files = {
-        "plant.c": c_text("motion.c"),
+        "plant.c": source.c_text("motion.c"),
         "motion_data.h": data,
     }
     return source.ModelCode(files, _WORK)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
 
 from ..core.block import Block
 from ..core.errors import InputError, require_flag
@@ -15,11 +19,13 @@ from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle
+from ..operating.linear import chosen_signals
 from ..plants.alone import muscle_alone
 from ..plants.damping import Loss
 from ..plants.feeds import Feed
 from ..plants.plant import Plant, require_plant
-from . import documentation, interface, sampled, source
+from ..plants.undelayed import attributes_of
+from . import documentation, sampled, source
 from .assembly import Content, write_fmu
 from .layout import PlantLayout
 from .sampled import as_block
@@ -144,13 +150,13 @@ def export_fmu(
     _require_codes(enumerations, (*plant.inputs, *plant.parameters))
     size = 1e-3 if step_size is None else step_size
     settings = checked(fmi, size, tolerance, fixed_step, stop_time, about)
-    shown = interface.shown_outputs(plant, outputs)
-    offered = interface.with_inputs(plant, inputs)
+    shown = _shown_outputs(plant, outputs)
+    offered = _with_inputs(plant, inputs)
     if reference is not None:
-        interface.check_reference(reference, offered)
+        _check_reference(reference, offered)
     calculated: frozenset[str] = frozenset()
     if share:
-        offered, calculated = interface.with_shared(offered)
+        offered, calculated = _with_shared(offered)
     content = Content(
         "fmu",
         lambda: source.plant_sources(offered),
@@ -227,3 +233,118 @@ def write_block(
         sampled.block_data(layout),
     )
     return write_fmu(layout, path, settings, platforms, content)
+
+
+# ---- which inputs and outputs are shown ----------------------------------------------------------
+def _with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
+    """The plant with these inputs only; the others become tunable parameters at their start values.
+
+    Path constraints, which are not part of an FMU, are left out.
+    Raises InputError, UnknownNameError for names that are no inputs.
+    """
+    chosen = chosen_signals("inputs", plant, inputs, ("input",))
+    left_out = {v.name for v in plant.inputs} - set(chosen)
+    if not left_out:
+        return plant
+    other, symbols = _begun(plant)
+    for v in plant.inputs:
+        if v.name in left_out:
+            symbols[v.name] = _parameter(other, v, tunable=True)
+        else:
+            symbols[v.name] = other.input(v.name, **attributes_of(v))
+    symbols |= {v.name: _parameter(other, v) for v in plant.parameters}
+    _define(other, plant, symbols)
+    return other
+
+
+def _with_shared(plant: Plant) -> tuple[Plant, frozenset[str]]:
+    """The plant with one parameter (``muscle.a1``) where parts that are numbered (``muscle1.a1``,
+    ``muscle2.a1``) have equal ones; those become outputs. Returns the names of these, too.
+    """
+    groups: dict[str, list[Variable]] = {}
+    for v in plant.parameters:
+        part, _, constant = v.name.rpartition(".")
+        family = part.rstrip("0123456789")
+        if family and family != part:
+            groups.setdefault(f"{family}.{constant}", []).append(v)
+    taken = {v.name for v in plant.variables}
+    shared = {
+        name: members
+        for name, members in groups.items()
+        if len(members) > 1
+        and name not in taken
+        and all(_like(m) == _like(members[0]) for m in members)
+    }
+    one = {m.name: name for name, members in shared.items() for m in members}
+    if not one:
+        return plant, frozenset()
+    other, symbols = _begun(plant)
+    symbols |= {v.name: other.input(v.name, **attributes_of(v)) for v in plant.inputs}
+    for v in plant.parameters:
+        name = one.get(v.name, v.name)
+        if name not in symbols:
+            part, family = v.name.rpartition(".")[0], name.rpartition(".")[0]
+            words = v.description
+            if name != v.name:
+                words = words.replace(part, f"each {family}")
+            symbols[name] = _parameter(other, v, name, description=words)
+        symbols[v.name] = symbols[name]
+    _define(other, plant, symbols)
+    for v in plant.parameters:
+        if v.name in one:
+            other.output(v.name, symbols[v.name], **attributes_of(v) | {"start": None})
+    return other, frozenset(one)
+
+
+def _like(variable: Variable) -> Variable:
+    """All but the name and what is said of it."""
+    return replace(variable, name="x", description="")
+
+
+def _begun(plant: Plant) -> tuple[Plant, dict[str, ca.SX]]:
+    """Another plant of this name with these states, and their symbols."""
+    other = Plant(plant.name, plant.description)
+    return other, {v.name: other.state(v.name, **attributes_of(v)) for v in plant.states}
+
+
+def _parameter(plant: Plant, variable: Variable, name: str = "", **changed: Any) -> ca.SX:
+    about = attributes_of(variable) | changed
+    del about["disturbance"]
+    return plant.parameter(name or variable.name, about.pop("start"), **about)
+
+
+def _define(other: Plant, plant: Plant, symbols: Mapping[str, ca.SX]) -> None:
+    """The equations and outputs of ``plant`` in the symbols of another."""
+    columns = [
+        ca.vertcat(*(symbols[v.name] for v in group))
+        for group in (plant.states, plant.inputs, plant.parameters)
+    ]
+    xdot, y, _ = plant.function(*columns)
+    for i, v in enumerate(plant.states):
+        other.der(symbols[v.name], xdot[i])
+    for i, v in enumerate(plant.outputs):
+        other.output(v.name, y[i], **{**attributes_of(v), "start": None})
+
+
+def _shown_outputs(plant: Plant, outputs: Sequence[str] | None) -> frozenset[str] | None:
+    """Names of the states and outputs that the FMU gives as outputs; None for all.
+
+    Raises InputError, UnknownNameError for names that are neither, and for an empty list.
+    """
+    if outputs is None:
+        return None
+    chosen = chosen_signals("outputs", plant, outputs, ("state", "output"))
+    if not chosen:
+        raise InputError("outputs is empty; name at least one state or output")
+    return frozenset(chosen)
+
+
+def _check_reference(reference: Trajectory, plant: Plant) -> None:
+    """Refuse a reference motion that plays what the FMU holds. Raises InputError."""
+    constants = {v.name: v.start for v in plant.parameters}
+    for name in reference.named("input"):
+        if name in constants and not np.all(reference[name] == constants[name]):
+            raise InputError(
+                f"reference: its input {name} is left out of the FMU, which holds it at "
+                f"{plant.variable(name).shown(constants[name] or 0.0)}; name it in inputs"
+            )

@@ -71,6 +71,13 @@ def declared(variable: Variable, names: Mapping[Type, str]) -> str:
     return names[_type_of(variable)]
 
 
+def range_of(known: Variable | Type) -> dict[str, str]:
+    """The attributes displayUnit, min and max, where they say something."""
+    found = {} if known.display_unit == known.unit else {"displayUnit": known.display_unit}
+    ends = {"min": known.min, "max": known.max}
+    return found | {name: repr(float(e)) for name, e in ends.items() if math.isfinite(e)}
+
+
 def add_types(
     root: ET.Element, names: Mapping[Type, str], fmi: str, number: str = "Float64"
 ) -> None:
@@ -83,11 +90,7 @@ def add_types(
         attributes = {"unit": kind.unit}
         if kind.unit in _NAMES and kind.unit != "1":
             attributes["quantity"] = _NAMES[kind.unit]
-        if kind.display_unit != kind.unit:
-            attributes["displayUnit"] = kind.display_unit
-        for bound in ("min", "max"):
-            if math.isfinite(getattr(kind, bound)):
-                attributes[bound] = repr(float(getattr(kind, bound)))
+        attributes |= range_of(kind)
         if fmi == "2.0":
             ET.SubElement(ET.SubElement(parent, "SimpleType", name=name), "Real", attributes)
         else:

@@ -177,33 +177,26 @@ class Runner:
         return [self.fmu.references[n] for n in names]
 
     def get(self, names: Sequence[str]) -> Array:
-        """Values of variables [SI]."""
-        references = self.references(names)
-        if not self.fmu.typed.keys().isdisjoint(names):
-            return np.array([self._one(n) for n in names], dtype=float)
+        """Values of variables [SI]; 1 and 0 of Booleans."""
+        known = dict(zip(names, self.references(names), strict=True))
+        plain = [n for n in known if n not in self.fmu.typed]
         read = self.inner.getReal if self.fmu.fmi == "2.0" else self.inner.getFloat64
-        return np.array(read(references) if references else [], dtype=float)
+        found = dict(zip(plain, read([known[n] for n in plain]) if plain else (), strict=True))
+        for name in known.keys() & self.fmu.typed.keys():
+            call = getattr(self.inner, f"get{self._call_of(name)}")
+            found[name] = call([known[name]])[0]
+        return np.array([found[n] for n in names], dtype=float)
 
     def set(self, values: Mapping[str, float]) -> None:
         """Set variables [SI]."""
-        if not values:
-            return
-        references = self.references(list(values))
-        typed = self.fmu.typed.keys() & values.keys()
-        for name in typed:
+        known = dict(zip(values, self.references(list(values)), strict=True))
+        for name in known.keys() & self.fmu.typed.keys():
             call = getattr(self.inner, f"set{self._call_of(name)}")
-            call(self.references([name]), [_KINDS[self.fmu.typed[name]](values[name])])
-        if typed:
-            return self.set({n: v for n, v in values.items() if n not in typed})
-        write = self.inner.setReal if self.fmu.fmi == "2.0" else self.inner.setFloat64
-        write(references, [float(v) for v in values.values()])
-
-    def _one(self, name: str) -> float:
-        """A value, 1 or 0 of a Boolean."""
-        if name in self.fmu.typed:
-            call = getattr(self.inner, f"get{self._call_of(name)}")
-            return float(call(self.references([name]))[0])
-        return float(self.get([name])[0])
+            call([known[name]], [_KINDS[self.fmu.typed[name]](values[name])])
+        plain = [n for n in known if n not in self.fmu.typed]
+        if plain:
+            write = self.inner.setReal if self.fmu.fmi == "2.0" else self.inner.setFloat64
+            write([known[n] for n in plain], [float(values[n]) for n in plain])
 
     def _call_of(self, name: str) -> str:
         """What FMI's functions for such a variable end in."""

@@ -10,6 +10,14 @@ from typing import Literal
 from ..core.errors import InputError, UnknownNameError, require_positive
 
 FmiVersion = Literal["2.0", "3.0"]
+EXCHANGE_FRACTION = 1e-2
+"""The tolerance proposed to an importer's own solver, as a part of that of Co-Simulation.
+
+A multistep solver such as CVODE holds the error of one step to its tolerance; over the steps of an
+oscillation errors add up to some 50 (20 .. 400) times that.
+"""
+LEAST_PROPOSED = 1e-9
+"""Below, importers' limits on the number of steps break a simulation off."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +31,11 @@ class Settings:
     stop_time: float
     about: Mapping[str, str]
     """Author, version, copyright, license and date of the model, where they are said."""
+
+    @property
+    def proposed_tolerance(self) -> float:
+        """What DefaultExperiment says, so that Model Exchange comes near to Co-Simulation."""
+        return max(self.tolerance * EXCHANGE_FRACTION, min(self.tolerance, LEAST_PROPOSED))
 
 
 def checked(

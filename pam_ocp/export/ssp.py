@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import tempfile
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -18,18 +20,33 @@ from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from . import assembly, description
+from . import assembly, description, quantities
 from .motion import export_motion, player
 from .package import checked_shapes, export_fmu, write_block
 from .sampled import BlockLayout, as_block, as_booleans
 from .settings import FmiVersion, checked
-from .structure import Part, Wire, system_structure
+from .ssv import SPACE, parameter_set
 
 LATE = 0.1
 """Sample times: commands that act so much later than designed for lose little."""
 
 SspVersion: TypeAlias = Literal["1.0", "2.0"]
 Component: TypeAlias = Plant | Block | Trajectory | Any
+Wire: TypeAlias = tuple[str, str, str, str]
+"""Component and variable of the output, component and variable of the input."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component: its variables, and how its FMU is written to a path."""
+
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    settable: tuple[Variable, ...]
+    """States and parameters with their start values."""
+    write: Callable[[Path], Path]
+    types: Mapping[str, str] = field(default_factory=dict)
+    """Of inputs and outputs that are no numbers: "Boolean", or the codes of an enumeration."""
 
 
 @verb
@@ -123,7 +140,7 @@ def export_ssp(
         for key, part in parts.items():
             file = part.write(Path(folder) / f"{key}.fmu")
             content[f"resources/{key}.fmu"] = file.read_bytes()
-        tree = system_structure(name, parts, wires, size, stop_time, version, kind)
+        tree = _system_structure(name, parts, wires, size, stop_time, (version, kind))
         content["SystemStructure.ssd"] = description.to_text(tree).encode()
         assembly.write_archive(target, content)
     return Path(path)
@@ -244,26 +261,17 @@ def _part(
             block.outputs,
             tuple(e.variable for e in plain if e.reference not in layout.within),
             lambda path: write_block(block, path, settings, chosen, False, given, **forms),
-            block.sample_time,
             {e.name: e.variable.codes or e.type for e in layout.entries if e.type != "Real"},
         )
     if isinstance(component, Trajectory):
-        motion = component
-        plant = player(name, motion, motion.names)
-        more |= {"names": motion.names, "name": name}
-        return Part(
-            plant.inputs,
-            plant.states + plant.outputs,
-            plant.states + plant.parameters,
-            lambda path: export_motion(motion, path, **more),
-        )
-    model = component
-    return Part(
-        model.inputs,
-        model.states + model.outputs,
-        model.states + model.parameters,
-        lambda path: export_fmu(model, path, tolerance=tolerance, **more),
-    )
+        model = player(name, component, component.names)
+        more |= {"names": component.names, "name": name}
+        write = partial(export_motion, component, **more)
+    else:
+        model = component
+        write = partial(export_fmu, component, tolerance=tolerance, **more)
+    settable = model.states + model.parameters
+    return Part(model.inputs, model.states + model.outputs, settable, write)
 
 
 # ---- exchange -----------------------------------------------------------------------------------
@@ -342,3 +350,110 @@ def _wires(parts: Mapping[str, Part], connections: Mapping[str, str]) -> list[Wi
     if unconnected:
         raise InputError(f"connections: nothing leads to {', '.join(unconnected)}")
     return wires
+
+
+# ---- SystemStructure.ssd ------------------------------------------------------------------------
+_NAMESPACES = {
+    "ssd": f"{SPACE}Description",
+    "ssc": f"{SPACE}Common",
+    "ssv": f"{SPACE}ParameterValues",
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
+}
+_WIDTH, _GAP, _ROW = 40.0, 30.0, 6.0
+"""Of a block in the diagram [mm]; the height of one connector."""
+
+
+def _system_structure(
+    name: str,
+    parts: Mapping[str, Part],
+    wires: Iterable[Wire],
+    step_size: float,
+    stop_time: float,
+    form: tuple[str, str],
+) -> ET.Element:
+    """The root: components side by side, connectors with units.
+
+    form : version of SSP, and the type of its numbers ("Float64" in 2.0 for units of FMI 3).
+    """
+    spaces = {f"xmlns:{prefix}": uri for prefix, uri in _NAMESPACES.items()}
+    root = ET.Element(
+        "ssd:SystemStructureDescription", {**spaces, "version": form[0], "name": name}
+    )
+    system = ET.SubElement(root, "ssd:System", name=name)
+    elements = ET.SubElement(system, "ssd:Elements")
+    codes = sorted({t for part in parts.values() for t in part.types.values()} - {"Boolean"})
+    names = {text: f"Code{i + 1}" for i, text in enumerate(codes)}
+    for place, (key, part) in enumerate(parts.items()):
+        _component(elements, key, part, place, form, names)
+    group = ET.SubElement(system, "ssd:Connections")
+    ends = ("startElement", "startConnector", "endElement", "endConnector")
+    for wire in wires:
+        ET.SubElement(group, "ssd:Connection", dict(zip(ends, wire, strict=True)))
+    _master(system, step_size)
+    if names:
+        group = ET.SubElement(root, "ssd:Enumerations")
+    for text, enumeration in names.items():
+        element = ET.SubElement(group, "ssc:Enumeration", name=enumeration)
+        quantities.add_items(element, text, "ssc:")
+    everything = [
+        v for part in parts.values() for v in (*part.inputs, *part.outputs, *part.settable)
+    ]
+    quantities.add_units(ET.SubElement(root, "ssd:Units"), everything, "ssc:")
+    ET.SubElement(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(float(stop_time)))
+    return root
+
+
+def _master(system: ET.Element, step_size: float) -> None:
+    """OMSimulator's command line wants to be told its master; others pass over the annotation."""
+    annotations = ET.SubElement(system, "ssd:Annotations")
+    annotation = ET.SubElement(annotations, "ssc:Annotation", type="org.openmodelica")
+    own = ET.SubElement(annotation, "oms:Annotations")
+    ET.SubElement(
+        ET.SubElement(own, "oms:SimulationInformation"),
+        "oms:FixedStepMaster",
+        description="oms-ma",
+        stepSize=repr(float(step_size)),
+        absoluteTolerance="1e-06",
+        relativeTolerance="1e-06",
+    )
+
+
+def _component(
+    parent: ET.Element,
+    name: str,
+    part: Part,
+    place: int,
+    form: tuple[str, str],
+    codes: Mapping[str, str],
+) -> None:
+    version, type_ = form
+    component = ET.SubElement(
+        parent,
+        "ssd:Component",
+        name=name,
+        type="application/x-fmu-sharedlibrary",
+        source=f"resources/{name}.fmu",
+    )
+    connectors = ET.SubElement(component, "ssd:Connectors")
+    for kind, side, variables in (("input", 0.0, part.inputs), ("output", 1.0, part.outputs)):
+        for i, variable in enumerate(variables):
+            connector = ET.SubElement(connectors, "ssd:Connector", name=variable.name, kind=kind)
+            own = part.types.get(variable.name)
+            if own is None:
+                ET.SubElement(connector, f"ssc:{type_}", unit=variable.unit)
+            elif own == "Boolean":
+                ET.SubElement(connector, "ssc:Boolean")
+            else:
+                ET.SubElement(connector, "ssc:Enumeration", name=codes[own])
+            height = f"{(i + 1) / (len(variables) + 1):.4g}"
+            ET.SubElement(connector, "ssd:ConnectorGeometry", x=f"{side:g}", y=height)
+    left = place * (_WIDTH + _GAP)
+    rows = max(len(part.inputs), len(part.outputs), 2)
+    corners = {"x1": left, "y1": 0.0, "x2": left + _WIDTH, "y2": rows * _ROW}
+    ET.SubElement(component, "ssd:ElementGeometry", {c: f"{v:g}" for c, v in corners.items()})
+    if not part.settable:
+        return
+    bindings = ET.SubElement(component, "ssd:ParameterBindings")
+    values = ET.SubElement(ET.SubElement(bindings, "ssd:ParameterBinding"), "ssd:ParameterValues")
+    pairs = [(v, v.start or 0.0) for v in part.settable]
+    values.append(parameter_set(pairs, "initialValues", False, version, type_))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,33 @@ from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle
 from ..plants.hanging import HangingLoad
 from ..plants.plant import Plant, by_name, require_plant
+from . import quantities
 from .description import to_text
-from .structure import parameter_set
+
+SPACE = "http://ssp-standard.org/SSP1/SystemStructure"
+"""Of SSP 1.0 and 2.0; 2.0 knows the types of FMI 3 (Float64)."""
+
+
+def parameter_set(
+    values: Iterable[tuple[Variable, float]],
+    name: str,
+    spaces: bool = True,
+    version: str = "1.0",
+    kind: str = "Real",
+) -> ET.Element:
+    """ssv:ParameterSet of values [SI]; with its namespaces and units where it is a file's root."""
+    pairs = list(values)
+    known = {"ssv": f"{SPACE}ParameterValues", "ssc": f"{SPACE}Common"} if spaces else {}
+    declared = {f"xmlns:{prefix}": uri for prefix, uri in known.items()}
+    group = ET.Element("ssv:ParameterSet", {**declared, "version": version, "name": name})
+    parameters = ET.SubElement(group, "ssv:Parameters")
+    for variable, value in pairs:
+        parameter = ET.SubElement(parameters, "ssv:Parameter", name=variable.name)
+        ET.SubElement(parameter, f"ssv:{kind}", value=repr(float(value)), unit=variable.unit)
+    if spaces:
+        units = ET.SubElement(group, "ssv:Units")
+        quantities.add_units(units, [variable for variable, _ in pairs], "ssc:")
+    return group
 
 
 @with_kinds

@@ -191,7 +191,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("label", CALLS)
-def test_it_is_answered_in_the_words_of_the_page(label: str, session: Session) -> None:
+def test_it_is_answered_in_the_words_of_the_page(label, session):
     call, words = CALLS[label]
     with pytest.raises(PamError) as caught:
         call(session)
@@ -205,5 +205,5 @@ def test_it_is_answered_in_the_words_of_the_page(label: str, session: Session) -
     )
 
 
-def test_digits_of_a_number_are_no_name_of_a_stored_file() -> None:
+def test_digits_of_a_number_are_no_name_of_a_stored_file():
     assert page_words("v = -3.2311742677852644e-26 m/s", Path("/b"), {}).endswith("52644e-26 m/s")

@@ -9,7 +9,7 @@ import sys
 import pytest
 from browser_tools import ROOT
 from test_page import rig_file
-from test_page_motion import tab
+from test_page_motion import new_motion, tab
 
 pytest_plugins = ["page_fixtures"]
 
@@ -29,9 +29,7 @@ def test_from_a_dropped_file_to_a_checked_fmu_and_a_script_with_the_same_figures
     hand.sees("muscle2.rest_length")
     hand.type("mass", "3 kg")
     hand.until(lambda: server.state(hand.session)["plant"].get("mass") == 3.0)
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: [e for e in hand.shown(".bench-verdict") if "verified" in e.text], "a plan")
+    new_motion(hand)
     tab(hand, "Control")
     hand.press("Centre position")
     hand.press("New LQR")

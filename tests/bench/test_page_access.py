@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from browser_tools import SHOWN
 from test_page import bundled
-from test_page_motion import tab
+from test_page_motion import new_motion, tab
 
 import pam_ocp as pam
 
@@ -139,9 +139,7 @@ def filled(hand):
     tab(hand, "Plant")
     hand.choose("Arrangement", "AntagonisticSlide")
     hand.sees("muscle2.rest_length")
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: [e for e in hand.shown(".bench-verdict") if "verified" in e.text], "a plan")
+    new_motion(hand)
     tab(hand, "Control")
     hand.press("Centre position")
     hand.press("New PID")

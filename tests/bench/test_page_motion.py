@@ -57,6 +57,13 @@ def duration_shown(hand):
     return float(words[0].split()[0]) / 1e3 if words else None
 
 
+def new_motion(hand):
+    """The first one of the tab Motion, planned."""
+    tab(hand, "Motion")
+    hand.press("New motion")
+    hand.until(lambda: duration_shown(hand), "a plan")
+
+
 def stop(hand, number):
     return hand.until(lambda: hand.shown(f'[aria-label^="stop {number}, "]')[0])
 
@@ -76,9 +83,7 @@ def drag(hand, element, dx, dy, steps=8):
 # ---- motion --------------------------------------------------------------------------------------
 def test_motion_a_stop_is_dragged_and_the_plan_is_that_of_the_verb(hand, server):
     begin(hand)
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: duration_shown(hand), "a plan")
+    new_motion(hand)
     before = motion_of(server, hand)
     mouse = drag(hand, stop(hand, 2), 0, -32)
     hand.sees("under the hand")
@@ -96,9 +101,7 @@ def test_motion_a_stop_is_dragged_and_the_plan_is_that_of_the_verb(hand, server)
 
 def test_motion_a_conflict_is_named_at_its_stop_and_the_old_motion_stays(hand, server):
     begin(hand)
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: duration_shown(hand), "a plan")
+    new_motion(hand)
     retype(hand, "To stop 2 in", "5 ms")
     hand.sees("no plan found")
     hand.until(lambda: hand.shown(".stops-problem")[0].text.startswith("stop 2: x"))
@@ -112,9 +115,7 @@ def test_motion_keys_move_a_stop_in_place_and_in_time(hand, server):
     from selenium.webdriver.common.keys import Keys
 
     begin(hand, "HangingLoad")
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: duration_shown(hand), "a plan")
+    new_motion(hand)
     first = motion_of(server, hand)
     stop(hand, 2).send_keys(Keys.ARROW_DOWN)
     hand.until(lambda: motion_of(server, hand)["stops"][1]["at"] < first["stops"][1]["at"])
@@ -129,9 +130,7 @@ def test_motion_keys_move_a_stop_in_place_and_in_time(hand, server):
 
 def test_motion_two_plans_beside_each_other_and_a_record_dropped_on_one(hand, server, tmp_path):
     begin(hand)
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: duration_shown(hand), "a plan")
+    new_motion(hand)
     hand.press("Copy")
     hand.sees("beside Motion 1")
     retype(hand, "To stop 2 in", "80 ms")
@@ -260,9 +259,7 @@ def test_control_a_run_with_a_push_is_that_of_the_verb(hand, server):
 # ---- export --------------------------------------------------------------------------------------
 def test_export_writes_what_is_asked_for_and_removes_it(hand, server):
     begin(hand)
-    tab(hand, "Motion")
-    hand.press("New motion")
-    hand.until(lambda: duration_shown(hand), "a plan")
+    new_motion(hand)
     tab(hand, "Export")
     hand.choose("Standard", "3.0")
     hand.press("Export FMU and check it")

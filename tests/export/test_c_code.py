@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 import subprocess
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -80,6 +81,19 @@ def extended():
     return block(chain([estimator, lqr(slide, REST, sample_time=STEP)]), plant=slide)
 
 
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory, estimating, extended):
+    """(name of a block, precision) -> a folder with its C, made once."""
+    blocks = {"estimating": estimating, "extended": extended, "pid": pid_block()}
+
+    @cache
+    def export(name, precision="double"):
+        place = tmp_path_factory.mktemp(f"{name}_{precision}") / "c"
+        return pam.export_c(blocks[name], place, precision=precision)
+
+    return export
+
+
 # ---- the same closed loops ----------------------------------------------------------------------
 def same_loop(made, plant, folder, told, duration=0.2, least=0.02, **loop):
     """The plant moves, and with the C program as with the block in Python, to 1e-9 of nominal."""
@@ -91,6 +105,7 @@ def same_loop(made, plant, folder, told, duration=0.2, least=0.02, **loop):
         assert np.abs(first - second).max() <= 1e-9 * v.nominal
     for v in plant.inputs:
         assert np.ptp(runs[0][v.name]) > least * v.nominal
+    return runs[0]
 
 
 @needs_compiler
@@ -139,9 +154,9 @@ def test_a_muscle_with_memory_moves_the_same(tmp_path):
 
 
 @needs_compiler
-def test_gains_are_tunable_in_c(tmp_path):
+def test_gains_are_tunable_in_c(exported):
     made = pid_block()
-    program = Program(pam.export_c(made, tmp_path / "c"), "pid", made)
+    program = Program(exported("pid"), "pid", made)
     names = [v.name for v in made.parameters]
     program.parameters[names.index("ki")] = 0.0
     program.parameters[names.index("kp")] = 0.5
@@ -153,25 +168,23 @@ def test_gains_are_tunable_in_c(tmp_path):
 @needs_compiler
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("made", ["estimating", "extended"])
-def test_the_self_test_passes_without_a_warning(made, precision, request, tmp_path):
-    made = request.getfixturevalue(made)
-    folder = pam.export_c(made, tmp_path / "c", precision=precision)
-    assert "passed" in selftest(folder, "chain")
+def test_the_self_test_passes_without_a_warning(made, precision, exported):
+    assert "passed" in selftest(exported(made, precision), "chain")
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
-def test_sanitizers_find_nothing(estimating, precision, tmp_path):
+def test_sanitizers_find_nothing(precision, exported):
     require_works(CLANG, *SANITIZED)
-    folder = pam.export_c(estimating, tmp_path / "c", precision=precision)
+    folder = exported("estimating", precision)
     assert "passed" in selftest(folder, "chain", *SANITIZED, compiler=[CLANG])
 
 
 @needs_compiler
-def test_nothing_is_allocated_and_nothing_is_kept(estimating, tmp_path):
+def test_nothing_is_allocated_and_nothing_is_kept(exported):
     """Undefined symbols are those of mathematics alone; no variable outlives a call."""
     if shutil.which("nm") is None:
         pytest.skip("needs nm")
-    folder = pam.export_c(estimating, tmp_path / "c")
+    folder = exported("estimating")
     run(COMPILER, "-std=c99", "-O2", "-c", "chain.c", "-o", "chain.o", cwd=folder)
     symbols = [line.split()[-2:] for line in run("nm", "chain.o", cwd=folder).splitlines()]
     kinds = {kind for kind, _ in symbols}
@@ -194,15 +207,15 @@ def test_cmake_builds_and_tests_it(tmp_path):
 @needs_compiler
 @pytest.mark.parametrize("made", ["estimating", "extended"])
 @pytest.mark.parametrize("there", [on_aarch64, on_cortex_m7])
-def test_other_processors_give_the_same_bits(there, made, request, tmp_path):
-    folder = pam.export_c(request.getfixturevalue(made), tmp_path / "c")
+def test_other_processors_give_the_same_bits(there, made, exported):
+    folder = exported(made)
     assert bits_of(there(folder, "chain")) == bits_of(selftest(folder, "chain"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
-def test_it_compiles_for_a_cortex_m7_without_a_system(precision, tmp_path):
-    folder = pam.export_c(pid_block(), tmp_path / "c", precision=precision)
+def test_it_compiles_for_a_cortex_m7_without_a_system(precision, exported):
+    folder = exported("pid", precision)
     target = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m7", "-ffreestanding")
     warn = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion")
     run(*ZIG, *target, *warn, "-Werror", "-c", "pid.c", "-o", "pid.o", cwd=folder)
@@ -234,9 +247,9 @@ int main(void) {
 @needs_compiler
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("steps", [1_000_000, pytest.param(86_400_000, marks=pytest.mark.slow)])
-def test_an_integral_is_exact_after_a_day(steps, precision, tmp_path):
+def test_an_integral_is_exact_after_a_day(steps, precision, exported):
     """86.4 million steps at 1 ms: the sum of as many small numbers, to the last digits."""
-    folder = pam.export_c(pid_block(), tmp_path / "c", precision=precision)
+    folder = exported("pid", precision)
     (folder / "day.c").write_text(DAY)
     flags = ("-std=c99", "-O2", "-ffp-contract=off", f"-DSTEPS={steps}L")
     run(COMPILER, *flags, "day.c", "pid.c", "-o", "day", "-lm", cwd=folder)
@@ -246,9 +259,8 @@ def test_an_integral_is_exact_after_a_day(steps, precision, tmp_path):
 
 
 @needs_compiler
-def test_missing_measurements_give_in_c_what_they_give_in_python(estimating, tmp_path):
-    rng = np.random.default_rng(12)
-    program = Program(pam.export_c(estimating, tmp_path / "c"), "chain", estimating)
+def test_missing_measurements_give_in_c_what_they_give_in_python(estimating, exported):
+    rng, program = np.random.default_rng(12), Program(exported("estimating"), "chain", estimating)
     memory, p = estimating.start("memory"), estimating.start("parameters")
     start = estimating.start("inputs")
     nominal = np.array([v.nominal for v in estimating.inputs])
@@ -283,8 +295,8 @@ def test_the_header_is_short_and_the_readme_says_what_it_takes(tmp_path):
 
 
 @needs_compiler
-def test_the_readme_tells_the_bytes_that_the_compiler_takes(estimating, tmp_path):
-    folder = pam.export_c(estimating, tmp_path / "c")
+def test_the_readme_tells_the_bytes_that_the_compiler_takes(exported):
+    folder = exported("estimating")
     said = dict(re.findall(r"\| `chain_(\w+)` \| (\d+) \|", (folder / "README.md").read_text()))
     names = ["state", "inputs", "parameters", "outputs"]
     prints = "".join(f'printf("%u ", (unsigned)sizeof(chain_{n}));' for n in names)
@@ -388,11 +400,9 @@ def test_a_step_beyond_the_budget_is_not_read_instruction_by_instruction(monkeyp
     assert vectors.single_outputs(made, inputs) is None
 
 
-def test_two_instances_do_not_disturb_each_other(tmp_path):
-    if COMPILER is None:
-        pytest.skip("needs a C compiler (cc)")
-    made = pid_block()
-    folder = pam.export_c(made, tmp_path / "c", precision="single")
+@needs_compiler
+def test_two_instances_do_not_disturb_each_other(exported):
+    made, folder = pid_block(), exported("pid", "single")
     one, two = (Program(folder, "pid", made, real=ctypes.c_float) for _ in range(2))
     alone = [one.step({"wanted.measured": 0.01})["command"] for _ in range(5)]
     one.reset()

@@ -24,6 +24,7 @@ from c_program import (
     run,
     selftest,
 )
+from fmu_tools import COMMANDS
 from test_c_code import CLANG
 
 import pam_ocp as pam
@@ -31,7 +32,6 @@ from pam_ocp.control import BlockController, Mpc, block
 from pam_ocp.control.step import Givens, Step
 from pam_ocp.core.block import Block
 
-COMMANDS = ("muscle1.command", "muscle2.command")
 MOST = {"double": 1e-9, "single": 5e-3}
 """Largest relative deviation from Python's double that self-tests here allow."""
 

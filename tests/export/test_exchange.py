@@ -11,68 +11,34 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
 import pytest
-from fmpy.fmi2 import FMU2Slave
-from fmpy.ssp.ssd import get_connections, read_ssd
+from fmu_tools import COMMANDS, System
 
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control import BlockController, KalmanFilter, WithEstimate, block, chain, kalman
 from pam_ocp.export import export_ssp
+from pam_ocp.export.runner import Runner, UnpackedFmu
 
-COMMANDS = ("muscle1.command", "muscle2.command")
 H, SAMPLES = 2e-3, 100
 
 
 def run_system(path: Path, folder: Path, steps: int, size: float) -> dict[str, Any]:
     """Hand over; then, again and again, all step and all hand over. Values at k size from 0 on."""
-    ssd = read_ssd(str(path))
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder)
-    units, names = {}, {}
-    for part in ssd.system.elements:
-        file = folder / part.source
-        description = fmpy.read_model_description(str(file))
-        units[part.name] = FMU2Slave(
-            guid=description.guid,
-            unzipDirectory=fmpy.extract(str(file), str(folder / part.name)),
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName=part.name,
-        )
-        names[part.name] = {v.name: v.valueReference for v in description.modelVariables}
-    wires = [(a.parent.name, a.name, b.parent.name, b.name) for a, b in get_connections(ssd.system)]
-
-    def hand_over() -> None:
-        given = [
-            (to, names[to][sink], units[of].getReal([names[of][start]])[0])
-            for of, start, to, sink in wires
-        ]
-        for to, reference, value in given:
-            units[to].setReal([reference], [value])
-
-    for unit in units.values():
-        unit.instantiate()
-        unit.setupExperiment(startTime=0.0)
-        unit.enterInitializationMode()
-    for _ in units:  # a chain of outputs through inputs is as long as there are parts, at most
-        hand_over()
-    for unit in units.values():
-        unit.exitInitializationMode()
-    hand_over()
-    rows: list[dict[str, float]] = []
+    system, rows = System(path, folder), []
+    for unit in system.units.values():
+        unit.begin(0.0)
+    for _ in system.units:  # a chain of outputs through inputs is as long as there are parts
+        system.set(system.values())
+    for unit in system.units.values():
+        unit.end_initialization()
     for k in range(steps + 1):
-        rows.append(
-            {f"{n}.{v}": units[n].getReal([r])[0] for n in units for v, r in names[n].items()}
-        )
+        system.set(system.values())
+        rows.append(system.values())
         if k < steps:
-            for unit in units.values():
-                unit.doStep(currentCommunicationPoint=k * size, communicationStepSize=size)
-            hand_over()
-    for unit in units.values():
-        unit.terminate()
-        unit.freeInstance()
+            system.step(k * size, size)
+    system.free()
     return {n: np.array([row[n] for row in rows]) for n in rows[0]}
 
 
@@ -135,7 +101,7 @@ def system(
 
 
 @pytest.mark.parametrize("kind", LAWS)
-def test_a_loop_here_and_its_system_agree_to_1e_9(kind: str, tmp_path: Path) -> None:
+def test_a_loop_here_and_its_system_agree_to_1e_9(kind, tmp_path):
     plant, law = LAWS[kind](1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -154,35 +120,22 @@ def test_a_loop_here_and_its_system_agree_to_1e_9(kind: str, tmp_path: Path) -> 
         assert there[f"plant.{name}"][0] == plant.variable(name).start
 
 
-def test_the_first_command_can_be_set_and_outputs_are_the_laws_from_the_first_sample_on(
-    tmp_path: Path,
-) -> None:
+def test_the_first_command_can_be_set_and_outputs_are_the_laws_from_the_first_sample_on(tmp_path):
     plant, law = lqi_law(1)
     path = system(plant, law, tmp_path / "loop.ssp")
     with zipfile.ZipFile(path) as archive:
         (tmp_path / "law.fmu").write_bytes(archive.read("resources/law.fmu"))
     assert pam.check_fmu(tmp_path / "law.fmu").ok
-    description = fmpy.read_model_description(str(tmp_path / "law.fmu"))
-    first = {v.name: v for v in description.modelVariables}[COMMANDS[0]]
+    law_unit = UnpackedFmu(tmp_path / "law.fmu", tmp_path / "unit")
+    first = law_unit.variables[COMMANDS[0]]
     assert (first.initial, float(first.start)) == ("exact", plant.variable(COMMANDS[0]).start)
-    unit = FMU2Slave(
-        guid=description.guid,
-        unzipDirectory=fmpy.extract(str(tmp_path / "law.fmu"), str(tmp_path / "unit")),
-        modelIdentifier=description.coSimulation.modelIdentifier,
-        instanceName="law",
-    )
-    unit.instantiate()
-    unit.setupExperiment(startTime=0.0)
-    reference = [first.valueReference]
-    unit.setReal(reference, [1.5e5])
-    unit.enterInitializationMode()
-    unit.exitInitializationMode()
-    assert unit.getReal(reference) == [1.5e5]
-    unit.doStep(0.0, H)
-    assert unit.getReal(reference)[0] == pytest.approx(first_lqi_command(), rel=1e-9)
-    with pytest.raises(Exception, match="rror"):
-        unit.setReal(reference, [1.5e5])
-    unit.freeInstance()
+    with Runner(law_unit, "CoSimulation") as unit:
+        unit.initialize({COMMANDS[0]: 1.5e5}, 0.0, None)
+        assert unit.get([COMMANDS[0]]) == [1.5e5]
+        unit.step(0.0, H)
+        assert unit.get([COMMANDS[0]])[0] == pytest.approx(first_lqi_command(), rel=1e-9)
+        with pytest.raises(Exception, match="rror"):
+            unit.set({COMMANDS[0]: 1.5e5})
 
 
 def first_lqi_command() -> float:
@@ -193,7 +146,7 @@ def first_lqi_command() -> float:
 # ---- the cost of a delay is said ----------------------------------------------------------------
 
 
-def test_a_system_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Path) -> None:
+def test_a_system_warns_of_a_delay_that_the_design_does_not_know(tmp_path):
     path, late = (
         tmp_path / "loop.ssp",
         r"commands of law act one step .* is designed for no delay: 0.72 deg of phase",
@@ -211,7 +164,7 @@ def test_a_system_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Path)
         system(*lqi_law(0), path, "source", step_size=H / 20)
 
 
-def test_a_system_warns_of_blocks_in_a_row(tmp_path: Path) -> None:
+def test_a_system_warns_of_blocks_in_a_row(tmp_path):
     plant, point = slide()
     filter = block(kalman(plant, point, measured={"x": 1e-5}, sample_time=H), delay=1)
     law = block(lqi(plant, point), plant=plant, delay=1)
@@ -233,7 +186,7 @@ def test_a_system_warns_of_blocks_in_a_row(tmp_path: Path) -> None:
     assert len(w) == 1  # what the filter is told was sent is of the sample before anyway
 
 
-def test_a_loop_here_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Path) -> None:
+def test_a_loop_here_warns_of_a_delay_that_the_design_does_not_know(tmp_path):
     plant, law = mpc_law(0)
     with pytest.warns(UserWarning, match=r"act 1 sample \(2 ms\) after the meas.*, not 0 as the"):
         late = pam.closed_loop(BlockController(law), plant, {"x": 0.0}, duration=0.02, delay=1)
@@ -258,7 +211,7 @@ def test_a_loop_here_warns_of_a_delay_that_the_design_does_not_know(tmp_path: Pa
     assert loop[COMMANDS[0]][0] == plant.variable(COMMANDS[0]).start
 
 
-def test_estimators_take_the_commands_that_acted() -> None:
+def test_estimators_take_the_commands_that_acted():
     """Under a delay, against the filter in the loop, which is told what acts by the loop itself."""
     plant, point = slide()
     law = pam.lqr(plant, point, sample_time=H)
@@ -278,7 +231,7 @@ def test_estimators_take_the_commands_that_acted() -> None:
         assert deviation < 1e-9 < 1e-7 < np.abs(there["x"] - wrong["x"]).max()
 
 
-def test_a_filter_with_its_law_is_the_same_here_and_as_a_block() -> None:
+def test_a_filter_with_its_law_is_the_same_here_and_as_a_block():
     plant, point = slide()
     filter = kalman(plant, point, measured={"x": 1e-5}, sample_time=H)
     both = WithEstimate(pam.lqr(plant, point, sample_time=H), filter, delay=1)
@@ -292,7 +245,7 @@ def test_a_filter_with_its_law_is_the_same_here_and_as_a_block() -> None:
 # ---- names and units ----------------------------------------------------------------------------
 
 
-def test_a_component_named_like_its_parameters_is_refused(tmp_path: Path) -> None:
+def test_a_component_named_like_its_parameters_is_refused(tmp_path):
     plant, point = slide()
     filter = kalman(plant, point, measured={"x": 1e-5}, sample_time=H)
     law = block(chain([filter, lqi(plant, point)], delay=1), plant=plant)
@@ -304,7 +257,7 @@ def test_a_component_named_like_its_parameters_is_refused(tmp_path: Path) -> Non
     assert not (tmp_path / "a.ssp").exists()
 
 
-def test_a_pid_takes_units_from_its_plant() -> None:
+def test_a_pid_takes_units_from_its_plant():
     plant, _ = slide()
     made = block(
         pam.control.PID(1e6), plant=plant, measured="x", command=COMMANDS[0], sample_time=H
@@ -320,7 +273,7 @@ def test_a_pid_takes_units_from_its_plant() -> None:
         block(lqi(*slide()), plant=pam.HangingLoad("DMSP-20-300", mass=2.0))
 
 
-def test_delays_that_contradict_each_other_are_refused() -> None:
+def test_delays_that_contradict_each_other_are_refused():
     plant, point = slide()
     rate = dict.fromkeys(COMMANDS, 0.1)
     mpc = pam.Mpc(plant, horizon=5, sample_time=H, track={"x": 1.0}, rate=rate, delay=1)

@@ -38,16 +38,14 @@ def refused(path: Path) -> str:
     return str(error.value)
 
 
-def test_every_export_is_safe(honest: Path, tmp_path: Path) -> None:
+def test_every_export_is_safe(honest, tmp_path):
     require_safe(honest)
     require_safe(
         pam.export_fmu(benchmark_slide(), tmp_path / "3.fmu", fmi="3.0", platforms="native")
     )
 
 
-def test_an_unsafe_archive_is_a_finding_and_exit_code_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unsafe_archive_is_a_finding_and_exit_code_1(tmp_path, capsys):
     path = packed(tmp_path / "unit.fmu", {DESCRIPTION: b"<a/>", "../../outside": b"here"})
     checked = check_fmu(path)
     (finding,) = checked.findings
@@ -69,7 +67,7 @@ def test_an_unsafe_archive_is_a_finding_and_exit_code_1(
         ("resources\\a", "no name of a file"),
     ],
 )
-def test_names_that_lead_elsewhere_are_refused(tmp_path: Path, name: str, words: str) -> None:
+def test_names_that_lead_elsewhere_are_refused(tmp_path, name, words):
     path = packed(tmp_path / "unit.fmu", {DESCRIPTION: b"<a/>", name: b""})
     assert words in refused(path)
     with pytest.raises(pam.InputError, match=words):
@@ -77,7 +75,7 @@ def test_names_that_lead_elsewhere_are_refused(tmp_path: Path, name: str, words:
     assert not (tmp_path / "unpacked").exists()
 
 
-def test_a_name_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+def test_a_name_that_is_there_twice_is_refused(tmp_path):
     path = tmp_path / "unit.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr(DESCRIPTION, "<a/>")
@@ -86,7 +84,7 @@ def test_a_name_that_is_there_twice_is_refused(tmp_path: Path) -> None:
     assert "in the archive twice" in refused(path)
 
 
-def test_twenty_thousand_files_are_refused(tmp_path: Path) -> None:
+def test_twenty_thousand_files_are_refused(tmp_path):
     path = tmp_path / "unit.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         for i in range(20_000):
@@ -106,7 +104,7 @@ def grown(path: Path, name: str, size: int) -> None:
     path.write_bytes(bytes(data))
 
 
-def test_a_bomb_is_refused_by_its_directory(tmp_path: Path) -> None:
+def test_a_bomb_is_refused_by_its_directory(tmp_path):
     path = packed(
         tmp_path / "unit.fmu", {DESCRIPTION: b"<a/>", "resources/zeros": bytes(1_000_000)}
     )
@@ -114,12 +112,12 @@ def test_a_bomb_is_refused_by_its_directory(tmp_path: Path) -> None:
     assert "unpacks to 4295 MB, 1074 are allowed" in refused(path)
 
 
-def test_zeros_that_are_small_in_the_archive_are_refused(tmp_path: Path) -> None:
+def test_zeros_that_are_small_in_the_archive_are_refused(tmp_path):
     path = packed(tmp_path / "unit.fmu", {DESCRIPTION: b"<a/>", "resources/zeros": bytes(40 << 20)})
     assert "more than 200 times its size" in refused(path)
 
 
-def test_a_directory_that_lies_about_a_size_is_a_finding(honest: Path, tmp_path: Path) -> None:
+def test_a_directory_that_lies_about_a_size_is_a_finding(honest, tmp_path):
     """What is unpacked ends at the size that was told; then its checksum is wrong."""
     content = contents(honest) | {"resources/zeros": bytes(20 << 20)}
     path = packed(tmp_path / "unit.fmu", content)
@@ -151,13 +149,11 @@ LAUGHS = '<!DOCTYPE a [<!ENTITY l0 "ha">' + "".join(
         (b"\x00\x01\x02", "cannot be read"),
     ],
 )
-def test_foreign_descriptions_have_a_sentence_each(
-    tmp_path: Path, text: str | bytes, words: str
-) -> None:
+def test_foreign_descriptions_have_a_sentence_each(tmp_path, text, words):
     assert words in refused(with_description(tmp_path / "unit.fmu", text))
 
 
-def test_a_doctype_in_another_encoding_is_seen(tmp_path: Path) -> None:
+def test_a_doctype_in_another_encoding_is_seen(tmp_path):
     text = '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'
     assert "DOCTYPE" in refused(with_description(tmp_path / "unit.fmu", text.encode("utf-16")))
 
@@ -165,24 +161,24 @@ def test_a_doctype_in_another_encoding_is_seen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["terminalsAndIcons/terminalsAndIcons.xml", "sources/buildDescription.xml"]
 )
-def test_entities_in_the_neighbours_are_seen(honest: Path, tmp_path: Path, name: str) -> None:
+def test_entities_in_the_neighbours_are_seen(honest, tmp_path, name):
     content = contents(honest) | {name: f"{LAUGHS}]><a/>".encode()}
     assert f"{name} has a DOCTYPE" in refused(packed(tmp_path / "unit.fmu", content))
 
 
-def test_a_huge_description_is_refused(tmp_path: Path) -> None:
+def test_a_huge_description_is_refused(tmp_path):
     path = tmp_path / "unit.fmu"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         archive.writestr(DESCRIPTION, b" " * (65 << 20))
     assert "68 MB, 67 are allowed" in refused(path)
 
 
-def test_an_archive_without_description_is_no_fmu(tmp_path: Path) -> None:
+def test_an_archive_without_description_is_no_fmu(tmp_path):
     path = packed(tmp_path / "unit.fmu", {"readme.txt": b""})
     assert "no modelDescription.xml" in check_fmu(path).findings[0]
 
 
-def test_an_fmu_of_no_kind_that_can_be_run_is_a_finding(honest: Path, tmp_path: Path) -> None:
+def test_an_fmu_of_no_kind_that_can_be_run_is_a_finding(honest, tmp_path):
     content = contents(honest)
     text = content[DESCRIPTION].decode()
     for kind in ("ModelExchange", "CoSimulation"):
@@ -192,7 +188,7 @@ def test_an_fmu_of_no_kind_that_can_be_run_is_a_finding(honest: Path, tmp_path: 
     assert not checked.ok
 
 
-def test_terminals_get_nothing_but_plain_text(honest: Path, tmp_path: Path) -> None:
+def test_terminals_get_nothing_but_plain_text(honest, tmp_path):
     """Words of a unit may hold codes that move the cursor."""
     content = contents(honest)
     text = content[DESCRIPTION].decode().replace('name="x"', 'name="x\u009b2J\u202e"', 1)
@@ -202,9 +198,7 @@ def test_terminals_get_nothing_but_plain_text(honest: Path, tmp_path: Path) -> N
     assert all(line.isprintable() for line in str(checked).splitlines())
 
 
-def test_damaged_archives_are_findings_or_refused_in_a_sentence(
-    honest: Path, tmp_path: Path
-) -> None:
+def test_damaged_archives_are_findings_or_refused_in_a_sentence(honest, tmp_path):
     """Bytes changed anywhere: what can be told without running the unit, here and quickly."""
     sentences = []
     whole, rng = honest.read_bytes(), np.random.default_rng(4)

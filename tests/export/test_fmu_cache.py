@@ -47,7 +47,7 @@ def libraries(folder: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("damage", ["cut", "emptied", "one bit", "other", "no digest", "digest"])
-def test_a_damaged_library_is_built_again(folder: Path, damage: str) -> None:
+def test_a_damaged_library_is_built_again(folder, damage):
     whole = built()
     (library,) = libraries(folder)
     beside = library.with_name(f"{library.name}.sha256")
@@ -66,7 +66,7 @@ def test_a_damaged_library_is_built_again(folder: Path, damage: str) -> None:
     assert library.read_bytes() == whole
 
 
-def test_what_is_whole_is_not_compiled_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_whole_is_not_compiled_again(folder, monkeypatch):
     whole = built()
 
     def never(*_: object) -> bytes:
@@ -76,7 +76,7 @@ def test_what_is_whole_is_not_compiled_again(folder: Path, monkeypatch: pytest.M
     assert built() == whole
 
 
-def test_writers_side_by_side_leave_a_whole_library(folder: Path) -> None:
+def test_writers_side_by_side_leave_a_whole_library(folder):
     path, content = cache.usable_folder("fmu") / "some.so", os.urandom(100_000)
     seen: list[bytes | None] = []
 
@@ -94,7 +94,7 @@ def test_writers_side_by_side_leave_a_whole_library(folder: Path) -> None:
     assert sorted(p.name for p in path.parent.iterdir()) == ["some.so", "some.so.sha256"]
 
 
-def test_a_damaged_library_of_a_plan_is_written_again(folder: Path) -> None:
+def test_a_damaged_library_of_a_plan_is_written_again(folder):
     whole = os.urandom(1000)
     path = cache.usable_folder("plan") / "some.so"
     for there in (b"", whole[:500], b"other"):
@@ -118,7 +118,7 @@ def no_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @posix
-def test_without_a_home_the_temporary_folder_has_one_of_the_users_own(no_home: Path) -> None:
+def test_without_a_home_the_temporary_folder_has_one_of_the_users_own(no_home):
     found = cache.usable_folder("fmu")
     assert found == no_home / f"pam_ocp_{os.geteuid()}" / "fmu"
     for made in (found, found.parent):
@@ -127,7 +127,7 @@ def test_without_a_home_the_temporary_folder_has_one_of_the_users_own(no_home: P
 
 @posix
 @pytest.mark.parametrize("trick", ["link", "open to others", "file", "dangling link"])
-def test_a_planted_folder_is_left_alone_with_a_warning(no_home: Path, trick: str) -> None:
+def test_a_planted_folder_is_left_alone_with_a_warning(no_home, trick):
     planted, elsewhere = no_home / f"pam_ocp_{os.geteuid()}", no_home / "elsewhere"
     elsewhere.mkdir()
     if trick == "file":
@@ -149,9 +149,7 @@ def test_a_planted_folder_is_left_alone_with_a_warning(no_home: Path, trick: str
 
 @root
 @pytest.mark.parametrize("name", ["PAM_OCP_CACHE", "XDG_CACHE_HOME", "TMPDIR"])
-def test_a_library_that_another_user_planted_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_library_that_another_user_planted_is_not_used(tmp_path, monkeypatch, name):
     zig = str(cache.usable_folder("zig"))
     planted = {"PAM_OCP_CACHE": "c", "XDG_CACHE_HOME": "pam_ocp", "TMPDIR": "pam_ocp_0"}[name]
     monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", zig)
@@ -172,23 +170,18 @@ def test_a_library_that_another_user_planted_is_not_used(
 
 
 @posix
-def test_a_link_of_the_users_own_is_followed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_link_of_the_users_own_is_followed(tmp_path, monkeypatch):
     (tmp_path / "disk").mkdir(mode=0o700)
     (tmp_path / "link").symlink_to(tmp_path / "disk")
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path / "link"))
     assert cache.usable_folder("fmu") == tmp_path / "link" / "fmu"
 
 
-# ---- odd surroundings
-# -----------------------------------------------------------------------------
+# ---- odd surroundings ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["50 % of it", "Müskel übung", "100%20%s$HOME", "筋肉"])
-def test_odd_names_of_folders_do_no_harm(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_odd_names_of_folders_do_no_harm(tmp_path, monkeypatch, name):
     import casadi as ca
 
     monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.usable_folder("zig")))
@@ -205,9 +198,7 @@ def test_odd_names_of_folders_do_no_harm(
     assert float(ca.external("twice", str(library))(4.0)) == 8.0
 
 
-def test_a_relative_cache_of_xdg_does_not_count(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_relative_cache_of_xdg_does_not_count(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PAM_OCP_CACHE", raising=False)
     monkeypatch.delenv("LOCALAPPDATA", raising=False)
@@ -218,9 +209,7 @@ def test_a_relative_cache_of_xdg_does_not_count(
     assert Path(_environment()["ZIG_GLOBAL_CACHE_DIR"]).is_absolute()
 
 
-def test_a_cache_that_cannot_be_made_costs_time_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_that_cannot_be_made_costs_time_only(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.usable_folder("zig")))
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path / "file" / "below"))
@@ -233,7 +222,7 @@ def test_a_cache_that_cannot_be_made_costs_time_only(
 
 @root
 @pytest.mark.parametrize("home", [None, "/", "relative", "/nowhere/at/all"])
-def test_a_user_whom_the_machine_does_not_know_has_a_cache(home: str | None) -> None:
+def test_a_user_whom_the_machine_does_not_know_has_a_cache(home):
     """No entry in passwd; no home, or one that cannot be written."""
     script = """
 import os, sys

@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
-from fmu_tools import VERSIONS
 from numpy.polynomial import chebyshev, polynomial
 
 import pam_ocp as pam
@@ -24,7 +23,7 @@ def copied(path: Path, changes: Any) -> Any:
     """The checks of copies of a unit, in one process: changes(name, content) makes each."""
     others = []
     for number, change in enumerate(changes):
-        others.append(path.with_name(f"{number}.fmu"))
+        others.append(path.with_name(f"copy{number}.fmu"))
         with zipfile.ZipFile(path) as old, zipfile.ZipFile(others[-1], "w") as new:
             for name in old.namelist():
                 content = change(name, old.read(name))
@@ -49,20 +48,18 @@ def described(path: Path, changes: Any) -> Any:
     return copied(path, map(described_so, changes))
 
 
-def test_a_wrong_trajectory_is_found_out(tmp_path: Path) -> None:
-    plant = benchmark_slide()
-    path = export_fmu(plant, tmp_path / "slide.fmu", platforms="native")
-    t = np.linspace(0, 0.1, 11)
+def test_a_wrong_trajectory_is_found_out(slide_unit):
+    plant, t = benchmark_slide(), np.linspace(0, 0.1, 11)
     right = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t)
-    assert check_fmu(path, right).ok
+    assert check_fmu(slide_unit, right).ok
     other = pam.simulate(plant.with_values(mass=2.01), {"muscle1.command": 4 * BAR}, t=t)
-    found = check_fmu(path, other)
+    found = check_fmu(slide_unit, other)
     assert not found.ok
     assert "NOT well" in str(found)
-    assert check_fmu(path, other, parameters={"mass": 2.01}).ok
+    assert check_fmu(slide_unit, other, parameters={"mass": 2.01}).ok
 
 
-def test_damaged_fmus_are_found_out(tmp_path: Path) -> None:
+def test_damaged_fmus_are_found_out(fmus):
     binary = lambda name: name.startswith("binaries/")  # noqa: E731
     wrong = {
         "no binary": lambda n, c: None if binary(n) else c,
@@ -74,15 +71,12 @@ def test_damaged_fmus_are_found_out(tmp_path: Path) -> None:
             c.replace(b"fmi2Terminate", b"foreign__name") if binary(n) else c
         ),
     }
-    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", platforms="native")
+    path = fmus["2.0"].folder.with_name("2.fmu")
     for words, found in zip(wrong, copied(path, wrong.values()), strict=True):
         assert any(words in finding for finding in found.findings), words
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_wrong_directional_derivatives_are_found_out(
-    fmi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wrong_directional_derivatives_are_found_out(fmi, tmp_path, monkeypatch):
     right = source.plant_functions
 
     def wrong(plant: pam.Plant) -> Any:
@@ -100,8 +94,7 @@ def test_wrong_directional_derivatives_are_found_out(
     assert any("directional derivatives along x" in finding for finding in found.findings)
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_curved_inputs_that_jump_are_played_in_every_mode(fmi: Any, tmp_path: Path) -> None:
+def test_curved_inputs_that_jump_are_played_in_every_mode(slide_unit):
     """Polynomials of degree 7 with bends of a bar in 50 ms, as plans have them."""
     plant, rng = benchmark_slide(), np.random.default_rng(5)
     breaks, h = np.linspace(0.0, 0.4, 9), 0.05
@@ -114,14 +107,15 @@ def test_curved_inputs_that_jump_are_played_in_every_mode(fmi: Any, tmp_path: Pa
     motion = pam.simulate(plant, inputs, t=np.linspace(0.0, 0.4, 41))
     left = inputs(breaks[1:-1] - 1e-9) - inputs(breaks[1:-1])
     assert np.abs(left).max() > 0.3 * BAR
-    path = export_fmu(plant, tmp_path / "slide.fmu", fmi=fmi, platforms="native")
-    found = check_fmu(path, motion)
+    found = check_fmu(slide_unit, motion)
     assert found.ok, str(found)
     assert found.largest < 2e-7
     lines = pam.Trajectory(
         motion.t, {n: motion[n] for n in motion.names}, motion.variables, "linear"
     )
-    assert check_fmu(path, lines).largest > 1e-3  # the samples alone do not say how they are joined
+    assert (
+        check_fmu(slide_unit, lines).largest > 1e-3
+    )  # the samples alone do not say how they are joined
 
 
 # ---- the binary against its description ---------------------------------------------------------
@@ -132,18 +126,16 @@ def attributes(root: Any, name: str, fmi: str) -> Any:
     return variable if fmi == "3.0" else variable[0]
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
 @pytest.mark.slow
-def test_a_description_that_is_not_the_binarys_is_found_out(fmi: Any, tmp_path: Path) -> None:
-    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
+def test_a_description_that_is_not_the_binarys_is_found_out(fmu, slide_unit):
 
     def says(name: str, **changed: str) -> Any:
-        return lambda root: attributes(root, name, fmi).attrib.update(changed)
+        return lambda root: attributes(root, name, fmu.fmi).attrib.update(changed)
 
     right, other, command, most, least = (
         found.findings
         for found in described(
-            path,
+            slide_unit,
             [
                 says("mass"),
                 says("mass", start="3.0"),
@@ -161,9 +153,8 @@ def test_a_description_that_is_not_the_binarys_is_found_out(fmi: Any, tmp_path: 
     assert least == ("mass = -1 is refused, its min in the description",)
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_dependencies_that_are_not_told_are_found_out(fmi: Any, tmp_path: Path) -> None:
-    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
+def test_dependencies_that_are_not_told_are_found_out(fmu, slide_unit):
+    fmi = fmu.fmi
 
     def forgotten(group: str, unknown: str, known: str) -> Any:
         def change(root: Any) -> None:
@@ -197,6 +188,6 @@ def test_dependencies_that_are_not_told_are_found_out(fmi: Any, tmp_path: Path) 
         ("InitialUnknown", "muscle2.force", "muscle2.a5", "muscle2.a5 at the start,"),
         (group, "der(muscle1.pressure)", "muscle1.command", "muscle1.command,"),
     )
-    checks = described(path, [forgotten(*case[:3]) for case in cases])
+    checks = described(slide_unit, [forgotten(*case[:3]) for case in cases])
     for (_, unknown, _, words), found in zip(cases, checks, strict=True):
         assert found.findings == (told.format(unknown, words),)

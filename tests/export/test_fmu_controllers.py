@@ -5,7 +5,6 @@ and plant and controller in an SSP.
 from __future__ import annotations
 
 import zipfile
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -16,7 +15,7 @@ import fmpy.ssp.ssd
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
-from fmu_tools import coupled
+from fmu_tools import COMMANDS, coupled, sound
 
 import pam_ocp as pam
 from pam_ocp import InputError
@@ -26,7 +25,6 @@ from pam_ocp.core.block import Block
 from pam_ocp.export import check_fmu, export_fmu, export_ssp
 from pam_ocp.export.runner import Runner, UnpackedFmu
 
-COMMANDS = ("muscle1.command", "muscle2.command")
 STATES = ("x", "v", "muscle1.pressure", "muscle2.pressure")
 STEP = 1e-3
 
@@ -38,7 +36,7 @@ def feedback() -> Any:
     return pam.lqr(plant, point, integral={"x": 200.0, "stiffness": 10.0}, sample_time=STEP)
 
 
-def test_it_is_the_law_with_the_integral_of_the_error(feedback: Any) -> None:
+def test_it_is_the_law_with_the_integral_of_the_error(feedback):
     built, point = state_feedback_controller(feedback), feedback.point
     dx = np.array([3e-4, -2e-3, 800.0, -500.0])
     error = {"x": dx[0] - 1e-4, "stiffness": 20.0}
@@ -54,7 +52,7 @@ def test_it_is_the_law_with_the_integral_of_the_error(feedback: Any) -> None:
         assert np.ptp(found[name]) > 100.0
 
 
-def test_held_commands_let_the_integrals_run_back(feedback: Any) -> None:
+def test_held_commands_let_the_integrals_run_back(feedback):
     """To where the commands asked for are as far beyond their range as the error drives them."""
     built, point = state_feedback_controller(feedback, windup_time=0.05), feedback.point
     given = {**dict(zip(STATES, point.x, strict=True)), "stiffness": point["stiffness"]}
@@ -67,8 +65,7 @@ def test_held_commands_let_the_integrals_run_back(feedback: Any) -> None:
     assert abs(run["integral.x"][-1]) < 0.198 * 3 / 4
 
 
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_as_an_fmu_it_does_the_same(feedback: Any, fmi: Any, tmp_path: Path) -> None:
+def test_as_an_fmu_it_does_the_same(feedback, fmi, tmp_path):
     built, point, t = state_feedback_controller(feedback), feedback.point, np.linspace(0, 0.1, 21)
     given: dict[str, Any] = dict(zip(STATES, point.x, strict=True))
     given |= {"stiffness": point["stiffness"], "x": lambda s: point["x"] + 5e-4 * np.sin(60 * s)}
@@ -78,7 +75,7 @@ def test_as_an_fmu_it_does_the_same(feedback: Any, fmi: Any, tmp_path: Path) -> 
     assert checked.ok, str(checked)
 
 
-def test_without_integrals_it_is_the_static_law_and_can_follow_a_motion(tmp_path: Path) -> None:
+def test_without_integrals_it_is_the_static_law_and_can_follow_a_motion(tmp_path):
     plant = benchmark_slide()
     plain = pam.lqr(plant, plant.equilibrium(x=0.0, stiffness=2.2e4))
     built = state_feedback_controller(plain, follow=True)
@@ -105,9 +102,7 @@ def goal(times: Any, x: Any, stiffness: Any) -> pam.Trajectory:
     return pam.Trajectory(times, {"x": x, "stiffness": stiffness}, variables)
 
 
-def test_in_an_ssp_it_takes_a_heavier_slide_to_its_goal_in_fmpy_as_here(
-    feedback: Any, tmp_path: Path
-) -> None:
+def test_in_an_ssp_it_takes_a_heavier_slide_to_its_goal_in_fmpy_as_here(feedback, tmp_path):
     plant = benchmark_slide()
     t = np.array([0.0, 0.1, 0.3, 2.0])
     parts = {
@@ -116,14 +111,14 @@ def test_in_an_ssp_it_takes_a_heavier_slide_to_its_goal_in_fmpy_as_here(
         "plant": plant.with_values(mass=1.3 * float(plant.variable("mass").start or 1.0)),
     }
     path = export_ssp(parts, WIRES, tmp_path / "s.ssp", platforms="native", stop_time=1.5)
-    here = coupled(path, tmp_path, 1500, STEP, WIRES, ("plant.x", "plant.stiffness"))
+    here = coupled(path, tmp_path, 1500, STEP)
     there = fmpy.ssp.simulation.simulate_ssp(str(path), stop_time=1.5 - STEP / 2, step_size=STEP)
     assert there["plant.x"] == pytest.approx(here["plant.x"], abs=1e-12)
     assert here["plant.x"][-1] == pytest.approx(0.004, abs=1e-6)
     assert here["plant.stiffness"][-1] == pytest.approx(2.3e4, rel=1e-4)
 
 
-def test_what_is_no_state_feedback_is_refused(feedback: Any) -> None:
+def test_what_is_no_state_feedback_is_refused(feedback):
     with pytest.raises(InputError, match="feedback is an AntagonisticSlide, not a StateFeedback"):
         state_feedback_controller(benchmark_slide())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="windup_time = 0 s must be > 0"):
@@ -133,17 +128,14 @@ def test_what_is_no_state_feedback_is_refused(feedback: Any) -> None:
 # ---- gains as arrays ----------------------------------------------------------------------------
 
 
-def test_gains_are_one_array_in_fmi_3_tunable_while_running(tmp_path: Path) -> None:
+def test_gains_are_one_array_in_fmi_3_tunable_while_running(tmp_path):
     """Against the block's own step with these gains, whose entries FMI 2 has one by one."""
     plant = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
     law = pam.lqr(
         plant, plant.equilibrium(x=0.0, stiffness=2e4), integral={"x": 20.0}, sample_time=2e-3
     )
     made = block(chain([law], name="whole"), plant=plant)
-    path = export_fmu(made, tmp_path / "k.fmu", fmi="3.0", platforms="native", matrices=True)
-    check = check_fmu(path)
-    assert check.ok, str(check)
-    unit = UnpackedFmu(path, tmp_path / "k")
+    unit = sound(made, tmp_path, "3.0", matrices=True)
     (name,) = (n for n in unit.references if n.endswith(".K"))
     shape = [int(d.start) for d in unit.variables[name].dimensions]
     assert shape == list(law.K.shape) == [2, 4]
@@ -170,27 +162,23 @@ def test_gains_are_one_array_in_fmi_3_tunable_while_running(tmp_path: Path) -> N
             assert runner.get(outputs) == pytest.approx(wanted, rel=1e-12)
         with pytest.raises(Exception, match="rror"):
             runner.inner.setFloat64(reference, gains[:7].tolist())
-    with pytest.raises(InputError, match="matrices = 'yes': give True or False"):
-        export_fmu(made, tmp_path / "k1.fmu", matrices="yes")
-    with pytest.raises(InputError, match="'source' means no binaries at all; give it alone"):
-        export_fmu(made, tmp_path / "k1.fmu", platforms=["source", "native"])
-    with pytest.raises(InputError, match="FMI 2 has no arrays"):
-        export_fmu(made, tmp_path / "k2.fmu", matrices=True)
-    with pytest.raises(InputError, match="a plant has none"):
-        export_fmu(plant, tmp_path / "k3.fmu", fmi="3.0", matrices=True)
+    for words, given in {
+        "matrices = 'yes': give True or False": {"matrices": "yes"},
+        "'source' means no binaries at all; give it alone": {"platforms": ["source", "native"]},
+        "FMI 2 has no arrays": {"matrices": True},
+        "a plant has none": {"system": plant, "fmi": "3.0", "matrices": True},
+    }.items():
+        with pytest.raises(InputError, match=words):
+            export_fmu(path=tmp_path / "k.fmu", **{"system": made, **given})
 
 
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_flags_are_booleans_and_tell_the_bits_of_the_status(fmi: Any, tmp_path: Path) -> None:
+def test_flags_are_booleans_and_tell_the_bits_of_the_status(fmi, tmp_path):
     """Off, blind and at an end of the range, against what the guard says these bits mean."""
     plant = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
     law = pam.lqr(plant, plant.equilibrium(x=0.0, stiffness=2e4), sample_time=2e-3)
     limits = dict.fromkeys(COMMANDS, (2e5, 4e5))
     made = block(law, plant=plant, hold=1, limits=limits, fade_time=0.0)
-    path = export_fmu(made, tmp_path / "b.fmu", fmi=fmi, platforms="native", booleans=True)
-    check = check_fmu(path)
-    assert check.ok, str(check)
-    unit = UnpackedFmu(path, tmp_path / "b")
+    unit = sound(made, tmp_path, fmi, booleans=True)
     names = ["off", "missing", "lost", "at_range", "at_rate", "no_number"]
     assert unit.typed == dict.fromkeys(["enable", *(f"status.{n}" for n in names)], "Boolean")
     assert "status" not in unit.references
@@ -225,27 +213,22 @@ def test_flags_are_booleans_and_tell_the_bits_of_the_status(fmi: Any, tmp_path: 
 # ---- enumerations -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_codes_of_a_plant_are_enumerations_in_both_modes(fmi: Any, tmp_path: Path) -> None:
+def test_codes_of_a_plant_are_enumerations_in_both_modes(fmi, tmp_path):
     """A tank that fills with 0, 1 or 5 a second, half of it in one gear: by hand."""
     plant = pam.Plant("tank")
     x = plant.state("x", start=0.5)
     speed = plant.input("speed", codes="off slow fast")
     gear = plant.parameter("gear", 1.0, codes="half whole", tunable=True)
     plant.der(x, speed * (1 + 1.5 * (speed - 1)) * (1 + gear) / 2)
-    path = export_fmu(plant, tmp_path / "p.fmu", fmi=fmi, platforms="native", enumerations=True)
-    check = check_fmu(path)
-    assert check.ok, str(check)
-    unit = UnpackedFmu(path, tmp_path / "p")
+    unit = sound(plant, tmp_path, fmi, enumerations=True)
     assert unit.typed == {"speed": "Enumeration", "gear": "Enumeration"}
     kinds = unit.description.typeDefinitions
     items = [{i.name: int(i.value) for i in k.items} for k in kinds if k.items]
     assert items == [{"off": 0, "slow": 1, "fast": 2}, {"half": 0, "whole": 1}]
     for mode in ("CoSimulation", "ModelExchange"):
         start = {"speed": 2.0, "gear": 0.0}
-        found = fmpy.simulate_fmu(
-            str(path), fmi_type=mode, stop_time=1.0, start_values=start, output=["x"]
-        )
+        run = {"fmi_type": mode, "stop_time": 1.0, "start_values": start, "output": ["x"]}
+        found = fmpy.simulate_fmu(str(unit.folder), **run)
         assert found["x"][-1] == pytest.approx(0.5 + 5 / 2, rel=1e-6), mode
     with Runner(unit, "CoSimulation") as runner:
         runner.initialize({"speed": 1.0}, 0.0, None)
@@ -258,23 +241,18 @@ def test_codes_of_a_plant_are_enumerations_in_both_modes(fmi: Any, tmp_path: Pat
             read([unit.references["speed"]])
 
 
-def test_enumerations_of_nothing_are_refused(tmp_path: Path) -> None:
+def test_enumerations_of_nothing_are_refused(tmp_path):
     plant = pam.HangingLoad("DMSP-20-300", mass=10.0)
     with pytest.raises(pam.InputError, match="no variable has codes"):
         export_fmu(plant, tmp_path / "p.fmu", platforms="native", enumerations=True)
 
 
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_the_status_of_an_mpc_is_an_enumeration(fmi: Any, tmp_path: Path) -> None:
+def test_the_status_of_an_mpc_is_an_enumeration(fmi, tmp_path):
     """Its values against the block's own step, at rest and after a jump of what is wanted."""
     rate, plant = dict.fromkeys(COMMANDS, 0.1), benchmark_slide()
     mpc = pam.Mpc(plant, horizon=2, sample_time=5e-3, track={"x": 1.0}, rate=rate, iterations=1)
     made = block(mpc, plant=plant)
-    path = export_fmu(
-        made, tmp_path / "m.fmu", fmi=fmi, platforms="native", booleans=True, enumerations=True
-    )
-    assert check_fmu(path).ok
-    unit = UnpackedFmu(path, tmp_path / "m")
+    unit = sound(made, tmp_path, fmi, booleans=True, enumerations=True)
     assert unit.variables["solver.status"].type == "Enumeration"
     kind = unit.variables["solver.status"].declaredType
     assert [i.name for i in kind.items] == ["solved", "unfinished", "failed", "fallback"]
@@ -297,7 +275,7 @@ def test_the_status_of_an_mpc_is_an_enumeration(fmi: Any, tmp_path: Path) -> Non
 # ---- single precision ---------------------------------------------------------------------------
 
 
-def test_a_unit_of_single_precision_computes_with_floats(tmp_path: Path) -> None:
+def test_a_unit_of_single_precision_computes_with_floats(tmp_path):
     """A PI law with a limit, by NumPy's float32 in the same order, to the last bit."""
     m, x, k = (ca.SX.sym(n, size) for n, size in (("m", 1), ("x", 1), ("k", 2)))
     error = 0.1 - x
@@ -310,10 +288,8 @@ def test_a_unit_of_single_precision_computes_with_floats(tmp_path: Path) -> None
     outputs = (pam.Variable("u", "output"), pam.Variable("power", "output"))
     memory = (pam.Variable("sum", "state", start=0.3),)
     law = Block("law", STEP, (pam.Variable("x", "input"),), outputs, gains, memory, step)
-    options: dict[str, Any] = {"fmi": "3.0", "platforms": "native", "precision": "single"}
-    path = export_fmu(law, tmp_path / "l.fmu", **options)
-    assert check_fmu(path).ok
-    unit, f = UnpackedFmu(path, tmp_path / "l"), np.float32
+    single: dict[str, Any] = {"fmi": "3.0", "precision": "single"}
+    unit, f = sound(law, tmp_path, **single), np.float32
     assert unit.typed == dict.fromkeys(["x", "kp", "ki", "u", "power"], "Float32")
     total, rng = f(0.3), np.random.default_rng(4)
     with Runner(unit, "CoSimulation") as runner:
@@ -332,12 +308,13 @@ def test_a_unit_of_single_precision_computes_with_floats(tmp_path: Path) -> None
         runner.set({"ki": 0.1})  # the end of its range, which is 0.1 in double precision
         with pytest.raises(Exception, match="rror"):
             runner.set({"ki": 0.10001})
-    with pytest.raises(InputError, match="FMI 2 and arrays of gains have no such numbers"):
-        export_fmu(law, path, precision="single")
-    with pytest.raises(InputError, match="only blocks compute so"):
-        export_fmu(benchmark_slide(), path, **options)
-    with pytest.raises(InputError, match="choose 'double' or 'single'"):
-        export_fmu(law, path, precision="half")  # type: ignore[arg-type]
+    for words, given in {
+        "FMI 2 and arrays of gains have no such numbers": {"precision": "single"},
+        "only blocks compute so": {**single, "system": benchmark_slide()},
+        "choose 'double' or 'single'": {"precision": "half"},
+    }.items():
+        with pytest.raises(InputError, match=words):
+            export_fmu(path=tmp_path / "l.fmu", **{"system": law, **given})
 
 
 # ---- in a system --------------------------------------------------------------------------------
@@ -358,10 +335,7 @@ def switch(late: int) -> Block:
     return Block("switch", STEP, (), outputs, (), memory, step, flags={"on": {}})
 
 
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_a_system_has_booleans_enumerations_and_arrays(
-    feedback: Any, fmi: Any, tmp_path: Path
-) -> None:
+def test_a_system_has_booleans_enumerations_and_arrays(feedback, fmi, tmp_path):
     """The switch drives ``enable`` as a Boolean; by FMPy's master."""
     plant = benchmark_slide()
     law = block(feedback, plant=plant, delay=1)
@@ -413,7 +387,7 @@ def number() -> Block:
     return Block("one", STEP, *ends, (), (), step)
 
 
-def test_forms_that_no_part_of_a_system_has_are_refused(tmp_path: Path) -> None:
+def test_forms_that_no_part_of_a_system_has_are_refused(tmp_path):
     parts, path = {"plant": benchmark_slide()}, tmp_path / "s.ssp"
     with pytest.raises(InputError, match="booleans = True: no block has flags"):
         export_ssp(parts, {}, path, booleans=True)

@@ -12,16 +12,14 @@ import fmpy
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
-from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
+from fmu_tools import VERSIONS, event_mode, opened
 from lxml import etree
 
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.export import export_fmu
-from pam_ocp.export.runner import UnpackedFmu
 
-VERSIONS = ("2.0", "3.0")
 SCHEMAS = Path(fmpy.__file__).parent / "schema/fmi3"
 SAID = {
     "author": "A. Author",
@@ -51,7 +49,7 @@ def read(unit: Path, name: str) -> Any:
         return ElementTree.fromstring(archive.read(name))
 
 
-def test_words_about_the_model_stand_in_its_description(unit: Path) -> None:
+def test_words_about_the_model_stand_in_its_description(unit):
     root = read(unit, "modelDescription.xml")
     for name in ("author", "version", "copyright", "license"):
         assert root.get(name) == SAID[name]
@@ -59,7 +57,7 @@ def test_words_about_the_model_stand_in_its_description(unit: Path) -> None:
     assert root.get("generationTool").startswith("pam_ocp ")
 
 
-def test_each_quantity_is_declared_once_with_unit_and_range(unit: Path) -> None:
+def test_each_quantity_is_declared_once_with_unit_and_range(unit):
     root = read(unit, "modelDescription.xml")
     declared = {}
     for type_ in root.find("TypeDefinitions"):
@@ -76,7 +74,7 @@ def test_each_quantity_is_declared_once_with_unit_and_range(unit: Path) -> None:
             assert about.get(name) == known.get(name)
 
 
-def test_every_parameter_has_a_largest_value_which_is_kept(unit: Path) -> None:
+def test_every_parameter_has_a_largest_value_which_is_kept(unit):
     described = fmpy.read_model_description(str(unit))
     parameters = [v for v in described.modelVariables if v.causality == "parameter"]
     assert parameters
@@ -94,9 +92,7 @@ def test_every_parameter_has_a_largest_value_which_is_kept(unit: Path) -> None:
         ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
     ],
 )
-def test_neighbours_follow_their_schemas_in_both_versions(
-    unit: Path, file: str, schema: str
-) -> None:
+def test_neighbours_follow_their_schemas_in_both_versions(unit, file, schema):
     with zipfile.ZipFile(unit) as archive:
         document = etree.fromstring(archive.read(file))
         names = archive.namelist()
@@ -105,7 +101,7 @@ def test_neighbours_follow_their_schemas_in_both_versions(
         assert f"terminalsAndIcons/{picture.get('iconBaseName')}.png" in names
 
 
-def test_terminals_of_muscles_match_by_name_and_have_a_place(unit: Path) -> None:
+def test_terminals_of_muscles_match_by_name_and_have_a_place(unit):
     root = read(unit, "terminalsAndIcons/terminalsAndIcons.xml")
     found = {t.get("name"): t for t in root.iter("Terminal")}
     assert {"muscle1", "muscle2"} < set(found)
@@ -121,7 +117,7 @@ def test_terminals_of_muscles_match_by_name_and_have_a_place(unit: Path) -> None
     assert len(places) == len(found)
 
 
-def test_the_reference_motion_is_found_by_its_layered_standard(unit: Path) -> None:
+def test_the_reference_motion_is_found_by_its_layered_standard(unit):
     folder = "extra/org.fmi-standard.fmi-ls-ref"
     space = "{http://fmi-standard.org/fmi-ls-manifest}"
     manifest = read(unit, f"{folder}/fmi-ls-manifest.xml")
@@ -139,7 +135,7 @@ def test_the_reference_motion_is_found_by_its_layered_standard(unit: Path) -> No
     assert [e.tag for e in experiment] == ["Stimuli", "References"]
 
 
-def test_equal_muscles_share_parameters_and_move_as_before(unit: Path, tmp_path: Path) -> None:
+def test_equal_muscles_share_parameters_and_move_as_before(unit, tmp_path):
     described = fmpy.read_model_description(str(unit))
     kinds = {v.name: v.causality for v in described.modelVariables}
     assert kinds["muscle.a1"] == "parameter"
@@ -163,7 +159,7 @@ def test_equal_muscles_share_parameters_and_move_as_before(unit: Path, tmp_path:
     assert set(found["muscle2.rest_length"]) == {0.21}
 
 
-def test_muscles_that_differ_keep_their_own(tmp_path: Path) -> None:
+def test_muscles_that_differ_keep_their_own(tmp_path):
     plant = benchmark_slide().with_values({"muscle1.a3": -30.0})
     path = export_fmu(plant, tmp_path / "s.fmu", platforms="source", share=True)
     kinds = {v.name: v.causality for v in fmpy.read_model_description(str(path)).modelVariables}
@@ -171,19 +167,12 @@ def test_muscles_that_differ_keep_their_own(tmp_path: Path) -> None:
     assert kinds["muscle2.a1"] == "calculatedParameter"
 
 
-def test_in_event_mode_a_jump_of_a_command_shows_at_once(tmp_path: Path) -> None:
+def test_in_event_mode_a_jump_of_a_command_shows_at_once(tmp_path):
     """FMI 3 Co-Simulation: with an ideal feed the force follows the command within the event."""
     plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.feeds.IdealPressure())
-    path = export_fmu(plant, tmp_path / "s.fmu", fmi="3.0", platforms="native")
-    unit = UnpackedFmu(path, tmp_path / "u")
+    unit = opened(plant, tmp_path, "3.0")
     command, force = ([unit.references[f"muscle1.{n}"]] for n in ("pressure", "force"))
-    inner = FMU3Slave(
-        guid=unit.description.guid,
-        unzipDirectory=str(unit.folder),
-        modelIdentifier=plant.name,
-        instanceName="s",
-    )
-    inner.instantiate(eventModeUsed=True)
+    inner = event_mode(unit)
     inner.enterInitializationMode()
     inner.setFloat64(command, [2e5])
     inner.exitInitializationMode()
@@ -201,7 +190,7 @@ def test_in_event_mode_a_jump_of_a_command_shows_at_once(tmp_path: Path) -> None
     inner.freeInstance()
 
 
-def test_words_that_cannot_be_meant_are_refused(tmp_path: Path) -> None:
+def test_words_that_cannot_be_meant_are_refused(tmp_path):
     for said, match in (
         ({"author": "two\nlines"}, "author = .* give one line"),
         ({"date": "yesterday"}, "date = 'yesterday': give a datetime or ISO 8601"),

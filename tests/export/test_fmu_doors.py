@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 import struct
-from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from fmu_tools import DISCARD, ERROR, VERSIONS, now, started
+from fmu_tools import DISCARD, ERROR, VERSIONS, now, opened, started
 
 import pam_ocp as pam
 from pam_ocp.core.units import unit
-from pam_ocp.export import export_fmu
 from pam_ocp.export.runner import Runner, UnpackedFmu
 
 HEADER = 80  # bytes before the memory of an instance: 8 zeros, magic, version and size, sum, token
@@ -33,20 +30,15 @@ def oscillator(**values: float) -> pam.Plant:
     return plant.with_values(values)
 
 
-def built(folder: Path, name: str, fmi: Any, plant: pam.Plant, **options: Any) -> UnpackedFmu:
-    path = export_fmu(plant, folder / f"{name}.fmu", fmi=fmi, platforms="native", **options)
-    return UnpackedFmu(path, folder / name)
-
-
 @pytest.fixture(scope="module", params=VERSIONS)
 def fixed(request: Any, tmp_path_factory: pytest.TempPathFactory) -> UnpackedFmu:
     folder = tmp_path_factory.mktemp("fixed")
-    return built(folder, "fixed", request.param, oscillator(), fixed_step=1e-2)
+    return opened(oscillator(), folder, request.param, fixed_step=1e-2)
 
 
 @pytest.fixture(scope="module", params=VERSIONS)
 def free(request: Any, tmp_path_factory: pytest.TempPathFactory) -> UnpackedFmu:
-    return built(tmp_path_factory.mktemp("free"), "free", request.param, oscillator())
+    return opened(oscillator(), tmp_path_factory.mktemp("free"), request.param)
 
 
 def refused(runner: Runner, status: int, call: Any, *arguments: Any) -> str:
@@ -64,9 +56,7 @@ def refused(runner: Runner, status: int, call: Any, *arguments: Any) -> str:
 
 
 @pytest.mark.parametrize("size", [1e6, 1e15, 1e300])
-def test_a_step_of_too_many_fixed_steps_is_discarded_with_its_sentence(
-    fixed: UnpackedFmu, size: float
-) -> None:
+def test_a_step_of_too_many_fixed_steps_is_discarded_with_its_sentence(fixed, size):
     with started(fixed, "CoSimulation") as runner:
         runner.step(0.0, 0.05)
         assert "too many internal steps" in refused(runner, DISCARD, runner.step, 0.05, size)
@@ -90,9 +80,7 @@ def test_a_step_of_too_many_fixed_steps_is_discarded_with_its_sentence(
         (0.5, 1e-17),
     ],
 )
-def test_points_and_lengths_that_cannot_be_are_refused(
-    fixed: UnpackedFmu, free: UnpackedFmu, point: float, size: float
-) -> None:
+def test_points_and_lengths_that_cannot_be_are_refused(fixed, free, point, size):
     for fmu in (fixed, free):
         with started(fmu, "CoSimulation") as runner:
             runner.step(0.0, 0.5)
@@ -102,20 +90,19 @@ def test_points_and_lengths_that_cannot_be_are_refused(
 
 
 @pytest.mark.parametrize("time", [math.nan, math.inf, -math.inf])
-def test_a_time_that_is_not_finite_is_refused(free: UnpackedFmu, time: float) -> None:
+def test_a_time_that_is_not_finite_is_refused(free, time):
     with started(free, "ModelExchange") as runner:
         refused(runner, ERROR, runner.inner.setTime, time)
     with Runner(free, "CoSimulation") as runner, pytest.raises(FMICallException):
         runner.initialize({}, time, None)
 
 
-# ---- slopes and units
-# -----------------------------------------------------------------------------
+# ---- slopes and units ----------------------------------------------------------------------------
 
 
-def test_the_slope_of_an_output_holds_what_its_inputs_do(tmp_path: Path) -> None:
+def test_the_slope_of_an_output_holds_what_its_inputs_do(tmp_path):
     """d(3 f + f^2 + 2 x)/dt = (3 + 2 f) f' + 2 v, with f = 1 + 0.4 t."""
-    fmu = built(tmp_path, "slopes", "2.0", oscillator())
+    fmu = opened(oscillator(), tmp_path)
     with started(fmu, "CoSimulation") as runner:
         runner.set({"f": 1.0})
         runner.inner.setRealInputDerivatives(runner.references(["f"]), [1], [0.4])
@@ -129,8 +116,7 @@ def test_the_slope_of_an_output_holds_what_its_inputs_do(tmp_path: Path) -> None
         assert slope == pytest.approx(2 * runner.get(["v"])[0], rel=1e-12)
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_a_derivative_has_the_unit_of_its_state_per_second(fmi: str, tmp_path: Path) -> None:
+def test_a_derivative_has_the_unit_of_its_state_per_second(fmi, tmp_path):
     states = {
         "m": "m/s",
         "m/s": "m/s2",
@@ -143,9 +129,8 @@ def test_a_derivative_has_the_unit_of_its_state_per_second(fmi: str, tmp_path: P
     plant = pam.Plant("united")
     for i, name in enumerate(states):
         plant.der(plant.state(f"s{i}", unit=name), 0.0)
-    fmu = built(tmp_path, "units", fmi, plant)
-    description = fmpy.read_model_description(str(tmp_path / "units.fmu"))
-    bases = {u.name: u.baseUnit for u in description.unitDefinitions}
+    fmu = opened(plant, tmp_path, fmi)
+    bases = {u.name: u.baseUnit for u in fmu.description.unitDefinitions}
     for i, expected in enumerate(states.values()):
         found = fmu.variables[f"der(s{i})"].unit
         assert unit(found).exponents == unit(expected).exponents
@@ -174,14 +159,12 @@ def saved(fmu: UnpackedFmu, kind: Any = "CoSimulation") -> bytes:
     return content
 
 
-def test_a_state_of_another_unit_is_refused_in_the_process_too(
-    free: UnpackedFmu, tmp_path: Path
-) -> None:
+def test_a_state_of_another_unit_is_refused_in_the_process_too(free, tmp_path):
     for name, plant in (
         ("twin", oscillator(k=1.5)),
         ("big", pam.HangingLoad(pam.muscle("DMSP-20-300"))),
     ):
-        other = built(tmp_path, name, free.fmi, plant)
+        other = opened(plant, tmp_path / name, free.fmi)
         with started(free, "CoSimulation") as runner, started(other, "CoSimulation") as stranger:
             state = stranger.inner.getFMUState()
             assert "another FMU" in refused(runner, ERROR, runner.inner.setFMUState, state)
@@ -215,7 +198,7 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize("what", IMPOSSIBLE)
-def test_a_state_that_no_instance_could_have_is_refused(free: UnpackedFmu, what: str) -> None:
+def test_a_state_that_no_instance_could_have_is_refused(free, what):
     place, kind, value = IMPOSSIBLE[what]
     content = bytearray(saved(free))
     struct.pack_into(f"<{kind}", content, HEADER + place, value)
@@ -224,9 +207,7 @@ def test_a_state_that_no_instance_could_have_is_refused(free: UnpackedFmu, what:
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
-def test_of_two_thousand_damaged_states_none_harms_and_none_is_not_finite(
-    free: UnpackedFmu, kind: Any
-) -> None:
+def test_of_two_thousand_damaged_states_none_harms_and_none_is_not_finite(free, kind):
     rng, good, accepted = np.random.default_rng(11), saved(free, kind), 0
     with started(free, kind) as runner:
         for i in range(2000):

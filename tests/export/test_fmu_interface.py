@@ -16,7 +16,6 @@ from pam_ocp import InputError, UnknownNameError
 from pam_ocp.export import check_fmu, export_fmu
 from pam_ocp.export.runner import Runner, UnpackedFmu
 
-VERSIONS = ("2.0", "3.0")
 FIRST, SECOND = "muscle1.command", "muscle2.command"
 
 
@@ -31,8 +30,7 @@ def kinds(path: Path) -> dict[str, tuple[str, str]]:
     return {v.name: (v.causality, v.variability) for v in described.modelVariables}
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_what_is_left_out_is_a_parameter_or_a_local_variable(fmi: str, tmp_path: Path) -> None:
+def test_what_is_left_out_is_a_parameter_or_a_local_variable(fmi, tmp_path):
     path = chosen(tmp_path, fmi)
     assert fmpy.validation.validate_fmu(str(path)) == []
     found = kinds(path)
@@ -52,8 +50,7 @@ def test_what_is_left_out_is_a_parameter_or_a_local_variable(fmi: str, tmp_path:
     assert inputs == {"x", "muscle1.pressure", "muscle2.pressure"}
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_it_moves_as_the_plant_with_the_other_input_held(fmi: str, tmp_path: Path) -> None:
+def test_it_moves_as_the_plant_with_the_other_input_held(fmi, tmp_path):
     plant, t = benchmark_slide().with_values({SECOND: 2 * BAR}), np.linspace(0, 0.3, 61)
     motion = pam.simulate(plant, {FIRST: lambda s: (3 + np.sin(20 * s)) * BAR}, t=t)
     checked = check_fmu(chosen(tmp_path, fmi, plant=plant), motion)
@@ -62,8 +59,7 @@ def test_it_moves_as_the_plant_with_the_other_input_held(fmi: str, tmp_path: Pat
     assert set(checked.deviations["CoSimulation"]) == {"x", "stiffness"}
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_the_held_input_can_be_tuned_and_locals_can_be_read(fmi: str, tmp_path: Path) -> None:
+def test_the_held_input_can_be_tuned_and_locals_can_be_read(fmi, tmp_path):
     plant, step = benchmark_slide(), 5e-3
     names = ["x", "v", "muscle2.pressure", "muscle2.force"]
     fmu = UnpackedFmu(chosen(tmp_path, fmi), tmp_path / "unpacked")
@@ -83,7 +79,7 @@ def test_the_held_input_can_be_tuned_and_locals_can_be_read(fmi: str, tmp_path: 
     assert np.ptp(motion["x"]) > 1e-3
 
 
-def test_without_any_input_the_plant_runs_by_itself(tmp_path: Path) -> None:
+def test_without_any_input_the_plant_runs_by_itself(tmp_path):
     plant = benchmark_slide().with_values({"x": 0.005})
     path = chosen(tmp_path, "2.0", plant=plant, inputs=[], outputs=None)
     assert "input" not in {c for c, _ in kinds(path).values()}
@@ -91,7 +87,7 @@ def test_without_any_input_the_plant_runs_by_itself(tmp_path: Path) -> None:
     assert checked.ok, str(checked)
 
 
-def test_a_reference_shows_what_the_fmu_shows(tmp_path: Path) -> None:
+def test_a_reference_shows_what_the_fmu_shows(tmp_path):
     import zipfile
 
     plant = benchmark_slide()
@@ -111,7 +107,7 @@ def test_a_reference_shows_what_the_fmu_shows(tmp_path: Path) -> None:
         chosen(tmp_path, "2.0", reference=other)
 
 
-def test_terminals_gather_what_can_be_connected(tmp_path: Path) -> None:
+def test_terminals_gather_what_can_be_connected(tmp_path):
     import zipfile
 
     with zipfile.ZipFile(chosen(tmp_path, "3.0")) as archive:
@@ -122,7 +118,7 @@ def test_terminals_gather_what_can_be_connected(tmp_path: Path) -> None:
     assert SECOND not in text
 
 
-def test_names_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_names_that_do_not_fit_are_refused(tmp_path):
     with pytest.raises(InputError, match="inputs: x is a state"):
         chosen(tmp_path, "2.0", inputs=["x"])
     with pytest.raises(InputError, match=r"outputs: muscle1\.command is an input"):

@@ -36,6 +36,18 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         pytest.skip(f"no compiler: {error}")
 
 
+@pytest.fixture
+def harm(units, monkeypatch, tmp_path):
+    """harm(what, fmi): the hostile unit, which does that from now on."""
+
+    def told(what, fmi="2.0"):
+        monkeypatch.setenv("HOSTILE", what)
+        monkeypatch.setenv("HOSTILE_PID", str(tmp_path / "pid"))
+        return units[fmi]
+
+    return told
+
+
 def only_finding(path: Path, time_limit: float = 60.0) -> str:
     checked = check_fmu(path, time_limit=time_limit)
     assert not checked.ok
@@ -43,13 +55,12 @@ def only_finding(path: Path, time_limit: float = 60.0) -> str:
     return finding
 
 
-# ---- what a unit may do
-# ---------------------------------------------------------------------------
+# ---- what a unit may do --------------------------------------------------------------------------
 
 
 @posix
 @pytest.mark.parametrize(
-    ("harm", "fmi", "sentence"),
+    ("what", "fmi", "sentence"),
     [
         ("segfault DoStep", "3.0", "crashed (segmentation fault) in fmi3DoStep (CoSimulation)"),
         ("stack DoStep", "2.0", "crashed (segmentation fault) in fmi2DoStep"),
@@ -63,25 +74,20 @@ def only_finding(path: Path, time_limit: float = 60.0) -> str:
         ("close DoStep", "2.0", "ended its process with exit code"),
     ],
 )
-def test_a_unit_that_dies_is_a_finding_that_names_the_call(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, harm: str, fmi: str, sentence: str
-) -> None:
-    monkeypatch.setenv("HOSTILE", harm)
-    assert sentence in only_finding(units[fmi])
+def test_a_unit_that_dies_is_a_finding_that_names_the_call(harm, what, fmi, sentence):
+    assert sentence in only_finding(harm(what, fmi))
 
 
 @posix
 @pytest.mark.slow
-def test_a_unit_that_dies_leaves_the_checks_beside_it(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_unit_that_dies_leaves_the_checks_beside_it(harm, tmp_path):
     plant = benchmark_slide()
     well = pam.export_fmu(plant, tmp_path / "well.fmu", platforms="native")
     motion = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=np.linspace(0, 0.02, 5))
-    monkeypatch.setenv("HOSTILE", "segfault DoStep")
+    hostile = harm("segfault DoStep")
     with pytest.raises(pam.InputError, match=r"well\.fmu' is one file; give a list"):
         check_fmus(well)  # type: ignore[arg-type]
-    one, dead, other = check_fmus([well, units["2.0"], well], against=motion)
+    one, dead, other = check_fmus([well, hostile, well], against=motion)
     assert one.ok
     assert other.ok
     (finding,) = dead.findings
@@ -94,70 +100,49 @@ def test_a_unit_that_dies_leaves_the_checks_beside_it(
 
 @posix
 @pytest.mark.parametrize(
-    ("harm", "fmi"), [("spin DoStep", "2.0"), ("hang DoStep", "3.0"), ("hang FreeInstance", "2.0")]
+    ("what", "fmi"), [("spin DoStep", "2.0"), ("hang DoStep", "3.0"), ("hang FreeInstance", "2.0")]
 )
-def test_a_unit_that_hangs_is_stopped(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, harm: str, fmi: str
-) -> None:
-    monkeypatch.setenv("HOSTILE", harm)
-    finding = only_finding(units[fmi], time_limit=2.0)
-    assert f"was stopped after 2 s (time_limit) in fmi{fmi[0]}{harm.split()[1]}" in finding
+def test_a_unit_that_hangs_is_stopped(harm, what, fmi):
+    finding = only_finding(harm(what, fmi), time_limit=2.0)
+    assert f"was stopped after 2 s (time_limit) in fmi{fmi[0]}{what.split()[1]}" in finding
 
 
 @linux
-def test_a_unit_cannot_take_all_memory(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HOSTILE", "memory DoStep")
-    assert "crashed (segmentation fault) in fmi2DoStep" in only_finding(units["2.0"])
+def test_a_unit_cannot_take_all_memory(harm):
+    finding = only_finding(harm("memory DoStep"))
+    assert "crashed (segmentation fault) in fmi2DoStep" in finding
 
 
-def test_what_a_unit_prints_does_no_harm(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("HOSTILE", "print DoStep")
-    assert check_fmu(units["3.0"]).ok
+def test_what_a_unit_prints_does_no_harm(harm, capfd):
+    assert check_fmu(harm("print DoStep", "3.0")).ok
     assert capfd.readouterr() == ("", "")
 
 
 @linux
-def test_what_a_unit_has_started_ends_with_the_check(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("HOSTILE", "fork DoStep")
-    monkeypatch.setenv("HOSTILE_PID", str(tmp_path / "pid"))
-    assert check_fmu(units["2.0"]).ok
+def test_what_a_unit_has_started_ends_with_the_check(harm, tmp_path):
+    assert check_fmu(harm("fork DoStep")).ok
     assert gone(int((tmp_path / "pid").read_text()))
 
 
 @linux
 @pytest.mark.parametrize(
-    ("harm", "sentence"),
+    ("what", "sentence"),
     [
         ("escape DoStep", "was stopped after 2 s (time_limit) in fmi2DoStep"),
         ("escape_and_die DoStep", "ended its process with exit code 0 in fmi2DoStep"),
     ],
 )
 def test_a_unit_that_forks_into_a_session_of_its_own_is_stopped_with_its_fork(
-    units: dict[str, Path],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    harm: str,
-    sentence: str,
-) -> None:
+    harm, tmp_path, what, sentence
+):
     """The fork's own parent has ended, and the fork holds all pipes open."""
-    monkeypatch.setenv("HOSTILE", harm)
-    monkeypatch.setenv("HOSTILE_PID", str(tmp_path / "pid"))
-    assert sentence in only_finding(units["2.0"], time_limit=2.0)
+    assert sentence in only_finding(harm(what), time_limit=2.0)
     assert gone(int((tmp_path / "pid").read_text()), 0.0)
 
 
 @posix
-def test_what_was_found_before_a_crash_is_kept(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("HOSTILE", "segfault DoStep")
-    content = contents(units["2.0"])
+def test_what_was_found_before_a_crash_is_kept(harm, tmp_path):
+    content = contents(harm("segfault DoStep"))
     text = content["modelDescription.xml"].decode()
     content["modelDescription.xml"] = text.replace('unit="Pa"', 'unit="Pq"').encode()
     checked = check_fmu(packed(tmp_path / "wrong.fmu", content))
@@ -169,18 +154,13 @@ def test_what_was_found_before_a_crash_is_kept(
 
 
 @posix
-def test_the_command_answers_with_an_exit_code_of_its_own(
-    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("HOSTILE", "exit0 DoStep")
-    assert main(["check", str(units["2.0"])]) == 1
+def test_the_command_answers_with_an_exit_code_of_its_own(harm, capsys):
+    assert main(["check", str(harm("exit0 DoStep"))]) == 1
     assert "NOT well" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("share", [0.02, 0.99])
-def test_a_library_that_is_cut_is_a_finding(
-    units: dict[str, Path], tmp_path: Path, share: float
-) -> None:
+def test_a_library_that_is_cut_is_a_finding(units, tmp_path, share):
     content = contents(units["2.0"])
     (binary,) = (n for n in content if n.startswith("binaries/"))
     content[binary] = content[binary][: int(share * len(content[binary]))]
@@ -188,9 +168,7 @@ def test_a_library_that_is_cut_is_a_finding(
 
 
 @pytest.mark.slow
-def test_damage_anywhere_in_the_library_leaves_the_caller_alive(
-    units: dict[str, Path], tmp_path: Path
-) -> None:
+def test_damage_anywhere_in_the_library_leaves_the_caller_alive(units, tmp_path):
     rng = np.random.default_rng(15)
     for _ in range(2):
         content = contents(units["3.0"])
@@ -205,7 +183,7 @@ def test_damage_anywhere_in_the_library_leaves_the_caller_alive(
 # ---- the caller ----------------------------------------------------------------------------------
 
 
-def test_the_figures_cross_the_border_unchanged(tmp_path: Path) -> None:
+def test_the_figures_cross_the_border_unchanged(tmp_path):
     """The motion that comes back is the one compared, with the record's inputs and times."""
     plant = benchmark_slide()
     path = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms="native")
@@ -221,7 +199,7 @@ def test_the_figures_cross_the_border_unchanged(tmp_path: Path) -> None:
         assert found == pytest.approx(checked.deviations[mode]["x"], rel=1e-6, abs=1e-15)
 
 
-def test_wrong_arguments_are_refused_here(units: dict[str, Path]) -> None:
+def test_wrong_arguments_are_refused_here(units):
     with pytest.raises(pam.InputError, match="time_limit"):
         check_fmu(units["2.0"], time_limit=0.0)
     with pytest.raises(pam.InputError, match="against is a str"):
@@ -235,7 +213,7 @@ def test_wrong_arguments_are_refused_here(units: dict[str, Path]) -> None:
 
 
 @pytest.mark.slow
-def test_a_script_without_a_guard_can_check(units: dict[str, Path], tmp_path: Path) -> None:
+def test_a_script_without_a_guard_can_check(units, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(f"import pam_ocp\nprint(pam_ocp.check_fmu({str(units['2.0'])!r}).ok)\n")
     for arguments, text in (([str(script)], None), (["-"], script.read_text())):
@@ -243,18 +221,14 @@ def test_a_script_without_a_guard_can_check(units: dict[str, Path], tmp_path: Pa
         assert (done.stdout, done.stderr) == ("True\n", "")
 
 
-def test_names_of_modules_beside_the_caller_are_not_taken(
-    units: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_of_modules_beside_the_caller_are_not_taken(units, tmp_path, monkeypatch):
     for name in ("pickle", "numpy", "json"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('not this one')")
     monkeypatch.chdir(tmp_path)
     assert check_fmu(units["2.0"]).ok
 
 
-def test_checks_from_several_threads_do_not_disturb_each_other(
-    units: dict[str, Path],
-) -> None:
+def test_checks_from_several_threads_do_not_disturb_each_other(units):
     """And the hostile units are well as long as they are not told to harm."""
     seen: list[bool] = []
     threads = [
@@ -268,16 +242,14 @@ def test_checks_from_several_threads_do_not_disturb_each_other(
     assert seen == [True, True]
 
 
-def test_a_worker_that_cannot_be_loaded_is_said_so(tmp_path: Path) -> None:
+def test_a_worker_that_cannot_be_loaded_is_said_so(tmp_path):
     with pytest.raises(pam.SimulationError, match=r"did not start: .*no_such_module"):
         run_alone("no_such_module:f", {}, tmp_path, 1.0, lambda **_: None)
 
 
 @linux
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_the_process_of_a_hanging_unit_ends_with_the_caller(
-    units: dict[str, Path], tmp_path: Path, end: signal.Signals
-) -> None:
+def test_the_process_of_a_hanging_unit_ends_with_the_caller(units, tmp_path, end):
     script = f"import pam_ocp\npam_ocp.check_fmu({str(units['2.0'])!r})\n"
     environment = os.environ | {"HOSTILE": "hang DoStep", "HOSTILE_PID": str(tmp_path / "pid")}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
@@ -297,9 +269,7 @@ def test_the_process_of_a_hanging_unit_ends_with_the_caller(
 
 
 @linux
-def test_a_caller_that_has_forked_is_missed_all_the_same(
-    units: dict[str, Path], tmp_path: Path
-) -> None:
+def test_a_caller_that_has_forked_is_missed_all_the_same(units, tmp_path):
     """Its child holds copies of all pipes, and lives on."""
     script = (
         "import os, threading, time, pam_ocp\n"

@@ -1,6 +1,7 @@
 """Each force law, loss and feed goes through an FMU and moves there as it does in Python."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from pam_ocp.muscles.law import coefficient
 from pam_ocp.muscles.laws.user_defined import own_law, polynomial_law, spline_law
 from pam_ocp.plants.damping import CoulombFriction, DirectionalDamping
 from pam_ocp.plants.memory import BoucWen, Creep, MaxwellSlip
+from pam_ocp.plants.prandtl_ishlinskii import PrandtlIshlinskii
 from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
 
 pytestmark = pytest.mark.slow
@@ -135,3 +137,25 @@ def test_every_feed_agrees(feed, inputs, tmp_path):
 )
 def test_every_arrangement_agrees(plant, tmp_path):
     agreement(plant, {"muscle.command": wave}, tmp_path)
+
+
+def test_all_that_remembers_and_the_body_agree(tmp_path):
+    known = pam.muscle("DMSP-20-200N")
+    law = pam.laws.with_ends(pam.laws.with_bladder(known.law, 2e4), 0.05, 1.03, 60.0)
+    muscle = replace(known, law=law, mass_per_length=0.2, end_mass=0.1, pull_off=2e3)
+    losses = (
+        PrandtlIshlinskii((4.0, 3.0), (3.0, 2.0), (0.004, 0.02), per_pressure=2e-6),
+        BoucWen(5.0, per_pressure=2e-6),
+        MaxwellSlip((3.0, 2.0), (0.005, 0.02), per_pressure=2e-6),
+        pam.losses.StrandFriction(0.05),
+        pam.losses.ForceVelocity(),
+        pam.losses.LoadCreep(),
+        pam.losses.Preconditioning(),
+    )
+    plant = pam.HangingLoad(muscle, 10.0, losses=losses)
+    plant = plant.with_values(plant.equilibrium({"muscle.command": 2.6e5}))
+
+    def command(t):
+        return 2.6e5 + 7e4 * np.sin(6 * t) * np.cos(2 * t)
+
+    agreement(plant, {"muscle.command": command}, tmp_path, 1.5)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import BAR
 from fmpy.fmi1 import FMICallException
-from fmu_tools import DISCARD, ERROR, KINDS, VERSIONS, now, started
+from fmu_tools import DISCARD, ERROR, KINDS, VERSIONS, now, opened, started
 
 import pam_ocp as pam
-from pam_ocp.export import export_fmu
-from pam_ocp.export.runner import Runner, UnpackedFmu, pointer
+from pam_ocp.export.runner import Runner, pointer
 
-# ---- refused calls: an error, a line in the log, and nothing has changed
-# --------------------------
+# ---- refused calls: an error, a line in the log, and nothing has changed -------------------------
 
 
 def refused(runner: Runner, words: str, call: Any, *arguments: Any, status: int = ERROR) -> None:
@@ -30,7 +27,7 @@ def refused(runner: Runner, words: str, call: Any, *arguments: Any, status: int 
     assert words in runner.log[-1][1]
 
 
-def test_a_wrong_token_is_refused(fmu: UnpackedFmu) -> None:
+def test_a_wrong_token_is_refused(fmu):
     with pytest.raises(pam.SimulationError, match="do not belong together"):
         Runner(fmu, "CoSimulation", token="{00000000-0000-0000-0000-000000000000}")
     with started(fmu, "CoSimulation") as runner:  # the next one is not disturbed
@@ -38,7 +35,7 @@ def test_a_wrong_token_is_refused(fmu: UnpackedFmu) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_bad_values_are_refused_with_the_name_of_the_variable(fmu: UnpackedFmu, kind: str) -> None:
+def test_bad_values_are_refused_with_the_name_of_the_variable(fmu, kind):
     with started(fmu, kind) as runner:
         write = runner.inner.setReal if fmu.fmi == "2.0" else runner.inner.setFloat64
         read = runner.inner.getReal if fmu.fmi == "2.0" else runner.inner.getFloat64
@@ -63,7 +60,7 @@ def test_bad_values_are_refused_with_the_name_of_the_variable(fmu: UnpackedFmu, 
         assert list(runner.get(names)) == [kept[n] for n in names]
 
 
-def test_bad_steps_are_refused(fmu: UnpackedFmu) -> None:
+def test_bad_steps_are_refused(fmu):
     with started(fmu, "CoSimulation") as runner:
         runner.step(0.0, 0.01)
         for size in (0.0, -0.01, np.nan, np.inf):
@@ -73,7 +70,7 @@ def test_bad_steps_are_refused(fmu: UnpackedFmu) -> None:
         assert now(runner) == pytest.approx(0.02, abs=1e-12)
 
 
-def test_a_step_beyond_the_stop_time_is_refused(fmu: UnpackedFmu) -> None:
+def test_a_step_beyond_the_stop_time_is_refused(fmu):
     with Runner(fmu, "CoSimulation") as runner:
         if fmu.fmi == "2.0":
             runner.inner.setupExperiment(startTime=0.0, stopTime=0.1)
@@ -85,7 +82,7 @@ def test_a_step_beyond_the_stop_time_is_refused(fmu: UnpackedFmu) -> None:
         refused(runner, "stop time", runner.step, 0.1, 0.01)
 
 
-def test_calls_in_the_wrong_mode_are_refused(fmu: UnpackedFmu) -> None:
+def test_calls_in_the_wrong_mode_are_refused(fmu):
     with Runner(fmu, "CoSimulation") as runner:
         refused(runner, "before initialization", runner.step, 0.0, 0.01)
         refused(runner, "before initialization", runner.get, ["x"])
@@ -103,7 +100,7 @@ def test_calls_in_the_wrong_mode_are_refused(fmu: UnpackedFmu) -> None:
         refused(runner, "event mode", runner.inner.setContinuousStates, pointer(three), 3)
 
 
-def test_states_that_are_not_finite_are_discarded(fmu: UnpackedFmu) -> None:
+def test_states_that_are_not_finite_are_discarded(fmu):
     with started(fmu, "ModelExchange") as runner:
         x = np.array([np.nan, 0.0, BAR, BAR])
         refused(runner, "x = nan", runner.inner.setContinuousStates, pointer(x), 4, status=DISCARD)
@@ -112,14 +109,12 @@ def test_states_that_are_not_finite_are_discarded(fmu: UnpackedFmu) -> None:
         refused(runner, "not finite", runner.get, ["der(v)"], status=DISCARD)
 
 
-def test_a_step_that_fails_is_discarded_and_changes_nothing(tmp_path: Path) -> None:
+def test_a_step_that_fails_is_discarded_and_changes_nothing(tmp_path):
     plant = pam.Plant("blow_up")
     x = plant.state("x", start=1.0)
     plant.der(x, x**2)  # x = 1/(1 - t)
     for fmi in VERSIONS:
-        path = export_fmu(plant, tmp_path / f"{fmi[0]}.fmu", fmi=fmi, platforms="native")  # type: ignore[arg-type]
-        fmu = UnpackedFmu(path, tmp_path / fmi)
-        with started(fmu, "CoSimulation") as runner:
+        with started(opened(plant, tmp_path, fmi), "CoSimulation") as runner:
             runner.step(0.0, 0.5)
             refused(runner, "behind time", runner.step, 0.5, 1.0, status=DISCARD)
             assert now(runner) == 0.5
@@ -128,14 +123,11 @@ def test_a_step_that_fails_is_discarded_and_changes_nothing(tmp_path: Path) -> N
             assert runner.get(["x"])[0] == pytest.approx(4.0, rel=1e-6)
 
 
-def test_a_step_that_fails_changes_nothing_though_the_importer_has_looked_on(
-    tmp_path: Path,
-) -> None:
+def test_a_step_that_fails_changes_nothing_though_the_importer_has_looked_on(tmp_path):
     plant = pam.Plant("blow_up")
     x = plant.state("x", start=1.0)
     plant.der(x, x**2)  # x = 1/(1 - t)
-    path = export_fmu(plant, tmp_path / "3.fmu", fmi="3.0", platforms="native")
-    fmu, seen = UnpackedFmu(path, tmp_path / "3"), []
+    fmu, seen = opened(plant, tmp_path, "3.0"), []
     with Runner(fmu, "CoSimulation") as runner:
 
         def update(environment: Any, time: float, *others: Any) -> None:
@@ -153,19 +145,19 @@ def test_a_step_that_fails_changes_nothing_though_the_importer_has_looked_on(
         assert runner.get(["x"])[0] == pytest.approx(2.0, rel=1e-6)
 
 
-def test_types_that_the_fmu_does_not_have_are_refused(fmu: UnpackedFmu) -> None:
+def test_types_that_the_fmu_does_not_have_are_refused(fmu):
     with started(fmu, "CoSimulation") as runner:
         read = runner.inner.getInteger if fmu.fmi == "2.0" else runner.inner.getInt32
         refused(runner, "no variables of type Int", read, [1])
 
 
-def test_an_instance_that_is_no_instance_gives_an_error(fmu: UnpackedFmu) -> None:
+def test_an_instance_that_is_no_instance_gives_an_error(fmu):
     with started(fmu, "CoSimulation") as runner:
         function = runner.inner.dll[f"fmi{fmu.fmi[0]}Terminate"]
         assert function(ctypes.c_void_p(None)) == ERROR
 
 
-def test_the_log_can_be_chosen_by_category(fmu: UnpackedFmu) -> None:
+def test_the_log_can_be_chosen_by_category(fmu):
     with started(fmu, "CoSimulation") as runner:
         runner.inner.setDebugLogging(True, ["logSteps"])
         runner.step(0.0, 0.01)
@@ -178,9 +170,7 @@ def test_the_log_can_be_chosen_by_category(fmu: UnpackedFmu) -> None:
         refused(runner, "log category", runner.inner.setDebugLogging, True, ["logNothing"])
 
 
-def test_a_step_says_in_fmi_3_where_it_ended_also_when_it_was_refused(
-    fmus: dict[str, UnpackedFmu],
-) -> None:
+def test_a_step_says_in_fmi_3_where_it_ended_also_when_it_was_refused(fmus):
     """Also where the importer hands over no place for an answer."""
     with started(fmus["3.0"], "CoSimulation") as runner:
         runner.step(0.0, 0.25)

@@ -9,11 +9,11 @@ import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Model
 from fmpy.sundials import CVodeSolver
+from fmu_tools import COMMANDS
 
 import pam_ocp as pam
 from pam_ocp.export import export_fmu
 
-COMMANDS = ("muscle1.command", "muscle2.command")
 HELD, PARTS, TOLERANCE = 0.02, 25, 1e-8
 
 
@@ -77,7 +77,7 @@ def exchanged(plant: pam.Plant, folder: Path, values: Any, listens: bool) -> Any
     return np.array(rows)
 
 
-def test_an_importer_that_restarts_when_asked_is_right_where_inputs_jump(tmp_path: Path) -> None:
+def test_an_importer_that_restarts_when_asked_is_right_where_inputs_jump(tmp_path):
     plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"))
     values = np.random.default_rng(31).uniform(0.5e5, 5.5e5, (PARTS, 2))
     held = dict(zip(COMMANDS, np.vstack([values, values[-1]]).T, strict=True))

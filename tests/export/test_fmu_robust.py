@@ -16,21 +16,16 @@ import numpy as np
 import pytest
 from c_program import SANITIZED, needs_compiler, require_works
 from conftest import BAR, benchmark_slide, flat
+from fmu_tools import VERSIONS, exported, opened
 from scipy.linalg import expm
 
 import pam_ocp as pam
 from pam_ocp import ExportError
 from pam_ocp.export import check_fmu, export_fmu
 from pam_ocp.export import compile as compiler
-from pam_ocp.export.runner import Runner, UnpackedFmu
+from pam_ocp.export.runner import Runner
 
-VERSIONS = ("2.0", "3.0")
 PROGRAMS = Path(__file__).parents[2] / "fmu" / "tests"
-
-
-def exported(folder: Path, fmi: Any, plant: pam.Plant | None = None, **options: Any) -> Path:
-    plant = plant or benchmark_slide()
-    return export_fmu(plant, folder / f"{fmi[0]}.fmu", fmi=fmi, platforms="native", **options)
 
 
 def lonely() -> pam.Plant:
@@ -44,32 +39,18 @@ def lonely() -> pam.Plant:
 
 def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -> Path:
     """A C program of fmu/tests, compiled by gcc together with the sources of an FMU."""
-    with zipfile.ZipFile(exported(folder, fmi, plant)) as archive:
+    with zipfile.ZipFile(exported(plant, folder, fmi)) as archive:
         archive.extractall(folder / "fmu")
     target = folder / program
-    subprocess.run(
-        [
-            "gcc",
-            "-std=c11",
-            "-g",
-            "-O1",
-            *flags,
-            "-I",
-            str(folder / "fmu" / "sources"),
-            str(PROGRAMS / f"{program}.c"),
-            "-o",
-            str(target),
-            "-lm",
-        ],
-        check=True,
-    )
+    command = ["gcc", "-std=c11", "-g", "-O1", *flags, "-I", str(folder / "fmu" / "sources")]
+    command += [str(PROGRAMS / f"{program}.c"), "-o", str(target), "-lm"]
+    subprocess.run(command, check=True)
     return target
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [benchmark_slide, lonely])
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_a_million_random_calls_do_no_harm(fmi: str, make: Any, tmp_path: Path) -> None:
+def test_a_million_random_calls_do_no_harm(fmi, make, tmp_path):
     require_works("gcc", *SANITIZED)
     fuzz = built(tmp_path, fmi, make(), "fuzz", *SANITIZED)
     for seed in range(4):
@@ -82,8 +63,7 @@ def test_a_million_random_calls_do_no_harm(fmi: str, make: Any, tmp_path: Path) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sanitizer", ["address,undefined", "thread"])
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_eight_threads_do_as_one_under_sanitizers(fmi: str, sanitizer: str, tmp_path: Path) -> None:
+def test_eight_threads_do_as_one_under_sanitizers(fmi, sanitizer, tmp_path):
     flags = (f"-fsanitize={sanitizer}", "-fno-sanitize-recover=all", "-pthread")
     require_works("gcc", *flags)
     program = built(tmp_path, fmi, benchmark_slide(), "threads", *flags)
@@ -94,8 +74,7 @@ def test_eight_threads_do_as_one_under_sanitizers(fmi: str, sanitizer: str, tmp_
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="needs valgrind")
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_valgrind_finds_no_error_and_no_leak(fmi: str, tmp_path: Path) -> None:
+def test_valgrind_finds_no_error_and_no_leak(fmi, tmp_path):
     require_works("gcc")
     fuzz = built(tmp_path, fmi, benchmark_slide(), "fuzz")
     command = ["valgrind", "-q", "--error-exitcode=9", "--leak-check=full", str(fuzz), "10000", "3"]
@@ -103,9 +82,7 @@ def test_valgrind_finds_no_error_and_no_leak(fmi: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-2000:]
 
 
-def test_a_stiff_linear_plant_of_badly_scaled_states_follows_the_matrix_exponential(
-    tmp_path: Path,
-) -> None:
+def test_a_stiff_linear_plant_of_badly_scaled_states_follows_the_matrix_exponential(tmp_path):
     rng, n = np.random.default_rng(5), 9
     scale = 10.0 ** rng.integers(-4, 6, n)
     basis = rng.normal(size=(n, n))
@@ -118,7 +95,7 @@ def test_a_stiff_linear_plant_of_badly_scaled_states_follows_the_matrix_exponent
         plant.der(state, sum(float(c) * x for c, x in zip(row, states, strict=True)))
     expected = expm(a * 0.5) @ start
     for fmi in VERSIONS:
-        fmu = UnpackedFmu(exported(tmp_path, fmi, plant), tmp_path / fmi)
+        fmu = opened(plant, tmp_path, fmi)
         with Runner(fmu, "CoSimulation") as runner:
             runner.initialize({}, 0.0, None)
             runner.step(0.0, 0.5)
@@ -127,20 +104,15 @@ def test_a_stiff_linear_plant_of_badly_scaled_states_follows_the_matrix_exponent
 
 
 @needs_compiler
-def test_without_zig_the_compiler_of_the_system_builds_for_this_machine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_zig_the_compiler_of_the_system_builds_for_this_machine(tmp_path, monkeypatch):
     monkeypatch.setattr(compiler, "_zig", lambda: None)
-    found = check_fmu(exported(tmp_path, "2.0"))
+    found = check_fmu(exported(benchmark_slide(), tmp_path))
     assert found.ok, str(found)
     with pytest.raises(ExportError, match=r"aarch64-linux, .*pip install 'pam_ocp\[cross\]'"):
         export_fmu(benchmark_slide(), tmp_path / "all.fmu")
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_eight_threads_give_the_same_bits_as_one(fmi: str, tmp_path: Path) -> None:
-    fmu = UnpackedFmu(exported(tmp_path, fmi), tmp_path / "unpacked")
-
+def test_eight_threads_give_the_same_bits_as_one(fmu):
     def play(runner: Runner) -> Any:
         for k in range(200):
             runner.set({"muscle1.command": (2 + k % 3) * BAR})
@@ -156,13 +128,10 @@ def test_eight_threads_give_the_same_bits_as_one(fmi: str, tmp_path: Path) -> No
             assert np.array_equal(together, alone)
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_a_read_only_folder_with_spaces_and_umlauts_is_no_hindrance(
-    fmi: str, tmp_path: Path
-) -> None:
+def test_a_read_only_folder_with_spaces_and_umlauts_is_no_hindrance(slide_unit, tmp_path):
     folder = tmp_path / "Prüfstand mit Müskeln"
     folder.mkdir()
-    moved = Path(shutil.move(exported(tmp_path, fmi), folder / "schlitten größe 1.fmu"))
+    moved = Path(shutil.copy(slide_unit, folder / "schlitten größe 1.fmu"))
     subprocess.run(["unzip", "-q", str(moved), "-d", str(folder / "ausgepackt")], check=True)
     for file in sorted(folder.rglob("*"), reverse=True):
         file.chmod(0o555)
@@ -175,12 +144,11 @@ def test_a_read_only_folder_with_spaces_and_umlauts_is_no_hindrance(
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_fmpy_simulates_it_in_one_call(fmi: str, kind: str, tmp_path: Path) -> None:
+def test_fmpy_simulates_it_in_one_call(slide_unit, kind):
     plant, t = benchmark_slide(), np.linspace(0, 0.2, 21)
     truth = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t, parameters={"mass": 1.5})
     result = fmpy.simulate_fmu(
-        str(exported(tmp_path, fmi)),
+        str(slide_unit),
         fmi_type=kind,
         stop_time=0.2,
         output_interval=0.01,
@@ -193,11 +161,9 @@ def test_fmpy_simulates_it_in_one_call(fmi: str, kind: str, tmp_path: Path) -> N
         assert np.max(np.abs(result[name] - truth[name])) < 1e-6 * variable.nominal, name
 
 
-def test_casadi_imports_it_for_model_exchange(tmp_path: Path) -> None:
+def test_casadi_imports_it_for_model_exchange(fmus):
     plant = benchmark_slide()
-    with zipfile.ZipFile(exported(tmp_path, "2.0")) as archive:
-        archive.extractall(tmp_path / "unpacked")
-    builder = ca.DaeBuilder("slide", str(tmp_path / "unpacked"))
+    builder = ca.DaeBuilder("slide", str(fmus["2.0"].folder))
     f = builder.create("f", ["x", "u"], ["ode"])
     names = builder.x()
     order = [names.index(v.name) for v in plant.states]
@@ -232,12 +198,9 @@ with Runner(fmu, "CoSimulation") as runner:
 """
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
 def test_a_state_saved_in_the_middle_continues_to_the_last_bit_in_another_process(
-    fmi: str, tmp_path: Path
-) -> None:
-    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")  # type: ignore[arg-type]
-    fmu = UnpackedFmu(path, tmp_path / "here")
+    fmu, slide_unit, tmp_path
+):
     with Runner(fmu, "CoSimulation") as runner:
         runner.initialize({"mass": 1.7, "x": 0.003}, 0.0, None)
         runner.set({"muscle1.command": 4.2e5})
@@ -247,19 +210,9 @@ def test_a_state_saved_in_the_middle_continues_to_the_last_bit_in_another_proces
         for k in range(50, 100):
             runner.step(k * 1e-3, 1e-3)
         end = [float(v).hex() for v in runner.get(fmu.names("output"))]
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            _ELSEWHERE,
-            str(path),
-            str(tmp_path / "there"),
-            str(tmp_path / "state"),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    places = (str(p) for p in (slide_unit, tmp_path / "there", tmp_path / "state"))
+    command = [sys.executable, "-c", _ELSEWHERE, *places]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.split() == end
 
 
@@ -291,11 +244,8 @@ with Runner(fmu, "CoSimulation") as keeps_the_library_loaded:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_ten_thousand_instances_leave_no_memory_behind(version: str, tmp_path: Path) -> None:
-    slide = benchmark_slide()
-    path = export_fmu(slide, tmp_path / "slide.fmu", fmi=version, platforms="native")
+def test_ten_thousand_instances_leave_no_memory_behind(slide_unit, tmp_path):
     # in a process of its own: what other tests left in the heap moves while this one runs
-    command = [sys.executable, "-c", _MANY, str(path), str(tmp_path / "here")]
+    command = [sys.executable, "-c", _MANY, str(slide_unit), str(tmp_path / "here")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert int(done.stdout) < 512  # pages: a twentieth of one for each instance

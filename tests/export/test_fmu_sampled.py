@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -11,18 +10,17 @@ import casadi as ca
 import fmpy.ssp.simulation
 import numpy as np
 import pytest
-from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
+from fmu_tools import VERSIONS, event_mode, opened, started
 
 import pam_ocp as pam
 from pam_ocp import ExportError, InputError, UnknownNameError
 from pam_ocp.core.block import Block
 from pam_ocp.core.variables import Variable
 from pam_ocp.export import export_fmu, export_ssp
-from pam_ocp.export.runner import Runner, UnpackedFmu
+from pam_ocp.export.runner import UnpackedFmu
 
 PERIOD = 0.004
-VERSIONS = ("2.0", "3.0")
 
 
 def pi(seed: int = 0, unit: str = "1") -> Block:
@@ -89,31 +87,20 @@ class InPython:
 @pytest.fixture(scope="module")
 def units(tmp_path_factory: pytest.TempPathFactory) -> dict[str, UnpackedFmu]:
     folder = tmp_path_factory.mktemp("sampled")
-    found = {}
+    found = {fmi: opened(pi(), folder, fmi) for fmi in VERSIONS}
     for fmi in VERSIONS:
-        path = export_fmu(pi(), folder / f"{fmi[0]}.fmu", fmi=fmi, platforms="native")  # type: ignore[arg-type]
-        assert validate_fmu(str(path)) == []
-        found[fmi] = UnpackedFmu(path, folder / fmi)
+        assert validate_fmu(str(folder / f"{fmi[0]}.fmu")) == []
     return found
-
-
-def started(unit: UnpackedFmu, time: float = 0.0) -> Runner:
-    runner = Runner(unit, "CoSimulation")
-    runner.initialize({}, time, None)
-    return runner
 
 
 NAMES = [v.name for v in pi().outputs]
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
 @pytest.mark.parametrize("size", [PERIOD, PERIOD / 3, 2.5 * PERIOD, 0.00137, 0.031])
 @pytest.mark.parametrize("start", [0.0, 17.3])
-def test_whatever_the_steps_the_samples_are_those_of_python(
-    units: Any, fmi: str, size: float, start: float
-) -> None:
+def test_whatever_the_steps_the_samples_are_those_of_python(units, fmi, size, start):
     rng, here = np.random.default_rng(round(size * 1e6)), InPython(pi())
-    with started(units[fmi], start) as there:
+    with started(units[fmi], "CoSimulation", time=start) as there:
         for k in range(60):
             x = float(rng.uniform(-3e-3, 3e-3)) if k % 7 else np.nan
             there.set({"x": x})
@@ -122,11 +109,10 @@ def test_whatever_the_steps_the_samples_are_those_of_python(
             assert found == pytest.approx(here.step((k + 1) * size, [x, 2e-3]), rel=1e-13)
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_memory_is_no_variable_and_comes_back_with_the_state(units: Any, fmi: str) -> None:
+def test_memory_is_no_variable_and_comes_back_with_the_state(units, fmi):
     unit = units[fmi]
     assert not {"sum", "n"} & set(unit.variables)
-    with started(unit) as first, started(unit) as second:
+    with started(unit, "CoSimulation") as first, started(unit, "CoSimulation") as second:
         for k in range(9):
             first.set({"x": 1e-3 * k})
             first.step(k * 0.003, 0.003)
@@ -143,18 +129,12 @@ def test_memory_is_no_variable_and_comes_back_with_the_state(units: Any, fmi: st
         assert list(second.get(NAMES)) == list(first.get(NAMES))
 
 
-def test_ticks_of_the_clock_close_the_loop_without_a_delay(units: Any) -> None:
+def test_ticks_of_the_clock_close_the_loop_without_a_delay(units):
     """FMI 3 with event mode: measurement and command belong to one instant, as in Python."""
     unit, here = units["3.0"], InPython(pi())
     clock = [unit.references["clock"]]
     inputs, outputs = ([unit.references[n] for n in names] for names in (("x", "wanted.x"), NAMES))
-    inner = FMU3Slave(
-        guid=unit.description.guid,
-        unzipDirectory=str(unit.folder),
-        modelIdentifier="pi",
-        instanceName="c",
-    )
-    inner.instantiate(eventModeUsed=True)
+    inner = event_mode(unit)
     inner.enterInitializationMode(startTime=0.0)
     inner.exitInitializationMode()
     x = 0.0
@@ -172,11 +152,8 @@ def test_ticks_of_the_clock_close_the_loop_without_a_delay(units: Any) -> None:
     inner.freeInstance()
 
 
-@pytest.mark.parametrize("fmi", VERSIONS)
-def test_a_reference_that_is_no_number_and_a_late_fixed_parameter_are_refused(
-    units: Any, fmi: str
-) -> None:
-    with started(units[fmi]) as runner:
+def test_a_reference_that_is_no_number_and_a_late_fixed_parameter_are_refused(units, fmi):
+    with started(units[fmi], "CoSimulation") as runner:
         for values in ({"wanted.x": np.nan}, {"x": np.inf}, {"ki": 3.0}, {"level": 0.5}):
             with pytest.raises(Exception, match="rror"):
                 runner.set(values)
@@ -214,9 +191,7 @@ def stepped(plant: pam.Plant) -> Any:
 
 
 @pytest.mark.parametrize("kind", ["slide", "joint"])
-def test_a_loop_through_valves_and_memory_is_that_of_python_to_1e_9(
-    kind: str, tmp_path: Path
-) -> None:
+def test_a_loop_through_valves_and_memory_is_that_of_python_to_1e_9(kind, tmp_path):
     """FMPy's exchange: all parts step, then all hand over; what is connected begins at 0."""
     plant = plant_with_valves(kind)
     position = plant.states[0]
@@ -255,7 +230,7 @@ def in_angles(block: Block) -> Block:
     return replace(block, inputs=inputs)
 
 
-def test_a_system_tells_its_units_its_places_and_its_master(tmp_path: Path) -> None:
+def test_a_system_tells_its_units_its_places_and_its_master(tmp_path):
     plant = plant_with_valves("slide")
     wires = {f"antagonistic_slide.{v.name}": f"pi.{v.name}" for v in plant.inputs}
     wires |= {"pi.x": "antagonistic_slide.x", "pi.wanted.x": "motion.x"}
@@ -278,9 +253,7 @@ def test_a_system_tells_its_units_its_places_and_its_master(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("version", "fmi"), [("1.0", "3.0"), ("2.0", "2.0"), ("2.0", "3.0")])
-def test_ssp_2_has_the_name_spaces_of_1_and_the_types_of_fmi_3(
-    version: Any, fmi: Any, tmp_path: Path
-) -> None:
+def test_ssp_2_has_the_name_spaces_of_1_and_the_types_of_fmi_3(version, fmi, tmp_path):
     """As the schemas of SSP 2.0 say: SystemStructureDescription, ParameterValues, Common."""
     plant = plant_with_valves("slide")
     wires = {f"plant.{v.name}": f"pi.{v.name}" for v in plant.inputs}
@@ -305,7 +278,7 @@ def test_ssp_2_has_the_name_spaces_of_1_and_the_types_of_fmi_3(
 # ---- refused ------------------------------------------------------------------------------------
 
 
-def test_systems_that_do_not_fit_are_refused_in_a_sentence(tmp_path: Path) -> None:
+def test_systems_that_do_not_fit_are_refused_in_a_sentence(tmp_path):
     from dataclasses import replace
 
     plant, path = plant_with_valves("slide"), tmp_path / "s.ssp"
@@ -327,7 +300,7 @@ def test_systems_that_do_not_fit_are_refused_in_a_sentence(tmp_path: Path) -> No
     refused("nothing leads to pi.x", {})
 
 
-def test_blocks_that_cannot_run_in_a_tool_are_refused(tmp_path: Path) -> None:
+def test_blocks_that_cannot_run_in_a_tool_are_refused(tmp_path):
     from dataclasses import replace
 
     with pytest.raises(InputError, match="below 1e-06 s"):
@@ -347,7 +320,7 @@ def test_blocks_that_cannot_run_in_a_tool_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_line_writes_a_system_from_its_file(tmp_path: Path, capsys: Any) -> None:
+def test_the_command_line_writes_a_system_from_its_file(tmp_path, capsys):
     from pam_ocp.cli.main import main
 
     plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"))

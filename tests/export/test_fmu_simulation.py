@@ -1,15 +1,17 @@
-"""An FMU in motion: accuracy, steps, slopes of inputs and outputs."""
+"""An FMU in motion: accuracy, steps, slopes of inputs and outputs, saved states, derivatives."""
 
 from __future__ import annotations
 
 import zipfile
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import BAR, benchmark_slide, scipy_states
-from fmu_tools import KINDS, VERSIONS, bars_every, started
+from conftest import BAR, benchmark_slide, flat, scipy_states
+from fmpy.fmi1 import FMICallException
+from fmu_tools import COMMANDS, KINDS, VERSIONS, bars_every, now, started
 
 import pam_ocp as pam
 from pam_ocp.export import check_fmu, export_fmu
@@ -19,9 +21,7 @@ from pam_ocp.export.runner import Runner, UnpackedFmu
 
 
 @pytest.mark.parametrize("step", [0.001, pytest.param(0.005, marks=pytest.mark.slow), 0.02])
-def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(
-    fmus: dict[str, UnpackedFmu], step: float, tmp_path: Path
-) -> None:
+def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(fmus, step):
     plant = benchmark_slide()
     t, commands = bars_every(step, 30 * step)
     held = lambda time: commands[min(int(time / step + 1e-9), len(t) - 1)]  # noqa: E731
@@ -32,9 +32,8 @@ def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(
     truth = pam.Trajectory(
         t, dict(zip((v.name for v in variables), columns, strict=True)), variables, "previous"
     )
-    for fmi in VERSIONS:
-        path = export_fmu(plant, tmp_path / "slide.fmu", fmi=fmi, platforms="native")  # type: ignore[arg-type]
-        found = check_fmu(path, truth)
+    for unit in (fmus[fmi].folder.with_name(f"{fmi[0]}.fmu") for fmi in VERSIONS):
+        found = check_fmu(unit, truth)
         assert found.ok, str(found)
         assert set(found.deviations) == set(KINDS)
         assert len(found.deviations["CoSimulation"]) == len(plant.states) + len(plant.outputs)
@@ -45,7 +44,7 @@ def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(
 
 
 @pytest.mark.slow
-def test_linear_inputs_are_followed_in_every_mode(tmp_path: Path) -> None:
+def test_linear_inputs_are_followed_in_every_mode(tmp_path):
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"))
     t = np.linspace(0.0, 0.5, 26)
     command = np.random.default_rng(3).uniform(2 * BAR, 5 * BAR, t.shape)
@@ -59,7 +58,7 @@ def test_linear_inputs_are_followed_in_every_mode(tmp_path: Path) -> None:
         assert check_fmu(path, truth).ok
 
 
-def test_the_communication_step_does_not_matter(fmu: UnpackedFmu) -> None:
+def test_the_communication_step_does_not_matter(fmu):
     ends = []
     for count in (1, 7, 300):
         with started(fmu, "CoSimulation", {"x": 0.005}) as runner:
@@ -70,7 +69,7 @@ def test_the_communication_step_does_not_matter(fmu: UnpackedFmu) -> None:
     assert np.max(np.ptp(ends, axis=0)) < 1e-6
 
 
-def test_a_tighter_tolerance_is_taken_over_and_a_looser_one_is_not(fmu: UnpackedFmu) -> None:
+def test_a_tighter_tolerance_is_taken_over_and_a_looser_one_is_not(fmu):
     ends = {}
     for tolerance in (None, 1e-2, 1e-9):
         with Runner(fmu, "CoSimulation") as runner:
@@ -95,7 +94,7 @@ def test_an_importer_is_proposed_a_tolerance_of_one_step_which_co_simulation_doe
     assert ends[0] == ends[1]
 
 
-def test_fixed_steps_agree_with_controlled_ones(tmp_path: Path) -> None:
+def test_fixed_steps_agree_with_controlled_ones(tmp_path):
     plant, t = benchmark_slide(), np.linspace(0, 0.1, 101)
     truth = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t)
     path = export_fmu(plant, tmp_path / "slide.fmu", fmi="3.0", fixed_step=5e-4, platforms="native")
@@ -108,11 +107,10 @@ def _description(path: Path) -> str:
         return archive.read("modelDescription.xml").decode()
 
 
-# ---- FMI 2: slopes of inputs and outputs; FMI 3: intermediate updates
-# -----------------------------
+# ---- FMI 2: slopes of inputs and outputs; FMI 3: intermediate updates ----------------------------
 
 
-def test_output_derivatives_are_those_of_the_motion(fmu: UnpackedFmu) -> None:
+def test_output_derivatives_are_those_of_the_motion(fmu):
     outputs, h = fmu.names("output"), 1e-5
     references = [fmu.references[n] for n in outputs]
     with started(fmu, "CoSimulation", {"x": 0.005}) as runner:
@@ -132,9 +130,7 @@ def test_output_derivatives_are_those_of_the_motion(fmu: UnpackedFmu) -> None:
     assert slopes == pytest.approx(differences, rel=1e-4, abs=1e-6 * np.max(np.abs(slopes)))
 
 
-def test_an_importer_may_look_between_internal_steps_and_end_a_step_early(
-    fmus: dict[str, UnpackedFmu],
-) -> None:
+def test_an_importer_may_look_between_internal_steps_and_end_a_step_early(fmus):
     fmu, seen = fmus["3.0"], []
     x = fmu.references["x"]
 
@@ -168,3 +164,143 @@ def test_an_importer_may_look_between_internal_steps_and_end_a_step_early(
     with started(fmu, "CoSimulation", {"x": 0.01}) as plain:
         plain.step(0.0, 0.0321)
         assert end[1] == pytest.approx(plain.get(["x"])[0], abs=1e-8)
+
+
+# ---- saved states --------------------------------------------------------------------------------
+
+
+def test_a_restored_state_continues_to_the_last_bit_in_another_instance(fmu):
+    t, commands = bars_every(0.002, 0.1)
+    outputs = fmu.names("output")
+
+    def play(runner: Runner, low: int, high: int) -> Any:
+        for k in range(low, high):
+            runner.set(dict(zip(COMMANDS, commands[k], strict=True)))
+            runner.step(t[k], t[k + 1] - t[k])
+        return runner.get(outputs)
+
+    with started(fmu, "CoSimulation", {"mass": 1.7}) as one:
+        play(one, 0, 20)
+        saved = one.save()
+        end = play(one, 20, 50)
+    with started(fmu, "CoSimulation") as other:
+        other.restore(saved)
+        assert np.array_equal(play(other, 20, 50), end)
+        other.restore(saved)  # once more: a rollback
+        assert np.array_equal(play(other, 20, 50), end)
+    assert saved[:8] == bytes(8)
+
+
+@pytest.mark.parametrize("place", [0, 9, 17, 21, 40, 100, -1])
+def test_damaged_states_are_refused(fmu, place):
+    with started(fmu, "CoSimulation") as runner:
+        saved = bytearray(runner.save())
+        saved[place] ^= 0xFF
+        with pytest.raises(FMICallException):
+            runner.restore(bytes(saved))
+        with pytest.raises(FMICallException):
+            runner.restore(bytes(saved[:-8]))
+        assert len(runner.log) == 2
+        runner.step(0.0, 0.01)  # and nothing has happened
+
+
+def test_a_state_of_the_other_kind_is_refused(fmu):
+    with started(fmu, "ModelExchange") as exchange, started(fmu, "CoSimulation") as simulation:
+        with pytest.raises(FMICallException):
+            simulation.restore(exchange.save())
+        assert "Model Exchange" in simulation.log[-1][1]
+
+
+def test_reset_brings_back_the_start(fmu):
+    with started(fmu, "CoSimulation", {"x": 0.01, "mass": 1.0}) as runner:
+        runner.step(0.0, 0.01)
+        runner.inner.reset()
+        runner.initialize({}, 0.0, None)
+        assert list(runner.get(["x", "mass"])) == [0.0, 2.0]
+        assert now(runner) == 0.0
+
+
+# ---- many instances ------------------------------------------------------------------------------
+
+
+def test_instances_do_not_disturb_each_other(fmu):
+    t, commands = bars_every(0.005, 0.1)
+
+    def alone(mass: float) -> Any:
+        with started(fmu, "CoSimulation", {"mass": mass}) as runner:
+            for k, (low, high) in enumerate(pairwise(t)):
+                runner.set(dict(zip(COMMANDS, commands[k], strict=True)))
+                runner.step(low, high - low)
+            return runner.get(["x", "v"])
+
+    runners = [started(fmu, "CoSimulation", {"mass": m}) for m in (1.0, 2.0, 4.0)]
+    for k, (low, high) in enumerate(pairwise(t)):
+        for runner in runners:
+            runner.set(dict(zip(COMMANDS, commands[k], strict=True)))
+            runner.step(low, high - low)
+    together = [runner.get(["x", "v"]) for runner in runners]
+    for runner in runners:
+        runner.__exit__(None, None, None)
+    assert np.array_equal(together, [alone(m) for m in (1.0, 2.0, 4.0)])
+
+
+# ---- partial derivatives -------------------------------------------------------------------------
+
+
+def _jacobian_by_differences(plant: pam.Plant, x: Any, u: Any) -> Any:
+    """d(xdot, y)/d(x, u) by central differences of the plant's own function in Python."""
+    p = plant.vector("parameter")
+    nominal = [*plant.vector("state", None, "nominal"), *plant.vector("input", None, "nominal")]
+    point = np.concatenate([x, u])
+
+    def value(z: Any) -> Any:
+        xdot, y, _ = plant.function(z[: len(x)], z[len(x) :], p)
+        return np.concatenate([flat(xdot), flat(y)])
+
+    columns = []
+    for i, size in enumerate(nominal):
+        step = np.zeros(len(point))
+        step[i] = 1e-5 * size
+        columns.append((value(point + step) - value(point - step)) / (2 * step[i]))
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_directional_derivatives_agree_with_differences(fmu, kind):
+    plant = benchmark_slide()
+    x, u = np.array([0.004, 0.1, 2.5 * BAR, 3.5 * BAR]), np.array([3 * BAR, 2 * BAR])
+    knowns = [*fmu.states, *COMMANDS]
+    unknowns = [f"der({n})" for n in fmu.states] + [v.name for v in plant.outputs]
+    expected = _jacobian_by_differences(plant, x, u)
+    with started(fmu, kind, dict(zip(knowns, [*x, *u], strict=True))) as runner:
+        for column, known in enumerate(knowns):
+            found = runner.directional(unknowns, [known], [1.0])
+            scale = np.max(np.abs(expected), axis=1)
+            assert np.max(np.abs(found - expected[:, column]) / scale) < 1e-6
+        with pytest.raises(FMICallException):
+            runner.directional(unknowns, ["muscle1.force"], [1.0])
+
+
+def test_states_are_outputs_of_themselves_and_parameters_are_known(fmu):
+    with started(fmu, "ModelExchange") as runner:
+        assert list(runner.directional(["x", "v"], ["v", "x"], [2.0, 5.0])) == [5.0, 2.0]
+    with started(fmu, "ModelExchange", {"muscle1.command": 5 * BAR}) as runner:
+        at = runner.get(["muscle1.pressure"])[0]
+        slope = runner.directional(["der(muscle1.pressure)"], ["muscle1.lag"], [1.0])
+        assert slope[0] == pytest.approx(-(5 * BAR - at) / 0.05**2)
+
+
+def test_adjoint_and_directional_derivatives_agree_in_the_dot_product(fmus):
+    fmu, rng = fmus["3.0"], np.random.default_rng(11)
+    knowns = [*fmu.states, *fmu.names("input"), *fmu.names("parameter")]
+    unknowns = [*fmu.names("output"), *(f"der({n})" for n in fmu.states)]
+    seed = rng.normal(size=len(knowns)) * fmu.nominals(knowns)
+    weight = rng.normal(size=len(unknowns)) / fmu.nominals(unknowns)
+    with started(fmu, "ModelExchange", {"x": 0.003}) as runner:
+        forward = runner.directional(unknowns, knowns, list(seed))
+        references = (runner.references(unknowns), runner.references(knowns))
+        reverse = np.array(
+            runner.inner.getAdjointDerivative(*references, list(weight), len(knowns))
+        )
+    terms = np.concatenate([weight * forward, -reverse * seed])
+    assert abs(np.sum(terms)) < 1e-12 * np.sum(np.abs(terms))

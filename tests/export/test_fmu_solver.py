@@ -15,7 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pam_ocp.export.compile import compile_library, native
-from pam_ocp.export.runtime import c_text
+from pam_ocp.export.source import c_text
 
 PROGRAMS = Path(__file__).parents[2] / "fmu" / "tests"
 
@@ -81,7 +81,7 @@ def robertson(t: float, x: Any) -> list[float]:
     return [-down + up, down - up - burnt, burnt]
 
 
-def test_order_is_five_also_with_explicit_time(solver: Callable[..., Outcome]) -> None:
+def test_order_is_five_also_with_explicit_time(solver):
     x0, span = [1.0, 0.5], 2.0
     truth = solve_ivp(non_autonomous, (0, span), x0, method="DOP853", rtol=1e-13, atol=1e-14)
     errors = [
@@ -94,7 +94,7 @@ def test_order_is_five_also_with_explicit_time(solver: Callable[..., Outcome]) -
     assert np.all(orders < 5.2), orders
 
 
-def test_error_follows_the_tolerance(solver: Callable[..., Outcome]) -> None:
+def test_error_follows_the_tolerance(solver):
     x0, span = [1.0, 0.5], 2.0
     truth = solve_ivp(non_autonomous, (0, span), x0, method="DOP853", rtol=1e-13, atol=1e-14)
     errors = [
@@ -106,7 +106,7 @@ def test_error_follows_the_tolerance(solver: Callable[..., Outcome]) -> None:
 
 
 @pytest.mark.parametrize("span", [1.0, 600.0, 1500.0])
-def test_stiff_van_der_pol_agrees_with_radau(solver: Callable[..., Outcome], span: float) -> None:
+def test_stiff_van_der_pol_agrees_with_radau(solver, span):
     x0 = [2.0, 0.0]
     truth = solve_ivp(van_der_pol, (0, span), x0, method="Radau", rtol=1e-11, atol=1e-13)
     found = solver(2, x0, span, tolerance=1e-10)
@@ -114,7 +114,7 @@ def test_stiff_van_der_pol_agrees_with_radau(solver: Callable[..., Outcome], spa
     assert found.x == pytest.approx(truth.y[:, -1], rel=2e-6, abs=1e-9)
 
 
-def test_stiff_robertson_needs_few_steps_and_keeps_mass(solver: Callable[..., Outcome]) -> None:
+def test_stiff_robertson_needs_few_steps_and_keeps_mass(solver):
     x0, span = [1.0, 0.0, 0.0], 1e4
     truth = solve_ivp(robertson, (0, span), x0, method="Radau", rtol=1e-11, atol=1e-15)
     found = solver(3, x0, span, tolerance=1e-9)
@@ -124,20 +124,20 @@ def test_stiff_robertson_needs_few_steps_and_keeps_mass(solver: Callable[..., Ou
     assert np.sum(found.x) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_fixed_step_makes_just_the_steps_asked_for(solver: Callable[..., Outcome]) -> None:
+def test_fixed_step_makes_just_the_steps_asked_for(solver):
     assert solver(1, [1.0, 0.5], 1.0, fixed_step=0.1).steps == 10
     assert solver(1, [1.0, 0.5], 1.0, fixed_step=0.3).steps == 4  # none longer than asked for
     assert solver(1, [1.0, 0.5], 1.0, fixed_step=7.0).steps == 1
 
 
-def test_blow_up_is_reported_with_the_time_reached(solver: Callable[..., Outcome]) -> None:
+def test_blow_up_is_reported_with_the_time_reached(solver):
     found = solver(4, [1.0, 0.0], 2.0)  # x = 1/(1 - s)
     assert found.status in (STEP_TOO_SMALL, NOT_FINITE, TOO_MANY_STEPS)
     assert 0.9 < found.reached < 1.01
     assert np.all(np.isfinite(found.x))
 
 
-def test_nan_at_the_start_and_too_many_steps_are_reported(solver: Callable[..., Outcome]) -> None:
+def test_nan_at_the_start_and_too_many_steps_are_reported(solver):
     assert solver(1, [np.nan, 0.0], 1.0).status == NOT_FINITE
     found = solver(2, [2.0, 0.0], 1500.0, tolerance=1e-10, max_steps=50)
     assert found.status == TOO_MANY_STEPS
@@ -145,7 +145,7 @@ def test_nan_at_the_start_and_too_many_steps_are_reported(solver: Callable[..., 
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
-def test_the_solvers_own_program_finds_no_failure(tmp_path: Path) -> None:
+def test_the_solvers_own_program_finds_no_failure(tmp_path):
     """fmu/tests/test_solver.c, which CMake builds too: what only C can call."""
     program = tmp_path / "test_solver"
     sources = ["-I", str(PROGRAMS.parent / "src"), str(PROGRAMS / "test_solver.c")]

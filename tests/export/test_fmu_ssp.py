@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import fmpy.ssp.simulation
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
-from fmu_tools import coupled
+from fmu_tools import COMMANDS, coupled
 
 import pam_ocp as pam
 from pam_ocp import InputError, UnknownNameError
 from pam_ocp.control.controller_plants import pid_controller
 from pam_ocp.export import check_fmu, export_fmu, export_ssp
 
-COMMANDS = ("muscle1.command", "muscle2.command")
 STEP, DURATION = 1e-3, 0.8
 WIRES = {
     **{f"plant.{n}": f"pid.{n}" for n in COMMANDS},
@@ -55,21 +53,21 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pam.Trajecto
     return path, swing
 
 
-def test_fmpy_runs_it_as_its_parts_run_here(system: Any, tmp_path: Path) -> None:
+def test_fmpy_runs_it_as_its_parts_run_here(system, tmp_path):
     path, _ = system
     result = fmpy.ssp.simulation.simulate_ssp(
         str(path), stop_time=DURATION - STEP / 2, step_size=STEP
     )
-    expected = coupled(path, tmp_path, 800, STEP, WIRES, ("plant.x",))
+    expected = coupled(path, tmp_path, 800, STEP)
     assert len(result) == 800
     for name in COMMANDS:
         assert result[f"plant.{name}"] == pytest.approx(expected[f"plant.{name}"], rel=1e-12)
     assert result["plant.x"] == pytest.approx(expected["plant.x"], abs=1e-12)
 
 
-def test_the_controller_keeps_a_weaker_slide_on_its_motion(system: Any, tmp_path: Path) -> None:
+def test_the_controller_keeps_a_weaker_slide_on_its_motion(system, tmp_path):
     path, swing = system
-    x = coupled(path, tmp_path, 800, STEP, WIRES, ("plant.x",))["plant.x"]
+    x = coupled(path, tmp_path, 800, STEP)["plant.x"]
     alone = pam.simulate(weaker(benchmark_slide()), swing, t=swing.t)
     wanted = swing["x"][1:]
     left = np.sqrt(np.mean((x - wanted) ** 2))
@@ -77,7 +75,7 @@ def test_the_controller_keeps_a_weaker_slide_on_its_motion(system: Any, tmp_path
     assert left < 0.5 * np.sqrt(np.mean((alone["x"][1:] - wanted) ** 2))
 
 
-def test_the_controller_is_a_pid_with_feed_forward(tmp_path: Path) -> None:
+def test_the_controller_is_a_pid_with_feed_forward(tmp_path):
     """Against a step by step solution of e, its integral and its filtered slope."""
     pid = controller(benchmark_slide(), proportional=1e7, integral=2e8, derivative=1e5)
     t = np.linspace(0, 0.05, 51)
@@ -92,7 +90,7 @@ def test_the_controller_is_a_pid_with_feed_forward(tmp_path: Path) -> None:
     assert checked.ok, str(checked)
 
 
-def test_commands_stay_in_their_range_and_the_integral_runs_back() -> None:
+def test_commands_stay_in_their_range_and_the_integral_runs_back():
     plant = benchmark_slide()
     pid = controller(plant, derivative=0.0)
     given = {"reference": 1.0, "position": 0.0}
@@ -105,7 +103,7 @@ def test_commands_stay_in_their_range_and_the_integral_runs_back() -> None:
     assert abs(found["integrated"][-1]) < 1e8
 
 
-def test_what_does_not_fit_is_refused_in_a_sentence(tmp_path: Path) -> None:
+def test_what_does_not_fit_is_refused_in_a_sentence(tmp_path):
     plant = benchmark_slide()
     parts = {"motion": motion(plant), "pid": controller(plant), "plant": plant}
     path = tmp_path / "slide.ssp"
@@ -125,7 +123,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_an_empty_system_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+def test_an_empty_system_is_refused_and_nothing_is_written(tmp_path):
     with pytest.raises(InputError, match="components is empty"):
         export_ssp({}, {}, tmp_path / "empty.ssp")
     assert list(tmp_path.iterdir()) == []

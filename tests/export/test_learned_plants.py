@@ -9,11 +9,12 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
-from c_program import Program, needs_compiler
+from c_program import needs_compiler
 from conftest import scipy_states
+from test_c_code import same_loop
 
 import pam_ocp as pam
-from pam_ocp.control import BlockController, block
+from pam_ocp.control import block
 from pam_ocp.fitting import Network, Residual
 from pam_ocp.fitting.learned.residual import Visited, attached
 
@@ -53,7 +54,7 @@ def by_hand(plant: pam.Plant, slide: pam.Plant) -> Any:
     return found
 
 
-def test_its_equations_are_the_formula(learned: pam.Plant) -> None:
+def test_its_equations_are_the_formula(learned):
     slide = pam.AntagonisticSlide("DMSP-20-200N", 2.0)
     expected, random = by_hand(learned, slide), np.random.default_rng(5)
     p = learned.vector("parameter")
@@ -64,14 +65,13 @@ def test_its_equations_are_the_formula(learned: pam.Plant) -> None:
         assert np.allclose(rates, expected(state, u), rtol=1e-10)
 
 
-def test_its_plan_is_verified(learned: pam.Plant) -> None:
+def test_its_plan_is_verified(learned):
     plan = pam.plan(learned, stops=[{"x": -0.015}, {"x": 0.015}], cyclic=True, minimise="time")
     assert plan.verified
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
-def test_its_fmu_moves_as_scipy_has_it(learned: pam.Plant, fmi: Any, tmp_path: Any) -> None:
+def test_its_fmu_moves_as_scipy_has_it(learned, fmi, tmp_path):
     path = pam.export_fmu(
         learned, tmp_path / "learned.fmu", platforms=["native"], tolerance=1e-11, fmi=fmi
     )
@@ -96,22 +96,11 @@ def test_its_fmu_moves_as_scipy_has_it(learned: pam.Plant, fmi: Any, tmp_path: A
 
 @pytest.mark.slow
 @needs_compiler
-def test_its_predictive_controller_in_c_moves_it_the_same(
-    learned: pam.Plant, tmp_path: Any
-) -> None:
+def test_its_predictive_controller_in_c_moves_it_the_same(learned, tmp_path):
     mpc = pam.Mpc(learned, horizon=10, sample_time=0.005, track={"x": 1.0})
-    made = block(mpc)
-    pam.export_c(made, tmp_path / "c", name="under_test")
 
-    def told(t: float) -> dict[str, float]:
+    def told(t):
         return {"wanted.x": 0.004 + 0.004 * (t > 0.05)}
 
-    both = (
-        BlockController(made, told),
-        Program(tmp_path / "c", "under_test", made, told),
-    )
-    runs = [pam.closed_loop(c, learned, duration=0.15) for c in both]
-    for v in (*learned.states, *learned.inputs):
-        first, second = (run[v.name] for run in runs)
-        assert np.abs(first - second).max() <= 1e-9 * v.nominal
-    assert runs[0]["x"][-1] == pytest.approx(0.008, abs=1e-3)
+    run = same_loop(block(mpc), learned, tmp_path / "c", told, duration=0.15)
+    assert run["x"][-1] == pytest.approx(0.008, abs=1e-3)

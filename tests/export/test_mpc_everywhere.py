@@ -79,9 +79,7 @@ def by_hand(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", GOALS)
-def test_an_mpc_with_its_estimator_is_the_same_in_python_in_fmus_and_in_c(
-    kind: str, tmp_path: Path
-) -> None:
+def test_an_mpc_with_its_estimator_is_the_same_in_python_in_fmus_and_in_c(kind, tmp_path):
     plant = valve_plant(kind)
     law = controller(plant)
     wires = wired(plant, law)

@@ -143,7 +143,7 @@ def test_a_choice_that_cannot_be_meant_is_refused():
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """An empty cache of compiled libraries; zig keeps its own, which takes seconds to fill."""
-    from pam_ocp.export.compile import cache_folder
+    from pam_ocp.export.cache import cache_folder
 
     monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache_folder() / "zig"))
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))

@@ -10,9 +10,9 @@ A controller is a member of the session's ``controllers``::
 from __future__ import annotations
 
 import json
-import time
 import warnings
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from ...operating.resting_point import OperatingPoint
 from ...plants.plant import Plant
 from ..look import numbers
 from ..made import World, kept, plant_of, point_of
-from ..script import PUSH, is_followed, pushed
+from ..script import PUSH, is_followed, law_keywords, pushed
 from ..work import Say, job
 
 FRESH = 4000
@@ -125,41 +125,21 @@ def _side(world: World) -> Plant:
     return plant_of(world.but(plant=pushed(world.state["plant"])))
 
 
-def mpc_arguments(plant: Plant, said: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords of :class:`Mpc` that a controller of kind "mpc" stands for."""
-    gains = said["gains"]
-    rate = {v.name: gains["rate"] for v in plant.inputs if not v.disturbance}
-    return {
-        "horizon": round(gains["horizon"]),
-        "sample_time": said["sample_time"],
-        "track": {next(iter(plant.positions)): gains["position"]},
-        "rate": rate,
-    }
-
-
-def lqr_arguments(plant: Plant, said: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords of :func:`lqr` that a controller of kind "lqr" stands for."""
-    gains = said["gains"]
-    ((position, velocity),) = [*plant.positions.items()][:1]
-    found: dict[str, Any] = {
-        "weights": {position: gains["position"], velocity: gains["velocity"]},
-        "effort": gains["effort"],
-        "sample_time": said["sample_time"],
-    }
-    if gains["integral"]:
-        found["integral"] = {position: gains["integral"]}
-    return found
+def law_arguments(plant: Plant, said: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords of PointPid, lqr or Mpc that a controller stands for."""
+    position, velocity = next(iter(plant.positions.items()))
+    inputs = [v.name for v in plant.inputs if not v.disturbance]
+    return law_keywords(said, position, velocity, partial(dict.fromkeys, inputs))
 
 
 def controller_of(plant: Plant, point: OperatingPoint, said: Mapping[str, Any]) -> Any:
     """The controller that is described, about a point."""
-    if said["kind"] == "pid":
-        return PointPid(plant, point, **said["gains"], sample_time=said["sample_time"])
-    if said["kind"] == "lqr":
-        return lqr(plant, point, **lqr_arguments(plant, said))
+    if said["kind"] not in GAINS:
+        raise InputError(f"controller = {said['kind']!r} is none that the bench knows")
+    arguments = law_arguments(plant, said)
     if said["kind"] == "mpc":
-        return Mpc(plant, **mpc_arguments(plant, said))
-    raise InputError(f"controller = {said['kind']!r} is none that the bench knows")
+        return Mpc(plant, **arguments)
+    return (PointPid if said["kind"] == "pid" else lqr)(plant, point, **arguments)
 
 
 # ---- the linear loop -----------------------------------------------------------------------------
@@ -168,18 +148,14 @@ def designed(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
     """Poles, frequency response, step response and margins of the linear loop."""
     import control
 
-    begin = time.perf_counter()
     plant = plant_of(world)
     point = point_of(world, plant)
     made = controller_of(plant, point, said)
     position = next(iter(plant.positions))
-    factor = plant.variable(position).display_factor
     linear = plant.linearize(point)
     found: dict[str, Any] = {
         "rest": float(point[position]),
         "open": _complex(np.linalg.eigvals(np.asarray(linear.A))),
-        "point": {n: plant.variable(n).shown(point[n]) for n in _shown(plant)},
-        "unit": plant.variable(position).display_unit,
     }
     if isinstance(made, Mpc):
         return found
@@ -208,8 +184,6 @@ def designed(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
         _, y = control.step_response(closed_system, t)
         found["step"] = {"t": numbers(t), "y": numbers(np.asarray(y).ravel())}
         found["overshoot"] = float(np.max(y) - 1.0)
-    found["factor"] = factor
-    found["seconds"] = time.perf_counter() - begin
     return found
 
 
@@ -388,20 +362,21 @@ class _Live:
             self.k += 1
         self.since += samples
         if self.since > FRESH and isinstance(self.side, PlantSide):
-            values = self.side.values()
-            own = {v.name: values[v.name] for v in (*self.whole.states, *self.whole.inputs)}
-            self.side = self._begin(own)
+            self.side = self._begin(self._standing(self.side))
             self.since = 0
         return {"t": times, "rows": rows}
+
+    def _standing(self, side: Side) -> dict[str, float]:
+        """States and inputs of the plant as a side has them."""
+        values = side.values()
+        return {v.name: values[v.name] for v in (*self.whole.states, *self.whole.inputs)}
 
     def go_on(self, before: _Live) -> bool:
         """Begin where another controller's run stands, of the same plant; whether that can be."""
         if not isinstance(before.side, PlantSide):
             return False
-        values = before.side.values()
-        own = {v.name: values[v.name] for v in (*self.whole.states, *self.whole.inputs)}
         self.side.__exit__(None, None, None)
-        self.side = self._begin(own)
+        self.side = self._begin(self._standing(before.side))
         self.actuators = Actuators(self.side, self.plant)
         self.goal = before.goal
         self.k = round(before.k * before.sample_time / self.sample_time)
@@ -432,7 +407,6 @@ def live(say: Say, world: World, said: Mapping[str, Any], ask: Mapping[str, Any]
 
     ask : {"run": its name, "seconds", "reference" [SI], "push" [N]}.
     """
-    begin = time.perf_counter()
     made_of = [world.state[n] for n in ("plant", "muscle", "point")]
     whose = json.dumps([made_of, said.get("against"), ask["run"]], sort_keys=True)
     key = whose, json.dumps(said, sort_keys=True)
@@ -464,5 +438,4 @@ def live(say: Say, world: World, said: Mapping[str, Any], ask: Mapping[str, Any]
         "restart": fresh,
         "built": built,
         "scene": run.scene(),
-        "busy": time.perf_counter() - begin,
     }

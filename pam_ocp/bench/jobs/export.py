@@ -22,7 +22,7 @@ from ...core.processes import Processes
 from ...core.stop import deadline
 from ...core.trajectory import Trajectory
 from ...export.c_code.package import export_c
-from ...export.check import FmuCheck, check_fmu
+from ...export.check import check_fmu
 from ...export.package import export_fmu
 from ...export.ssp import export_ssp
 from ...figures.report import write_report
@@ -68,18 +68,13 @@ def fmu(say: Say, world: World, said: State) -> dict[str, Any]:
     say(0.6, "running it")
     against = _motion(world, said)
     check = check_fmu(path, against=against, tolerance=TOLERANCE)
-    return {
-        "file": path.name,
-        "size": path.stat().st_size,
-        "ok": check.ok,
-        "words": str(check),
-        "figures": check_figures(check),
-    }
+    figures = {"ok": float(check.ok), "largest": check.largest}  # as the exported script has them
+    return _made(path, ok=check.ok, words=str(check), figures=figures)
 
 
-def check_figures(check: FmuCheck) -> dict[str, float]:
-    """What the exported script says of a check, too."""
-    return {"ok": float(check.ok), "largest": check.largest}
+def _made(path: Path, **more: Any) -> dict[str, Any]:
+    """What the tab is told of a file."""
+    return {"file": path.name, "size": path.stat().st_size, "ok": True, **more}
 
 
 def _motion(world: World, said: State) -> Trajectory | None:
@@ -108,7 +103,7 @@ def ssp(say: Say, world: World, said: State) -> dict[str, Any]:
         stop_time=found.duration,
         platforms=platforms_of(said),
     )
-    return {"file": path.name, "size": path.stat().st_size, "ok": True, "words": str(path.name)}
+    return _made(path)
 
 
 @job("Export C", warm="plan")
@@ -127,7 +122,7 @@ def c_code(say: Say, world: World, said: State) -> dict[str, Any]:
             for file in sorted(whole.rglob("*")):
                 if file.is_file():
                     packed.write(file, file.relative_to(whole).as_posix())
-    return {"file": target.name, "size": target.stat().st_size, "ok": True, "words": target.name}
+    return _made(target)
 
 
 # ---- the report ----------------------------------------------------------------------------------
@@ -160,7 +155,7 @@ def report(say: Say, world: World, title: str) -> dict[str, Any]:
         title=title or "Session of pam-ocp bench",
         sources=sources,
     )
-    return {"file": path.name, "size": path.stat().st_size, "ok": True, "words": path.name}
+    return _made(path)
 
 
 @job("One page")

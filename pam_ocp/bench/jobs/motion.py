@@ -44,27 +44,32 @@ SAMPLES = 240
 
 
 # ---- what a motion says --------------------------------------------------------------------------
-def first_motion(plant: Plant, id: str, name: str) -> dict[str, Any]:
-    """A motion to begin with: over the middle of the stroke, and back to nothing."""
+def first_motion(plant: Plant, id: str, name: str, variable: str = "") -> dict[str, Any]:
+    """A motion to begin with: over the middle of the stroke, and back to nothing.
+
+    variable : that moves, by default the plant's first position.
+    """
     if not plant.positions:
         raise InputError(f"{plant.name} has no position that moves; choose another arrangement")
-    variable = plant.variable(next(iter(plant.positions)))
-    low, high = stroke_of(plant, variable.name)
+    variable = variable or next(iter(plant.positions))
+    low, high = stroke_of(plant, variable)
     return {
         "id": id,
         "name": name,
-        "variable": variable.name,
+        "variable": variable,
         "second": None,
-        "stops": [
-            {"at": low + part * (high - low), "second": None, "dwell": 0.0, "rest": True}
-            for part in (0.35, 0.65)
-        ],
+        "stops": [stop_at(low + part * (high - low)) for part in (0.35, 0.65)],
         "durations": [None],
         "cyclic": False,
         "minimise": {"time": 1.0},
         "bounds": [],
         "method": "usual",
     }
+
+
+def stop_at(at: float, rest: bool = True) -> dict[str, Any]:
+    """A stop that names the position alone."""
+    return {"at": at, "second": None, "dwell": 0.0, "rest": rest}
 
 
 def stroke_of(plant: Plant, name: str) -> tuple[float, float]:
@@ -101,19 +106,15 @@ def _plan(world: World, motion: Mapping[str, Any]) -> Plan:
 @job("Plan {}", warm="plan", latest="plan", time_limit=TIME_LIMIT + 30.0)
 def planned(say: Say, world: World, motion: Mapping[str, Any]) -> dict[str, Any]:
     """The plan in full, with its animation, as plain values; of one that is not, why not."""
-    begin = time.process_time()
     say(None, "planning")
     try:
         found = plan_of(world, motion)
     except PlanError as error:
-        return _failed(error, motion)
-    _full[f"{world.folder} {motion['id']}"] = found
-    while len(_full) > MOST_KEPT:
-        del _full[next(iter(_full))]
+        return _failed(error)
+    _keep(_full, f"{world.folder} {motion['id']}", found)
     said = _told(found, motion)
     said["figures"] = motion_figures(found)
     said["scene"] = _film(found)
-    said["processor_seconds"] = time.process_time() - begin
     return said
 
 
@@ -144,18 +145,19 @@ def dragged(say: Say, world: World, motion: Mapping[str, Any]) -> dict[str, Any]
         try:
             found = planner(guess=last, tolerance=None, starts=1, time_limit=20.0, **changed)
         except PlanError as error:
-            _keep(form, planner, last)
-            return _failed(error, motion)
-    _keep(form, planner, found)
+            _keep(_kept, form, (planner, last))
+            return _failed(error)
+    _keep(_kept, form, (planner, found))
     told = _told(found, motion)
     told["verb_seconds"] = time.perf_counter() - begin
     return told
 
 
-def _keep(form: str, planner: Planner, last: Plan | None) -> None:
-    _kept[form] = planner, last
-    while len(_kept) > MOST_KEPT:
-        del _kept[next(iter(_kept))]
+def _keep(store: dict[str, Any], name: str, value: Any) -> None:
+    """The last few of a store."""
+    store[name] = value
+    while len(store) > MOST_KEPT:
+        del store[next(iter(store))]
 
 
 def _form(motion: Mapping[str, Any]) -> dict[str, Any]:
@@ -207,7 +209,6 @@ def _told(found: Plan, motion: Mapping[str, Any]) -> dict[str, Any]:
         "verdict": str(found.verdict),
         "active": active,
         "seconds": float(found.statistics["seconds"]),
-        "iterations": int(found.statistics["iterations"]),
     }
 
 
@@ -236,13 +237,11 @@ def _active(found: Plan) -> list[dict[str, Any]]:
     return [{"label": label, "spans": each} for label, each in spans.items()]
 
 
-def _failed(error: PlanError, motion: Mapping[str, Any]) -> dict[str, Any]:
+def _failed(error: PlanError) -> dict[str, Any]:
     """Why there is no plan, and what is in conflict where."""
-    conflicts = [
-        {"label": c.label, "where": c.where, "words": str(c), "stop": _place(str(c))}
-        for c in getattr(error.plan, "conflicts", ())
-    ]
-    return {"ok": False, "problem": str(error), "conflicts": conflicts, "of": motion["variable"]}
+    conflicts = [str(c) for c in getattr(error.plan, "conflicts", ())]
+    told = [{"words": words, "stop": _place(words)} for words in conflicts]
+    return {"ok": False, "problem": str(error), "conflicts": told}
 
 
 def _place(words: str) -> int | None:
@@ -252,13 +251,9 @@ def _place(words: str) -> int | None:
 
 
 def _film(found: Plan) -> dict[str, Any] | None:
+    """The plant along the motion, at moments in ms."""
     assert found.replay is not None
-    times = np.linspace(0.0, found.duration, FRAMES)
-    return film_of(found.plant, found.replay.trajectory.at(times))
-
-
-def film_of(plant: Plant, motion: Trajectory) -> dict[str, Any] | None:
-    """The plant at the moments of a motion, in ms."""
+    plant, motion = found.plant, found.replay.trajectory.at(np.linspace(0, found.duration, FRAMES))
     x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
     return scene_of(plant, 1e3 * motion.t, x, u)
 
@@ -291,25 +286,14 @@ def _compared(planned_motion: Trajectory, record: Trajectory, name: str) -> dict
     if len(inside) < 2:
         raise InputError(f"{name} has fewer than two samples within the plan's duration")
     at = np.minimum(begun[inside], planned_motion.t[-1])
-    wanted = planned_motion.at(at)
-    rows, curves = [], {}
-    for n in shared:
-        variable = planned_motion.variable(n)
-        difference = record[n][inside] - wanted[n]
-        worst = int(np.argmax(np.abs(difference)))
+    columns = {n: record[n][inside] for n in shared}
+    seen = Trajectory(at, columns, [record.variable(n) for n in shared])
+    every, rows, curves = max(1, len(at) // 1000), [], {}
+    for found in planned_motion.at(at).compare(seen).deviations:
+        variable = found.variable
         factor = variable.display_factor
-        rows.append(
-            {
-                "name": n,
-                "unit": variable.display_unit,
-                "largest": float(np.abs(difference[worst]) / factor),
-                "at": float(at[worst]),
-                "rms": float(np.sqrt(np.mean(difference**2)) / factor),
-            }
-        )
-        every = max(1, len(at) // 1000)
-        curves[n] = {
-            "t": numbers(at[::every]),
-            "y": numbers(record[n][inside][::every] / factor),
-        }
+        figures = {"largest": found.largest / factor, "rms": found.rms / factor}
+        rows.append({"name": variable.name, "unit": variable.display_unit, **figures})
+        shown = numbers(seen[variable.name][::every] / factor)
+        curves[variable.name] = {"t": numbers(at[::every]), "y": shown}
     return {"name": name, "rows": rows, "curves": curves}

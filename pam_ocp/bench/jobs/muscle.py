@@ -37,14 +37,8 @@ def rank_laws(
     found = compare_laws(table_of(world, item), fixed=dict(fixed))
     return [
         {
-            "name": law.name,
-            "title": type(law.fit.law).title if law.fit else "",
-            "parameters": law.parameters,
-            "rmse": law.rmse,
-            "aic": law.aic,
-            "bic": law.bic,
+            **{n: getattr(law, n) for n in ("name", "parameters", "rmse", "problem")},
             "left_out": law.left_out_rmse,
-            "problem": law.problem,
             "fitted": law.fit is not None,
         }
         for law in found.laws
@@ -68,16 +62,9 @@ def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
         bands = [fit.predict(np.full_like(kappa, p), kappa, LEVEL) for p in levels]
         report = fit.report()
     return {
-        "law": said["law"],
-        "title": type(fit.law).title,
         "coefficients": [
             {
-                "name": c.name,
-                "value": c.value,
-                "stderr": c.stderr,
-                "unit": c.unit,
-                "held": c.held,
-                "description": c.description,
+                **{n: getattr(c, n) for n in ("name", "value", "stderr", "unit", "held")},
                 "low": float(intervals.get(c.name, (c.value, c.value))[0]),
                 "high": float(intervals.get(c.name, (c.value, c.value))[1]),
             }
@@ -86,7 +73,6 @@ def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
         "rmse": fit.rmse,
         "r2": fit.r2,
         "n": fit.n,
-        "dof": fit.dof,
         "warnings": list(fit.warnings),
         "report": report,
         "levels": levels,
@@ -97,7 +83,6 @@ def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
             "contraction": table.contraction,
             "force": table.force,
             "slack": table.slack,
-            "branch": list(table.branch),
         },
         "rest_length": table.rest_length,
         "pressure_range": [float(max(table.pressure.min(), 0.0)), float(table.pressure.max())],
@@ -121,8 +106,6 @@ def design(
         "length": None if length is None else length * (1 - found.cells.contraction),
         "before": dict(found.stderr_before),
         "after": dict(found.stderr_after),
-        "prediction": (found.prediction_before, found.prediction_after),
-        "efficiency": found.efficiency,
     }
 
 

@@ -35,20 +35,16 @@ def outline_of(say: Say, world: World) -> dict[str, Any]:
     """What a plant consists of, and its picture along its stroke."""
     plant = plant_of(world)
     return {
-        "name": plant.name,
-        "description": plant.description,
         "variables": [
             {
                 "name": v.name,
                 "causality": v.causality,
                 "unit": v.display_unit,
                 "start": None if v.start is None else float(v.start) / v.display_factor,
-                "description": v.description,
             }
             for v in plant.variables
         ],
         "pressures": pressures_of(plant),
-        "positions": list(plant.positions),
         "scene": stroke(plant),
     }
 
@@ -76,13 +72,14 @@ def stroke(plant: Plant) -> dict[str, Any] | None:
     u = np.tile(plant.vector("input")[:, None], (1, FRAMES))
     found = scene_of(plant, values / variable.display_factor, x, u)
     if found is not None:
-        found |= {"along": name, "unit": variable.display_unit, "at": float(start)}
+        still = int(np.argmin(np.abs(values)))
+        found |= {"along": name, "unit": variable.display_unit, "still": still}
     return found
 
 
 @job("Operating point", warm="plant", latest="rest", time_limit=60.0, quiet=True)
 def rest(say: Say, world: World, point: Mapping[str, float]) -> dict[str, Any]:
-    """The equilibrium under conditions: values with units, poles, vibration, picture."""
+    """The equilibrium under conditions: values with units, stability, vibration."""
     plant = plant_of(world)
     return _point(equilibrium(plant, dict(point)))
 
@@ -90,7 +87,6 @@ def rest(say: Say, world: World, point: Mapping[str, float]) -> dict[str, Any]:
 def _point(point: OperatingPoint) -> dict[str, Any]:
     plant = point.plant
     swinging = modes(linearize(plant, point, stuck=True))
-    still = scene_of(plant, np.zeros(1), point.x[:, None], point.u[:, None])
     return {
         "values": {n: float(v) for n, v in point.values.items()},
         "shown": [
@@ -99,9 +95,7 @@ def _point(point: OperatingPoint) -> dict[str, Any]:
             for unit in [plant.variable(n).display_unit]
         ],
         "stability": point.stability,
-        "poles": [(float(s.real), float(s.imag)) for s in point.poles],
         "modes": [(float(f), float(z)) for f, z, *_ in swinging],
-        "scene": still,
     }
 
 
@@ -122,27 +116,23 @@ def equilibrium_map(say: Say, world: World) -> dict[str, Any]:
         raise InputError(f"a map needs one or two muscles that move something, not {len(names)}")
     position = next(iter(plant.positions))
     stiffness = _stiffness(plant)
-    tops = [_top(plant, n) for n in names]
-    if len(names) == 1:
-        grid = np.linspace(LEAST * tops[0], tops[0], ALONG)
-        rows = _line(plant, [{names[0]: p} for p in grid], position, stiffness, None)
-        found = {"pressures": [grid], "position": rows[:, 0], "stiffness": rows[:, 1]}
-    else:
-        axes = [np.linspace(LEAST * top, top, ACROSS) for top in tops]
-        lines = []
-        for j, q in enumerate(axes[1]):
-            say(j / ACROSS, f"{j} of {ACROSS} rows")
-            conditions = [{names[0]: p, names[1]: q} for p in axes[0]]
-            lines.append(_line(plant, conditions, position, stiffness, None))
-        grid2 = np.array(lines)
-        found = {"pressures": axes, "position": grid2[..., 0], "stiffness": grid2[..., 1]}
+    count = ALONG if len(names) == 1 else ACROSS
+    axes = [np.linspace(LEAST * top, top, count) for top in (_top(plant, n) for n in names)]
+    others = [{names[1]: q} for q in axes[1]] if len(names) == 2 else [{}]
+    lines = []
+    for j, other in enumerate(others):
+        say(j / len(others), f"{j} of {len(others)} rows")
+        conditions = [{names[0]: p, **other} for p in axes[0]]
+        lines.append(_line(plant, conditions, position, stiffness))
+    grid = np.array(lines) if len(names) == 2 else lines[0]
     shown, felt = plant.variable(position), plant.variable(stiffness)
     return {
-        **found,
+        "pressures": axes,
+        "position": grid[..., 0],
+        "stiffness": grid[..., 1],
         "names": names,
         "position_name": position,
         "position_unit": (shown.display_unit, shown.display_factor),
-        "stiffness_name": stiffness,
         "stiffness_unit": (felt.display_unit, felt.display_factor),
     }
 
@@ -152,9 +142,9 @@ def _line(
     conditions: Sequence[Mapping[str, float]],
     position: str,
     stiffness: str,
-    guess: OperatingPoint | None,
 ) -> Any:
     """(position, stiffness) of equilibria one after the other, each the next one's guess."""
+    guess: OperatingPoint | None = None
     rows = []
     for one in conditions:
         try:
@@ -197,16 +187,12 @@ def vibration(say: Say, world: World, offset: float, cycles: float) -> dict[str,
     frames = np.unique(np.linspace(0, len(motion.t) - 1, 4 * FRAMES).round().astype(int))
     x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
     return {
-        "words": str(found),
         "name": name,
         "unit": shown.display_unit,
         "t": motion.t[chosen],
         "values": motion[name][chosen] / shown.display_factor,
-        "rate": motion[plant.positions[name]][chosen] / shown.display_factor,
         "frequency": found.frequency,
         "damping": found.damping_ratio,
-        "cycles": found.frequencies,
-        "amplitudes": found.amplitudes / shown.display_factor,
         "scene": scene_of(plant, motion.t[frames], x[:, frames], u[:, frames]),
     }
 
@@ -225,10 +211,8 @@ def loads(
     table = {k: v for k, v in world.state["plant"].items() if k in ("feed", "losses", "damping")}
     parts = _parts(table)
     found = load_study(muscle_of(world), list(masses), list(pressures), **parts)
-    columns = ("position", "stiffness", "frequency", "damping_ratio", "overshoot", "settling_time")
     return {
         "cases": [{k: float(v) for k, v in vars(case).items()} for case in found.cases],
-        "columns": columns,
         "words": str(found),
     }
 

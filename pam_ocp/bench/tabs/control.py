@@ -49,7 +49,6 @@ class Control(Members):
 
     def build(self) -> None:
         self._design: Said | None = None
-        self._run: Said | None = None
         self._keys: dict[str, Any] = {}
         self._runs = False
         self._push = 0.0
@@ -57,33 +56,33 @@ class Control(Members):
         self._factor = 1.0
         with el.split():
             with el.side():
-                with el.section("Operating point"):
-                    self._point_form = el.Form()
-                with el.section("Controller"):
-                    self._form = el.Form()
-                with el.section("Gains"):
-                    self._gains_form = el.Form("bench-words")
-                with el.section("Run against the plant"):
-                    self._study_form = el.Form()
+                self._point_form = el.form("Operating point")
+                self._form = el.form("Controller")
+                self._gains_form = el.form("Gains", classes="bench-words")
+                self._study_form = el.form("Run against the plant")
             with el.plots():
-                with el.section("Live", wide=True) as self._live_words:
-                    self._live_box = ui.element("div").classes("bench-live")
-                    with self._live_box:
-                        self._make_live()
+                with (
+                    el.section("Live", wide=True),
+                    ui.element("div").classes("bench-live"),
+                ):
+                    self._make_live()
                 with el.section("Poles"):
-                    self._margins = el.note("", "bench-verdict")
-                    self._margins._props["aria-live"] = "polite"
-                    self._poles = _plot(
-                        "Poles of the loop", "The poles of plant and loop: make a controller"
+                    self._margins = el.Verdict()
+                    self._poles = Plot(
+                        "Poles of the loop",
+                        empty="The poles of plant and loop: make a controller",
                     )
                 with el.section("Step of the linear loop"):
-                    self._step = _plot("Step response", f"The answer to a step {LINEAR}")
+                    self._step = Plot("Step response", empty=f"The answer to a step {LINEAR}")
                 with el.section("Bode, open loop", wide=True):
-                    self._bode = _plot("Bode plot of the open loop", f"Gain and phase {LINEAR}")
+                    self._bode = Plot(
+                        "Bode plot of the open loop", empty=f"Gain and phase {LINEAR}"
+                    )
                 with el.section("The run", wide=True):
-                    self._run_said = el.note("", "bench-verdict")
-                    self._plot = _plot(
-                        "The closed loop over time", "The run against the plant: make a controller"
+                    self._run_said = el.Verdict()
+                    self._plot = Plot(
+                        "The closed loop over time",
+                        empty="The run against the plant: make a controller",
                     )
         self.update(frozenset(self.parts))
 
@@ -106,9 +105,9 @@ class Control(Members):
         self._stop()
         self._keys = {}
         for plot in (self._poles, self._step, self._bode, self._plot):
-            plot.draw(look.figure([]))
-        for words in (self._margins, self._run_said):
-            words.set_text("")
+            plot.clear()
+        for verdict in (self._margins, self._run_said):
+            verdict.say()
 
     # ---- what is at hand ------------------------------------------------------------------------
     @property
@@ -122,26 +121,19 @@ class Control(Members):
 
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
-        forms: list[list[el.Row]] = [[], [], [], []]
-        try:
+        shown = (self._point_form, self._form, self._gains_form, self._study_form)
+        with self.rows(*shown) as rows:
             if self.state["muscle"] is None:
-                forms[0] = [
-                    el.words("A controller needs a muscle: choose or fit one in the tab Muscle."),
-                    el.buttons({"To the tab Muscle": partial(self.bench.open, "Muscle")}),
-                ]
+                rows[0] = self.without_muscle("A controller")
                 return
             plant, said = plant_of(self.world), self.at_hand
-            forms[0] = self._point_rows(plant)
+            rows[0] = self._point_rows(plant)
             if not self.state["point"]:
                 return
-            forms[1] = self._rows(said)
+            rows[1] = self._rows(said)
             if said is not None:
-                forms[2], forms[3] = self._gain_rows(said, plant), self._study_rows(said, plant)
+                rows[2], rows[3] = self._gain_rows(said, plant), self._study_rows(said, plant)
                 self._show_live(plant)
-        finally:
-            shown = (self._point_form, self._form, self._gains_form, self._study_form)
-            for form, rows in zip(shown, forms, strict=True):
-                form.show(rows)
 
     def _point_rows(self, plant: Plant) -> list[el.Row]:
         point = self.state["point"]
@@ -204,11 +196,10 @@ class Control(Members):
         return rows
 
     def _moved(self, name: str, value: float) -> Said | None:
-        said = self.at_hand
-        if said is None or not np.isfinite(value) or value < 0:
+        if not np.isfinite(value) or value < 0:
             return None
         value = float(np.clip(round(value), 2, 200)) if name == "horizon" else value
-        return {**said, "gains": {**said["gains"], name: value}}
+        return {**self.held, "gains": {**self.held["gains"], name: value}}
 
     def _slide(self, name: str, factor: float, shown: float) -> None:
         moved = self._moved(name, shown / factor)
@@ -237,10 +228,9 @@ class Control(Members):
         self._bode.draw(bode_figure(found))
         if not self._runs and "rest" in found:
             self._goal = found["rest"]
-            self._strip.show(reference=found["rest"] / self._factor)
-        self._margins.classes(remove="bench-bad bench-good")
+            self._strip.set(reference=found["rest"] / self._factor)
         if "margins" not in found:
-            self._margins.set_text("A predictive controller has no linear loop: run it.")
+            self._margins.say("A predictive controller has no linear loop: run it.")
             return
         m = found["margins"]
         words = [
@@ -251,8 +241,7 @@ class Control(Members):
         ]
         if "overshoot" in found:
             words.append(f"overshoot {100 * max(found['overshoot'], 0.0):.3g} %")
-        self._margins.set_text(", ".join(words))
-        self._margins.classes("bench-good" if found["stable"] else "bench-bad")
+        self._margins.say(", ".join(words), bool(found["stable"]))
 
     # ---- a run ----------------------------------------------------------------------------------
     def _study_rows(self, said: Said, plant: Plant) -> list[el.Row]:
@@ -268,9 +257,7 @@ class Control(Members):
         return el.fields(known, said["study"], self._set_study)
 
     def _set_study(self, name: str, value: Any) -> None:
-        said = self.at_hand
-        if said is not None:
-            self.change(f"{name} of the run", study={**said["study"], name: value})
+        self.change(f"{name} of the run", study={**self.held["study"], name: value})
 
     async def _run_it(self) -> None:
         said = self.at_hand
@@ -281,20 +268,17 @@ class Control(Members):
         try:
             found = await self.work(jobs.closed, said, of=said["name"])
         except Exception as error:
-            self._run_said.set_text(self.bench.words(str(error)))
-            self._run_said.classes("bench-bad")
+            self._run_said.say(self.bench.words(str(error)), False)
             raise
         if self._keys["run"] == key:
-            self._run = found
-            self._run_said.classes(remove="bench-bad")
-            self._run_said.set_text(found["words"])
+            self._run_said.say(found["words"])
             self._plot.draw(run_figure(found))
             figures = {"of": key, "values": found["figures"]}
             self.session.remember("figures", **{said["id"]: figures})
 
     # ---- live -----------------------------------------------------------------------------------
     def _make_live(self) -> None:
-        with ui.element("div").classes("bench-row"):
+        with el.row():
             self._start = el.button("Start", self._turn, main=True)
             against = Menu("Against", {"plant": "the plant", "fmu": "its FMU"})
             el.Form().show([(against, self.view("against", "plant"), self._set_against)])
@@ -319,10 +303,10 @@ class Control(Members):
         inputs = []
         for i, u in enumerate(u for u in plant.inputs if not u.disturbance):
             low, high = _ends(u)
-            more = {"colour": look.COLOURS[i % len(look.COLOURS)], "dash": "" if i == 0 else "6 3"}
+            more = {"colour": look.colour(i), "dash": "" if i == 0 else "6 3"}
             inputs.append({"name": u.name, "unit": u.display_unit, "low": low, "high": high} | more)
         low, high = _ends(v)
-        self._strip.show(low=low, high=high, unit=v.display_unit, variable=v.name, inputs=inputs)
+        self._strip.set(low=low, high=high, unit=v.display_unit, variable=v.name, inputs=inputs)
         self._push_of = "N" if v.unit == "m" else "N.m"
         self._show_push()
 
@@ -386,7 +370,7 @@ class Control(Members):
                 kept = {k: said[k] for k in ("kind", "gains", "sample_time")}
                 found = await self.work(jobs.live, {**kept, "against": against}, ask)
                 self._strip.add({k: found[k] for k in ("t", "rows", "restart")})
-                self._film.show(found["scene"])
+                self._film.set(scene=found["scene"])
                 took = time.monotonic() - now
                 if found["built"]:  # in which all is built: no measure of what follows
                     last, simulated, clock = time.monotonic(), 0.0, 0.0
@@ -403,10 +387,6 @@ def _ends(variable: Any) -> list[float]:
     """Of the range as it is shown; 0 where it is open."""
     ends = (e / variable.display_factor for e in (variable.min, variable.max))
     return [float(e) if np.isfinite(e) else 0.0 for e in ends]
-
-
-def _plot(label: str, what: str) -> Plot:
-    return Plot(look.figure([]), label, empty=what)
 
 
 # ---- words and pictures --------------------------------------------------------------------------
@@ -466,7 +446,7 @@ def step_figure(found: Said, said: Said) -> Said:
 def bode_figure(found: Said) -> Said:
     log = {"type": "log"}
     if "hertz" not in found:
-        return look.figure([], "frequency [Hz]", "gain [dB]")
+        return look.figure([])
     data = [look.line(found["hertz"], found["magnitude"], "gain", look.COLOURS[0])]
     if "phase" not in found:
         words = "largest gain of all inputs [dB]"
@@ -497,7 +477,7 @@ def run_figure(found: Said) -> Said:
     inputs = [n for n in found["inputs"] if n != PUSH or any(found["columns"][n])]
     rows: dict[str, list[Said]] = {found["units"][n]: [] for n in inputs}
     for i, name in enumerate(inputs):
-        colour = look.COLOURS[(i + 1) % len(look.COLOURS)]
+        colour = look.colour(i + 1)
         rows[found["units"][name]].append(look.line(t, found["columns"][name], name, colour))
     titles = {unit: "openings" if unit == "1" else f"inputs [{unit}]" for unit in rows}
     return look.panels(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
-from nicegui import events, ui
+from nicegui import events
 
 from ...core.errors import InputError
 from ...core.units import unit as unit_of
@@ -78,24 +79,18 @@ class Data(Tab):
             with el.side():
                 with el.section("Add data", "CSV, TXT, XLSX, NPZ, MAT, HDF5, JSON, Parquet"):
                     self._uploads()
-                with el.section("Data of this session"):
-                    self._list = ui.element("div")
-                with el.section("How it is read"):
-                    self._reading = el.Form()
-                with el.section("One page from this table"):
-                    self._quick_form = el.Form()
+                self._list = el.box("Data of this session")
+                self._reading = el.form("How it is read")
+                self._quick_form = el.form("One page from this table")
             with el.plots():
                 with el.section("Preview", wide=True) as self._words:
                     self._plot = Plot(
-                        look.figure([]),
                         FORCES,
                         self._clicked,
                         empty="Cells of a force table, or curves of a record: add data to read",
                     )
-                with el.section("Columns", wide=True):
-                    self._columns = ui.element("div")
-                with el.section("What was understood", wide=True):
-                    self._said = ui.element("div")
+                self._columns = el.box("Columns", wide=True)
+                self._said = el.box("What was understood", wide=True)
         self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
@@ -124,26 +119,19 @@ class Data(Tab):
             max_file_size=MOST_UPLOAD,
             max_files=50,
         )
-        with ui.element("div").classes("bench-row").style("margin-top: 6px"):
+        with el.row().style("margin-top: 6px"):
             el.tag("span", "Bundled:", "bench-note")
             for name, length in BUNDLED.items():
-                el.button(
-                    name.partition("_")[0],
-                    lambda name=name, length=length: self._add_bundled(name, length),
-                )
+                el.button(name.partition("_")[0], partial(self._add_bundled, name, length))
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
-        name = _shown(event.file.name)
-        file = self.session.store(name, await event.file.read())
-        await self._add({"name": name, "file": file, "said": {}})
+        await self._add(await dropped(self, event))
 
     async def _add_bundled(self, name: str, length: float) -> None:
         await self._add({"name": name, "bundled": name, "said": {"rest_length": length}})
 
     async def _add(self, item: dict[str, Any]) -> None:
-        """Take it in once it could be looked at; a damaged file is refused here."""
-        seen = await self.work(look_at, item, of=item["name"])
-        item = {**item, "id": self.session.fresh_id("data"), "off": [], "is": seen["kind"]}
+        item = await taken(self, item)
         self.session.put(f"add {item['name']}", "data", item, chosen=item["id"])
 
     async def _look(self) -> None:
@@ -175,7 +163,7 @@ class Data(Tab):
                 label="Data of this session",
             )
             if chosen is not None:
-                with ui.element("div").classes("bench-row").style("margin-top: 6px"):
+                with el.row().style("margin-top: 6px"):
                     el.button("Remove", self._remove)
 
     def _choose(self, id: str) -> None:
@@ -198,7 +186,7 @@ class Data(Tab):
         self._quick_form.show(self._quick_rows("cells" in seen) if item and seen else [])
         self._words.set_text("")
         if item is None:
-            self._plot.draw(look.figure([]))
+            self._plot.clear()
             return
         if seen is None:
             self._words.set_text("reading ...")
@@ -267,32 +255,18 @@ class Data(Tab):
         self.session.put(f"how {item['name']} is read", "data", fresh)
 
     def _column_table(self, item: Mapping[str, Any], seen: Mapping[str, Any]) -> None:
-        record = seen["kind"] == "record"
-        meanings = [NONE, *QUANTITIES, *LABELS]
+        rows = []
+        for column in seen["columns"]:
+            ends = (math.nan if column[n] is None else float(column[n]) for n in ("low", "high"))
+            meaning: Any = column["meaning"] or NONE
+            if seen["kind"] != "record":
+                meaning = partial(self._meaning_menu, item, column)
+            unit = partial(self._unit_menu, item, column)
+            rows.append((column["header"], meaning, unit, *ends, column["empty"] or math.nan))
         heads = ("column", "is", "unit", "from", "to", "empty")
-        with el.tag("table", "", "bench-table", aria_label="Columns of the file"):
-            with el.tag("thead"), el.tag("tr"):
-                for head in heads:
-                    el.tag("th", head, "is-number" if head in heads[3:] else "", scope="col")
-            with el.tag("tbody"):
-                for column in seen["columns"]:
-                    with el.tag("tr"):
-                        el.tag("td", column["header"])
-                        with el.tag("td"):
-                            if record:
-                                el.tag("span", column["meaning"] or NONE)
-                            else:
-                                self._meaning_menu(item, column, meanings)
-                        with el.tag("td"):
-                            self._unit_menu(item, column)
-                        for end in ("low", "high"):
-                            value = column[end]
-                            el.tag("td", "" if value is None else f"{value:.5g}", "is-number")
-                        el.tag("td", str(column["empty"] or ""), "is-number")
+        el.table(heads, rows, label="Columns of the file")
 
-    def _meaning_menu(
-        self, item: Mapping[str, Any], column: Mapping[str, Any], meanings: Sequence[str]
-    ) -> None:
+    def _meaning_menu(self, item: Mapping[str, Any], column: Mapping[str, Any]) -> None:
         header, now = column["header"], column["meaning"] or NONE
 
         def chosen(value: str) -> None:
@@ -302,7 +276,7 @@ class Data(Tab):
                 columns[value] = header
             self._say(columns=columns)
 
-        _menu(f"meaning of {header}", meanings, now, chosen)
+        _menu(f"meaning of {header}", (NONE, *QUANTITIES, *LABELS), now, chosen)
 
     def _unit_menu(self, item: Mapping[str, Any], column: Mapping[str, Any]) -> None:
         meaning, shown = column["meaning"], column["unit"]
@@ -355,8 +329,7 @@ class Data(Tab):
         if item is None:
             return
         made = await self.work(one_page, item)
-        path = self.world.exported(made["file"])
-        self.bench.download(path.read_bytes(), path.name)
+        self.bench.deliver(self.world.exported(made["file"]))
         self._quick_words[item["id"]] = made["words"]
         self._show()
 
@@ -384,6 +357,18 @@ class Data(Tab):
             raise InputError(f"cell {wrong}: the table has cells 0 .. {count - 1}")
         label = f"{len(off)} cells of {item['name']} off"
         self.session.put(label, "data", {**item, "off": sorted(off)})
+
+
+async def dropped(tab: Tab, event: events.UploadEventArguments, **said: Any) -> dict[str, Any]:
+    """A file dropped on a tab as an item of data. said : to its reader."""
+    name = _shown(event.file.name)
+    return {"name": name, "file": tab.session.store(name, await event.file.read()), "said": said}
+
+
+async def taken(tab: Tab, item: dict[str, Any]) -> dict[str, Any]:
+    """The item to be kept, once it could be looked at; a damaged file is refused here."""
+    seen = await tab.work(look_at, item, of=item["name"])
+    return {**item, "id": tab.session.fresh_id("data"), "off": [], "is": seen["kind"]}
 
 
 def _menu(label: str, options: Sequence[str], now: str, act: Any) -> None:
@@ -426,14 +411,14 @@ def _cells(cells: Mapping[str, Any], off: set[int], by: str) -> list[dict[str, A
         scale = {
             "color": look.numbers(p[taut] / 1e5),
             "colorscale": look.SCALE,
-            "colorbar": {"title": {"text": "pressure [bar]"}, "thickness": 12, "outlinewidth": 0},
+            "colorbar": look.scale("pressure [bar]"),
             "size": 8,
         }
         data.append(marked(taut, "taut", marker=scale))
     else:
         for i, label in enumerate(dict.fromkeys(labels)):
-            style = {"symbol": look.SYMBOLS[i % len(look.SYMBOLS)], "size": 8}
-            colour = look.COLOURS[i % len(look.COLOURS)]
+            style = {"symbol": look.symbol(i), "size": 8}
+            colour = look.colour(i)
             data.append(
                 marked(taut & (labels == label), label or "(none)", colour=colour, marker=style)
             )

@@ -38,29 +38,24 @@ class Export(Tab):
         self._checked: Said | None = None
         with el.split():
             with el.side():
-                with el.section("FMU and SSP"):
-                    self._fmu_form = el.Form()
-                with el.section("C code of a controller"):
-                    self._c_form = el.Form()
-                with el.section("Report"):
-                    self._report_form = el.Form()
+                self._fmu_form = el.form("FMU and SSP")
+                self._c_form = el.form("C code of a controller")
+                self._report_form = el.form("Report")
                 with el.section("Session"):
                     el.note("All of it in one file: state, dropped files, script, study.")
                     el.button("Download the session", self._download_all)
             with el.plots():
-                with el.section("Exported", wide=True):
-                    self._list = ui.element("div")
+                self._list = el.box("Exported", wide=True)
                 with el.section("Python script", "repeats all that was done here", wide=True):
-                    with ui.element("div").classes("bench-row"):
+                    with el.row():
                         el.button("Download script", self._download_script)
                         el.button("Run it and compare", self._check, main=True)
-                    self._verdict = el.note("", "bench-verdict")
-                    self._verdict._props["aria-live"] = "polite"
+                    self._verdict = el.Verdict()
                     self._rows = ui.element("div")
                     self._script = el.tag("pre", "", "bench-pre bench-code", tabindex="0")
                     self._script._props["aria-label"] = "the script"
                 with el.section("Study", "for pam-ocp study", wide=True):
-                    with ui.element("div").classes("bench-row"):
+                    with el.row():
                         el.button("Download study", self._download_study)
                     self._study = el.tag("pre", "", "bench-pre bench-code", tabindex="0")
                     self._study._props["aria-label"] = "the study file"
@@ -132,19 +127,16 @@ class Export(Tab):
         for said in exports:
             made = self._made.get(said["id"])
             path = self.session.folder / "exports" / said["file"]
-            with ui.element("div").classes("bench-row"):
+            with el.row():
                 el.tag("span", said["file"])
                 el.tag("span", f"{said['size'] / 1024:.4g} KiB", "bench-note")
-                ok = said["ok"]
                 if said["kind"] == "fmu":
+                    ok = said["ok"]
                     words = "checked: all well" if ok else "checked: NOT well"
                     el.tag("span", words, "bench-good" if ok else "bench-bad")
                 if path.is_file():
-                    el.button(
-                        f"Download {said['file']}",
-                        lambda path=path: self.bench.download(path.read_bytes(), path.name),
-                    )
-                el.button("Remove", lambda id=said["id"]: self._remove(id))
+                    el.button(f"Download {said['file']}", partial(self.bench.deliver, path))
+                el.button("Remove", partial(self._remove, said["id"]))
             if made is not None and said["kind"] == "fmu":
                 el.tag("pre", made["words"], "bench-pre bench-code")
 
@@ -166,8 +158,7 @@ class Export(Tab):
 
     async def _report(self) -> None:
         made = await self.work(jobs.report, self.session.title)
-        path = self.world.exported(made["file"])
-        self.bench.download(path.read_bytes(), path.name)
+        self.bench.deliver(self.world.exported(made["file"]))
 
     # ---- script and study -----------------------------------------------------------------------
     def _study_text(self) -> str:
@@ -202,33 +193,24 @@ class Export(Tab):
 
     def _show_check(self) -> None:
         self._rows.clear()
-        self._verdict.classes(remove="bench-good bench-bad")
         if self._checked is None:
-            self._verdict.set_text("")
+            self._verdict.say()
             return
-        rows = self._checked["rows"]
+        rows, ok = self._checked["rows"], bool(self._checked["ok"])
         wrong = [row["name"] for row in rows if not row["ok"]]
-        if self._checked["ok"]:
+        words = f"{len(wrong)} of {len(rows)} figures differ: {', '.join(wrong[:5])}"
+        if ok:
             words = f"The script gives all {len(rows)} figures of this page, to {jobs.AGREES:g}."
         elif not rows:
             words = "There are no figures yet."
-        else:
-            words = f"{len(wrong)} of {len(rows)} figures differ: {', '.join(wrong[:5])}"
-        self._verdict.set_text(words)
-        self._verdict.classes("bench-good" if self._checked["ok"] else "bench-bad")
+        self._verdict.say(words, ok)
+        shown = [
+            [r["name"], _said(r["page"]), _said(r["script"]), "same" if r["ok"] else "NOT"]
+            for r in rows
+        ]
+        heads = ["figure [SI]", "page", "script", "agrees"]
         with self._rows:
-            shown = [
-                [
-                    row["name"],
-                    _said(row["page"]),
-                    _said(row["script"]),
-                    "same" if row["ok"] else "NOT",
-                ]
-                for row in rows
-            ]
-            el.table(
-                ["figure [SI]", "page", "script", "agrees"], shown, label="Figures, page and script"
-            )
+            el.table(heads, shown, label="Figures, page and script")
 
 
 def _said(value: float | None) -> str:

@@ -41,14 +41,10 @@ class Motion(Beside):
         self._note = ""
         with el.split():
             with el.side():
-                with el.section("Motion"):
-                    self._form = el.Form()
-                with el.section("Stops", "drag them, or use the arrow keys"):
-                    self._stops_form = el.Form()
-                with el.section("Objective"):
-                    self._objective_form = el.Form("bench-words")
-                with el.section("Bounds", "beyond the plant's own"):
-                    self._bounds_form = el.Form()
+                self._form = el.form("Motion")
+                self._stops_form = el.form("Stops", "drag them, or use the arrow keys")
+                self._objective_form = el.form("Objective", classes="bench-words")
+                self._bounds_form = el.form("Bounds", "beyond the plant's own")
                 with el.section("Compare and replay"):
                     self._beside_form = el.Form()
                     el.upload(
@@ -59,8 +55,7 @@ class Motion(Beside):
                     )
             with el.plots():
                 with el.section("Position", wide=True) as self._words:
-                    self._verdict = el.note("", "bench-verdict")
-                    self._verdict._props["aria-live"] = "polite"
+                    self._verdict = el.Verdict()
                     self._stops = Stops(self._slide, self._settle, self._add, self._remove)
                 with el.section("Animation"):
                     self._film = Scene("The plant along the motion", height=260, unit="ms")
@@ -68,7 +63,6 @@ class Motion(Beside):
                     self._figures = el.tag("div")
                 with el.section("Pressures, commands, forces", wide=True):
                     self._plot = Plot(
-                        look.figure([]),
                         "Curves of the plan over time",
                         empty="Position, pressures, commands and forces of the plan: add a motion",
                     )
@@ -84,38 +78,28 @@ class Motion(Beside):
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
         motion = self.at_hand
-        forms: list[list[el.Row]] = [[], [], [], [], []]
-        try:
+        forms = (self._form, self._stops_form, self._objective_form, self._bounds_form)
+        with self.rows(*forms, self._beside_form) as rows:
             if self.state["muscle"] is None:
-                forms[0] = [
-                    el.words("A motion needs a muscle: choose or fit one in the tab Muscle."),
-                    el.buttons({"To the tab Muscle": partial(self.bench.open, "Muscle")}),
-                ]
-                self._verdict.set_text("")
+                rows[0] = self.without_muscle("A motion")
+                self._verdict.say()
                 return
             plant = self._plant()
-            forms[0] = self._rows(motion, plant)
+            rows[0] = self._rows(motion, plant)
             if motion is None:
                 return
             known = {v.name for v in plant.variables}
             if not {motion["variable"], motion["second"] or motion["variable"]} <= known:
-                self._not_of(plant, motion)
+                self._verdict.say(
+                    f"{motion['name']} moves {motion['variable']}, which {plant.name} does not "
+                    "have: begin a new motion"
+                )
                 return
-            forms[1] = self._stop_rows(motion, plant)
-            forms[2] = self._weight_rows(motion, plant)
-            forms[3] = self._bound_rows(motion, plant)
-            forms[4] = self._compare_rows(motion)
+            rows[1] = self._stop_rows(motion, plant)
+            rows[2] = self._weight_rows(motion, plant)
+            rows[3] = self._bound_rows(motion, plant)
+            rows[4] = self._compare_rows(motion)
             self._show_plan(motion, plant)
-        finally:
-            shown = (self._form, self._stops_form, self._objective_form, self._bounds_form)
-            for form, rows in zip((*shown, self._beside_form), forms, strict=True):
-                form.show(rows)
-
-    def _not_of(self, plant: Plant, motion: Said) -> None:
-        self._verdict.set_text(
-            f"{motion['name']} moves {motion['variable']}, which {plant.name} does not have: "
-            "begin a new motion"
-        )
 
     def _rows(self, motion: Said | None, plant: Plant) -> list[el.Row]:
         if motion is None:
@@ -140,27 +124,20 @@ class Motion(Beside):
         self.add(jobs.first_motion(self._plant(), id, name))
 
     def _copy(self) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            id = self.session.fresh_id("motions")
-            made = {**motion, "id": id, "name": f"Motion {id.removeprefix('motions')}"}
-            self.remember(compared=[*self.view("compared", []), motion["id"]])
-            self.add(made, f"copy {motion['name']} as")
+        motion, id = self.held, self.session.fresh_id("motions")
+        made = {**motion, "id": id, "name": f"Motion {id.removeprefix('motions')}"}
+        self.remember(compared=[*self.view("compared", []), motion["id"]])
+        self.add(made, f"copy {motion['name']} as")
 
     def _moves(self, name: str) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            first = jobs.first_motion(self._plant(), motion["id"], motion["name"])
-            low, high = jobs.stroke_of(self._plant(), name)
-            for part, stop in zip((0.35, 0.65), first["stops"], strict=True):
-                stop["at"] = low + part * (high - low)
-            self.session.put(f"move {name}", "motions", {**first, "variable": name})
+        motion = self.held
+        first = jobs.first_motion(self._plant(), motion["id"], motion["name"], name)
+        self.session.put(f"move {name}", "motions", first)
 
     def _cyclic(self, on: bool) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            durations = [*motion["durations"], None] if on else motion["durations"][:-1]
-            self.change("a cycle" if on else "no cycle", cyclic=on, durations=durations)
+        durations = self.held["durations"]
+        durations = [*durations, None] if on else durations[:-1]
+        self.change("a cycle" if on else "no cycle", cyclic=on, durations=durations)
 
     # ---- stops ----------------------------------------------------------------------------------
     def _stop_rows(self, motion: Said, plant: Plant) -> list[el.Row]:
@@ -191,61 +168,43 @@ class Motion(Beside):
         ]
 
     def _set_stop(self, i: int, key: str, value: Any) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            stops = copy.deepcopy(motion["stops"])
-            stops[i][key] = value
-            self.change(f"stop {i + 1}", stops=stops)
+        stops = copy.deepcopy(self.held["stops"])
+        stops[i][key] = value
+        self.change(f"stop {i + 1}", stops=stops)
 
     def _set_leg(self, i: int, value: float | None) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            durations = [*motion["durations"]]
-            durations[i] = value
-            self.change(f"time of leg {i + 1}", durations=durations)
+        durations = [*self.held["durations"]]
+        durations[i] = value
+        self.change(f"time of leg {i + 1}", durations=durations)
 
     def _also(self, name: str) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            stops = [{**s, "second": None} for s in motion["stops"]]
-            self.change("what stops name", second=name or None, stops=stops)
+        stops = [{**s, "second": None} for s in self.held["stops"]]
+        self.change("what stops name", second=name or None, stops=stops)
 
     def _append(self) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            low, high = jobs.stroke_of(self._plant(), motion["variable"])
-            last = motion["stops"][-1]["at"]
-            at = low + 0.35 * (high - low) if last > (low + high) / 2 else low + 0.65 * (high - low)
-            stop = {"at": at, "second": None, "dwell": 0.0, "rest": True}
-            self.change(
-                "add a stop",
-                stops=[*motion["stops"], stop],
-                durations=[*motion["durations"], None],
-            )
+        motion = self.held
+        low, high = jobs.stroke_of(self._plant(), motion["variable"])
+        part = 0.35 if motion["stops"][-1]["at"] > (low + high) / 2 else 0.65
+        stops = [*motion["stops"], jobs.stop_at(low + part * (high - low))]
+        self.change("add a stop", stops=stops, durations=[*motion["durations"], None])
 
     def _add(self, said: Said) -> None:
         """A stop where the page was clicked twice: between those before and after."""
-        motion = self.at_hand
-        if motion is None or not all(isinstance(said.get(k), int | float) for k in ("at", "t")):
+        motion = self.held
+        if not all(isinstance(said.get(k), int | float) for k in ("at", "t")):
             return
         low, high = jobs.stroke_of(self._plant(), motion["variable"])
         times = [s["t"] for s in self._drawn_stops(motion)]
         i = int(np.searchsorted(times, said["t"]))
-        stop = {
-            "at": float(np.clip(said["at"], low, high)),
-            "second": None,
-            "dwell": 0.0,
-            "rest": False,
-        }
+        stop = jobs.stop_at(float(np.clip(said["at"], low, high)), rest=i == len(times))
         stops = [*motion["stops"][:i], stop, *motion["stops"][i:]]
-        stop["rest"] = i == len(motion["stops"])
         durations = [*motion["durations"]]
         durations[max(i - 1, 0) : i] = [None, None]
         self.change("add a stop", stops=stops, durations=durations[: len(motion["durations"]) + 1])
 
     def _remove(self, said: Said) -> None:
-        motion, i = self.at_hand, said.get("stop")
-        if motion is None or len(motion["stops"]) < 3 or not isinstance(i, int):
+        motion, i = self.held, said.get("stop")
+        if len(motion["stops"]) < 3 or not isinstance(i, int):
             return
         stops = [s for k, s in enumerate(motion["stops"]) if k != i]
         durations = [*motion["durations"]]
@@ -256,9 +215,9 @@ class Motion(Beside):
     # ---- the hand -------------------------------------------------------------------------------
     def _moved(self, said: Said) -> Said | None:
         """The motion with a stop where the hand has it."""
-        motion = self.at_hand
+        motion = self.held
         i, at, leg = said.get("stop"), said.get("at"), said.get("leg")
-        if motion is None or not isinstance(i, int) or not 0 <= i < len(motion["stops"]):
+        if not isinstance(i, int) or not 0 <= i < len(motion["stops"]):
             return None
         if not isinstance(at, int | float):
             return None
@@ -303,9 +262,7 @@ class Motion(Beside):
         return [*rows, el.words("Weights; each term counts in units of its usual size.")]
 
     def _weigh(self, term: str, weight: float, *, settled: bool) -> None:
-        motion = self._hand or self.at_hand
-        if motion is None:
-            return
+        motion = self._hand or self.held
         weight = round(max(weight, 0.0), 6)
         minimise = {k: v for k, v in {**motion["minimise"], term: weight}.items() if v}
         if settled:
@@ -331,25 +288,20 @@ class Motion(Beside):
         return [*rows, (Menu("Bound", names), "", self._bind)]
 
     def _set_bound(self, i: int, side: str, value: float | None) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            bounds = copy.deepcopy(motion["bounds"])
-            bounds[i][side] = value
-            self.change(f"bound of {bounds[i]['name']}", bounds=bounds)
+        bounds = copy.deepcopy(self.held["bounds"])
+        bounds[i][side] = value
+        self.change(f"bound of {bounds[i]['name']}", bounds=bounds)
 
     def _bind(self, name: str) -> None:
-        motion = self.at_hand
-        if motion is not None and name:
+        if name:
             v = self._plant().variable(name)
             ends = [e if np.isfinite(e) else None for e in (v.min, v.max)]
             bound = {"name": name, "low": ends[0], "high": ends[1]}
-            self.change(f"bound {name}", bounds=[*motion["bounds"], bound])
+            self.change(f"bound {name}", bounds=[*self.held["bounds"], bound])
 
     def _unbound(self, i: int) -> None:
-        motion = self.at_hand
-        if motion is not None:
-            bounds = [b for k, b in enumerate(motion["bounds"]) if k != i]
-            self.change("remove a bound", bounds=bounds)
+        bounds = [b for k, b in enumerate(self.held["bounds"]) if k != i]
+        self.change("remove a bound", bounds=bounds)
 
     # ---- plans ----------------------------------------------------------------------------------
     async def _plan(self) -> None:
@@ -385,8 +337,8 @@ class Motion(Beside):
         told = told or self._last.get(motion["id"]) or self._told.get(motion["id"])
         self._show_curve(motion, plant, told)
         good = self._told.get(motion["id"])
-        self._film.show(good["scene"] if good else None)
-        self._plot.draw(curves(good) if good else look.figure([], "time [ms]"))
+        self._film.set(scene=good["scene"] if good else None)
+        self._plot.draw(curves(good) if good else look.figure([]))
         self._show_figures(motion)
 
     def _show_curve(
@@ -400,7 +352,7 @@ class Motion(Beside):
         curve = told if told is not None and told["ok"] else self._told.get(motion["id"])
         if told is not None and not told["ok"]:
             problem, wrong = conflict(told)
-        self._stops.show(
+        self._stops.set(
             stops=self._drawn_stops(motion, curve),
             variable=v.name,
             unit=v.display_unit,
@@ -420,20 +372,17 @@ class Motion(Beside):
         self._say_verdict(told, pending)
 
     def _say_verdict(self, told: Said | None, pending: bool) -> None:
-        self._verdict.classes(remove="bench-bad bench-good")
+        self._words.set_text("the motion before is shown meanwhile" if pending else "")
         if told is None:
-            self._verdict.set_text(self._note)
+            self._verdict.say(self._note)
         elif not told["ok"]:
-            self._verdict.set_text(self.bench.words(told["problem"]))
-            self._verdict.classes("bench-bad")
+            self._verdict.say(self.bench.words(told["problem"]), False)
         else:
             dragged = "verb_seconds" in told
             said = f"{1e3 * told['duration']:.5g} ms, objective {told['objective']:.5g}; "
             said += "under the hand, on a coarse mesh" if dragged else told["verdict"]
-            self._verdict.set_text(f"{self._note}  {said}" if pending else said)
-            if not dragged:
-                self._verdict.classes("bench-good" if told["verified"] else "bench-bad")
-        self._words.set_text("the motion before is shown meanwhile" if pending else "")
+            good = None if dragged else bool(told["verified"])
+            self._verdict.say(f"{self._note}  {said}" if pending else said, good)
 
     def _drawn_stops(self, motion: Said, curve: Said | None = None) -> list[Said]:
         """Stops with the times at which the last plan was there; legs that are given have them."""

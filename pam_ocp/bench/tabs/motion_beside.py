@@ -14,9 +14,9 @@ from .. import elements as el
 from .. import look
 from ..elements import Menu, Tick
 from ..jobs import motion as jobs
-from ..jobs.data import look_at
 from ..made import plant_of
 from ..tab import Members, Page
+from .data import dropped, taken
 
 DASHES = ("", "7 4", "2 3", "9 3 2 3")
 Said = dict[str, Any]
@@ -59,7 +59,7 @@ class Beside(Members):
                     {
                         "t": told["t"],
                         "x": told["position"],
-                        "colour": look.COLOURS[(i + 1) % len(look.COLOURS)],
+                        "colour": look.colour(i + 1),
                         "dash": DASHES[(i + 1) % len(DASHES)],
                     }
                 )
@@ -133,13 +133,9 @@ class Beside(Members):
         self.bench.soon(self._replay())
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
-        name = str(event.file.name)[:100]
-        item: Said = {"name": name, "said": {"kind": "record"}}
-        item["file"] = self.session.store(name, await event.file.read())
-        seen = await self.work(look_at, item, of=name)
-        item |= {"id": self.session.fresh_id("data"), "off": [], "is": seen["kind"]}
+        item = await taken(self, await dropped(self, event, kind="record"))
         self.remember(record=item["id"])
-        self.session.put(f"add {name}", "data", item)
+        self.session.put(f"add {item['name']}", "data", item)
         await self._replay()
 
     async def _replay(self) -> None:
@@ -195,7 +191,7 @@ def style(name: str, k: int) -> tuple[str, str]:
         number = owner.removeprefix("muscle")
         colour = look.COLOURS[(int(number) - 1 if number.isdigit() else 0) % len(look.COLOURS)]
         return colour, "dot" if name.endswith(".command") else "solid"
-    return look.COLOURS[(k + 2) % len(look.COLOURS)], "solid"
+    return look.colour(k + 2), "solid"
 
 
 def with_unit(plant: Plant, name: str, value: float) -> str:

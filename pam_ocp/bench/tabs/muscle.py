@@ -87,27 +87,23 @@ class MuscleTab(Tab):
             with el.plots():
                 with el.section("Force", wide=True) as self._force_words:
                     self._force = Plot(
-                        look.figure([]),
                         "Force over contraction",
                         empty="A curve for each pressure: fit a law, or choose a muscle",
                     )
                 with el.section("Residuals"):
                     self._rest = Plot(
-                        look.figure([], height=300),
                         "Residuals of the fit",
                         empty="Measured minus fitted force of each cell, after a fit",
                     )
                 with el.section("Force surface"):
                     self._surface = Plot(
-                        look.figure([], height=300),
                         "Force surface",
                         empty="The force over contraction and pressure",
                     )
                 with el.section("Measure next"):
                     self._design_form = el.Form()
                     self._next_box = ui.element("div")
-                with el.section("Intervals, 95 %"):
-                    self._intervals = ui.element("div")
+                self._intervals = el.box("Intervals, 95 %")
                 with el.section("Report", wide=True):
                     self._report = el.tag("pre", "", "bench-pre")
         self.update(frozenset(self.parts))
@@ -127,6 +123,13 @@ class MuscleTab(Tab):
         """The muscle of the state where it is a fit."""
         said = self.state["muscle"]
         return said if said is not None and said["kind"] == "fit" else None
+
+    @property
+    def _held(self) -> dict[str, Any]:
+        """The same for an event, which raises InputError where it is gone."""
+        if self._said is None:
+            raise InputError("the fit is gone; fit a law")
+        return self._said
 
     # ---- laws -----------------------------------------------------------------------------------
     def _show_laws(self) -> None:
@@ -238,28 +241,24 @@ class MuscleTab(Tab):
         self._report.set_text("")
         for words in (self._coefficient_words, self._force_words, self._muscle_words):
             words.set_text("")
-        fitted = said is not None and fit is not None
-        coefficients, muscles = self._coefficient_rows(said, fit), list[el.Row]()
-        try:
+        forms = (self._coefficient_form, self._muscle_form, self._design_form)
+        with self.rows(*forms) as rows, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            rows[0] = self._coefficient_rows(said, fit)
             if self.state["muscle"] is None:
                 for plot in (self._force, self._rest, self._surface):
-                    plot.draw(look.figure([], height=300))
+                    plot.clear()
                 return
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                muscle = muscle_of(self.world)
-                muscles = self._muscle_rows(muscle, said)
-                if fit is not None and fitted:
-                    with self._intervals:
-                        _interval_table(fit, self.bench.words)
-                    self._show_next()
-                    self._report.set_text(fit["report"])
-                self._draw(muscle)
-                self._draw_surface(muscle)
-        finally:
-            self._coefficient_form.show(coefficients)
-            self._muscle_form.show(muscles)
-            self._design_form.show(self._design_rows() if fitted else [])
+            muscle = muscle_of(self.world)
+            rows[1] = self._muscle_rows(muscle, said)
+            if fit is not None and said is not None:
+                rows[2] = self._design_rows()
+                with self._intervals:
+                    _interval_table(fit, self.bench.words)
+                self._show_next()
+                self._report.set_text(fit["report"])
+            self._draw(muscle)
+            self._draw_surface(muscle)
 
     def _muscle_rows(self, muscle: Muscle, said: dict[str, Any] | None) -> list[el.Row]:
         self._muscle_words.set_text(muscle.law.title)
@@ -277,9 +276,7 @@ class MuscleTab(Tab):
         ]
 
     def _change(self, label: str, **values: Any) -> None:
-        said = self._said
-        if said is not None:
-            self.session.change(label, muscle={**said, **values})
+        self.session.change(label, muscle={**self._held, **values})
 
     # ---- sliders --------------------------------------------------------------------------------
     def _coefficient_rows(
@@ -327,9 +324,7 @@ class MuscleTab(Tab):
         self._change(f"{name} by hand", coefficients=dict(self._now), moved=True)
 
     def _unmoved(self) -> None:
-        said = self._said
-        if said is not None:
-            self._change("back to the fit", coefficients=said["fitted"], moved=False)
+        self._change("back to the fit", coefficients=self._held["fitted"], moved=False)
 
     # ---- pictures -------------------------------------------------------------------------------
     def _draw(self, muscle: Muscle) -> None:
@@ -342,11 +337,11 @@ class MuscleTab(Tab):
             levels = [top * (i + 1) / jobs.MOST_LEVELS for i in range(jobs.MOST_LEVELS)]
             data = _curves(muscle, levels, kappa)
             self._force.draw(look.figure(data, *axes, height=380, keep=muscle.name))
-            self._rest.draw(look.figure([], "force [N]", "residual [N]", height=300))
+            self._rest.clear()
             return
         levels, kappa = fit["levels"], fit["kappa"]
         data = [
-            look.band(100 * kappa, low, high, look.COLOURS[i % len(look.COLOURS)])
+            look.band(100 * kappa, low, high, look.colour(i))
             for i, (low, high) in enumerate(fit["bands"])
         ]
         data += _curves(muscle, levels, kappa)
@@ -451,11 +446,9 @@ class MuscleTab(Tab):
             el.note(f"Standard errors then: {ratios}")
 
     async def _design(self) -> None:
-        said = self._said
-        if said is not None:
-            how = int(self.view("count", 6)), self.view("criterion", "D")
-            self._next = await self.work(jobs.design, _fit_of(said), *how)
-            self._show()
+        how = int(self.view("count", 6)), self.view("criterion", "D")
+        self._next = await self.work(jobs.design, _fit_of(self._held), *how)
+        self._show()
 
     # ---- other muscles, and out of it -----------------------------------------------------------
     def _others(self) -> None:
@@ -486,9 +479,8 @@ class MuscleTab(Tab):
         self.bench.download(await self.work(jobs.muscle_file), "muscle.toml")
 
     async def _save_workbook(self) -> None:
-        said = self._said
-        if said is not None:
-            self.bench.download(await self.work(jobs.workbook, _fit_of(said)), "fit.xlsx")
+        content = await self.work(jobs.workbook, _fit_of(self._held))
+        self.bench.download(content, "fit.xlsx")
 
 
 def _fit_of(said: Mapping[str, Any]) -> dict[str, Any]:
@@ -513,7 +505,7 @@ def _curves(muscle: Muscle, levels: Sequence[float], kappa: Any) -> list[dict[st
             100 * kappa,
             muscle.force(p, kappa),
             f"{p / 1e5:.3g} bar",
-            look.COLOURS[i % len(look.COLOURS)],
+            look.colour(i),
         )
         for i, p in enumerate(levels)
     ]
@@ -529,8 +521,8 @@ def _measured(fit: Mapping[str, Any]) -> list[dict[str, Any]]:
     made = []
     groups = [(near & taut & (nearest == i), i) for i in range(len(levels))]
     for chosen, i in [(~near & taut, -1), *groups]:
-        colour = look.FAINT if i < 0 else look.COLOURS[i % len(look.COLOURS)]
-        symbol = "circle-open" if i < 0 else look.SYMBOLS[i % len(look.SYMBOLS)]
+        colour = look.FAINT if i < 0 else look.colour(i)
+        symbol = "circle-open" if i < 0 else look.symbol(i)
         made.append(
             look.points(
                 100 * cells["contraction"][chosen],

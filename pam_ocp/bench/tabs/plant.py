@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
 from nicegui import events, ui
 
 from ...core.errors import InputError
@@ -56,25 +55,22 @@ class PlantTab(Tab):
                     self._point_form = el.Form()
             with el.plots():
                 with el.section("To scale"):
-                    self._scene = Scene("The plant, drawn to scale", None, height=300)
+                    self._scene = Scene("The plant, drawn to scale", height=300)
                 with el.section("Equilibrium map") as self._map_words:
                     self._map_plot = Plot(
-                        look.figure([], height=330),
                         "Equilibrium map",
                         self._clicked,
                         empty="Position and stiffness over the pressures: press Compute the map",
                     )
-                    with ui.element("div").classes("bench-row"):
+                    with el.row():
                         el.button("Compute the map", self._compute_map)
                         el.tag("span", "A click sets the operating point.", "bench-note")
                 with el.section("Free vibration") as self._swing_words:
                     self._swing_box()
                 with el.section("Load study") as self._loads_words:
                     self._loads_box()
-                with el.section("At rest"):
-                    self._values = ui.element("div")
-                with el.section("Variables"):
-                    self._variables = ui.element("div")
+                self._values = el.box("At rest")
+                self._variables = el.box("Variables")
         self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
@@ -86,9 +82,9 @@ class PlantTab(Tab):
                 self.bench.soon(self._outline())
             self._draw_map()
             self._show_swing()
-            self._swing_plot.draw(look.figure([], height=240))
-            self._swing_scene.show(None)
-            self._study_plot.draw(look.figure([], height=380))
+            self._swing_plot.clear()
+            self._swing_scene.set(scene=None)
+            self._study_plot.clear()
             for words in (self._swing_words, self._loads_words):
                 words.set_text("")
             self._cases.clear()
@@ -163,28 +159,19 @@ class PlantTab(Tab):
         try:
             what = await self.work(jobs.outline_of)
         except Exception:
-            self._scene.show(None)
+            self._scene.set(scene=None)
             self._variables.clear()
             raise
         if made_of != self._made_of:
             return
         self._what = what
         scene = what["scene"]
-        if scene is not None:
-            near = int(np.argmin(np.abs(np.array(scene["t"]) - 0.0)))
-            scene["still"] = near
-            self._scene.show(scene, words=scene["along"], unit=scene["unit"], seconds=3.0)
-        else:
-            self._scene.show(None)
+        along = {"words": scene["along"], "unit": scene["unit"], "seconds": 3.0} if scene else {}
+        self._scene.set(scene=scene, **along)
         self._variables.clear()
         with self._variables:
             rows = [
-                (
-                    v["name"],
-                    v["causality"],
-                    "" if v["start"] is None else f"{v['start']:.5g}",
-                    "" if v["unit"] == "1" else v["unit"],
-                )
+                (v["name"], v["causality"], _said(v["start"]), _unit(v["unit"]))
                 for v in what["variables"]
                 if v["causality"] != "constraint"
             ]
@@ -234,7 +221,7 @@ class PlantTab(Tab):
         self._point_words.set_text(found["stability"])
         self._values.clear()
         with self._values:
-            rows = [(n, f"{v:.6g}", "" if u == "1" else u) for n, v, u in found["shown"]]
+            rows = [(n, f"{v:.6g}", _unit(u)) for n, v, u in found["shown"]]
             el.table(["variable", "value", "unit"], rows, label="Values at rest")
             for frequency, damping in found["modes"]:
                 el.note(f"swings at {frequency:.4g} Hz, damping ratio {damping:.3g}")
@@ -253,7 +240,7 @@ class PlantTab(Tab):
         found, rest = self._map, self._rest if self.state["point"] else None
         if found is None:
             self._map_words.set_text("")
-            self._map_plot.draw(look.figure([], height=330))
+            self._map_plot.clear()
             return
         unit, factor = found["position_unit"]
         position = found["position"] / factor
@@ -287,11 +274,10 @@ class PlantTab(Tab):
     # ---- free vibration -------------------------------------------------------------------------
     def _swing_box(self) -> None:
         self._swing_plot = Plot(
-            look.figure([], height=240),
             "Free vibration over time",
             empty="The position after the plant is let go: press Free response",
         )
-        self._swing_scene = Scene("The plant, swinging", None, height=200)
+        self._swing_scene = Scene("The plant, swinging", height=200)
         self._swing_form = el.Form()
         self._show_swing()
 
@@ -318,14 +304,13 @@ class PlantTab(Tab):
         name = f"{found['name']} [{found['unit']}]"
         margin = {"l": 56, "r": 12, "t": 8, "b": 40}
         self._swing_plot.draw(look.figure([curve], "time [s]", name, height=240, margin=margin))
-        self._swing_scene.show(found["scene"], seconds=max(2.0, float(found["t"][-1])))
+        self._swing_scene.set(scene=found["scene"], seconds=max(2.0, float(found["t"][-1])))
 
     # ---- loads ----------------------------------------------------------------------------------
     def _loads_box(self) -> None:
         self._masses = self.view("masses", "5, 10, 20, 50")
         self._levels = self.view("levels", "1, 2, 3, 4, 5, 6")
         self._study_plot = Plot(
-            look.figure([], height=330),
             "Load study",
             empty="Position, stiffness, frequency and settling time over pressure, a curve for "
             "each mass: press Study the loads",
@@ -354,6 +339,14 @@ class PlantTab(Tab):
             el.tag("pre", found["words"], "bench-pre")
 
 
+def _said(start: float | None) -> str:
+    return "" if start is None else f"{start:.5g}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
 def _listed(text: str, unit: str) -> list[float]:
     """SI values of numbers between commas. Raises InputError."""
     base = {"bar": "Pa"}.get(unit, unit)
@@ -372,7 +365,7 @@ def _curve(
         "color": look.numbers(stiffness),
         "colorscale": look.SCALE,
         "size": 8,
-        "colorbar": {"title": {"text": f"stiffness [{felt}]"}, "thickness": 12, "outlinewidth": 0},
+        "colorbar": look.scale(f"stiffness [{felt}]"),
     }
     hover = f"%{{x:.3g}} bar, %{{y:.4g}}, k %{{marker.color:.4g}} {felt}<extra></extra>"
     data = [
@@ -395,7 +388,7 @@ def _field(
             "z": look.numbers(position),
             "customdata": look.numbers(stiffness),
             "colorscale": look.SCALE,
-            "colorbar": {"title": {"text": words}, "thickness": 12, "outlinewidth": 0},
+            "colorbar": look.scale(words),
             "hovertemplate": "%{x:.3g} bar, %{y:.3g} bar: %{z:.4g}, "
             f"k %{{customdata:.4g}} {felt}<extra></extra>",
         },
@@ -428,9 +421,9 @@ def _study_figure(cases: Sequence[Mapping[str, float]]) -> dict[str, Any]:
                 [c["pressure"] / 1e5 for c in own],
                 [c[name] * factor for c in own],
                 f"{mass:g} kg",
-                look.COLOURS[i % len(look.COLOURS)],
+                look.colour(i),
                 mode="lines+markers",
-                marker={"size": 5, "symbol": look.SYMBOLS[i % len(look.SYMBOLS)]},
+                marker={"size": 5, "symbol": look.symbol(i)},
             )
             shown = {"xaxis": f"x{axis}", "yaxis": f"y{axis}", "showlegend": j == 0}
             data.append(one | shown | {"legendgroup": str(mass)})

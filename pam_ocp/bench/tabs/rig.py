@@ -42,16 +42,13 @@ class RigTab(Tab):
         self._last: Any = None
         with el.split():
             with el.side():
-                with el.section("Vent"):
-                    self._frame = ui.element("div")
+                self._frame = el.box("Vent")
                 with el.section("Guard"):
                     self._state = el.note("", "bench-verdict")
                     self._state._props["role"] = "status"
                     self._reason = el.note("")
-                with el.section("Arm"):
-                    self._arm_form = el.Form()
-                with el.section("Move"):
-                    self._move_form = el.Form()
+                self._arm_form = el.form("Arm")
+                self._move_form = el.form("Move")
                 with el.section("Home"):
                     self._home_form = el.Form()
                     self._report = el.tag("pre", "", "bench-pre")
@@ -92,7 +89,6 @@ class RigTab(Tab):
                 names = [c["name"] for c in self._of(unit)]
                 with el.section(", ".join(names), wide=True):
                     self._plots[unit] = Plot(
-                        look.figure([], height=240),
                         f"{', '.join(names)} over time",
                         empty="What is read and sent, once the rig answers",
                     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import casadi as ca
 
@@ -34,88 +35,62 @@ class Counts:
         return sum(self.by_kind.values())
 
 
+_CODES = {
+    getattr(ca, f"OP_{op}"): kind
+    for kind, ops in _KINDS.items()
+    for op in ops.split()
+    if hasattr(ca, f"OP_{op}")
+}
+_UNCOUNTED = (ca.OP_SOLVE, ca.OP_INVERSE, ca.OP_DETERMINANT)
+_Found: TypeAlias = "tuple[Counter[str], bool]"
+"""Operations of one call, and whether all were understood."""
+
+
 def counted(function: ca.Function) -> Counts:
     """The operations of one call."""
-    codes = {
-        getattr(ca, f"OP_{op}"): kind
-        for kind, ops in _KINDS.items()
-        for op in ops.split()
-        if hasattr(ca, f"OP_{op}")
-    }
-    found: Counter[str] = Counter()
-    known: dict[str, tuple[Counter[str], bool]] = {}
-    whole = _count(function, 1, codes, found, known)
+    found, whole = _within(function, {})
     return Counts({kind: found[kind] for kind in _KINDS}, whole)
 
 
-def _count(
-    function: ca.Function,
-    times: int,
-    codes: Mapping[int, str],
-    found: Counter[str],
-    known: dict[str, tuple[Counter[str], bool]],
-) -> bool:
-    """Add the operations of ``times`` calls; whether all were understood."""
-    own, whole = _own(function, codes, known)
-    for kind, n in own.items():
-        found[kind] += times * n
-    return whole
-
-
-def _own(
-    function: ca.Function,
-    codes: Mapping[int, str],
-    known: dict[str, tuple[Counter[str], bool]],
-) -> tuple[Counter[str], bool]:
+def _within(function: ca.Function, known: dict[str, _Found]) -> _Found:
+    """Of a function that may be called at several places."""
     key = f"{function.name()} {function.__hash__()}"
-    if key in known:
-        return known[key]
-    own: Counter[str] = Counter()
-    whole = True
-    if function.is_a("SXFunction"):
-        nodes = function.instructions_sx()
-        for k in range(function.n_instructions()):
-            code = function.instruction_id(k)
-            if code == ca.OP_CALL:
-                whole = _count(nodes[k].which_function(), 1, codes, own, known) and whole
-            elif code in codes:
-                own[codes[code]] += 1
-    elif function.is_a("MXFunction"):
-        for k in range(function.n_instructions()):
-            whole = _instruction(function, k, codes, own, known) and whole
-    elif function.is_a("Map") and function.info().get("f") is not None:
-        whole = _count(function.info()["f"], function.info()["n"], codes, own, known)
-    elif function.class_name() == "Switch":  # one of the branches is taken: at most the longest
-        branches = [*function.info()["f"], function.info()["f_def"]]
-        parts = [_own(branch, codes, known) for branch in branches]
-        longest: Counter[str] = max((counts for counts, _ in parts), key=Counter.total)
-        own.update(longest)
-        whole = all(understood for _, understood in parts)
-    else:
-        whole = False
-    known[key] = own, whole
+    if key not in known:
+        known[key] = _counted(function, known)
     return known[key]
 
 
-def _instruction(
-    function: ca.Function,
-    k: int,
-    codes: Mapping[int, str],
-    own: Counter[str],
-    known: dict[str, tuple[Counter[str], bool]],
-) -> bool:
-    code = function.instruction_id(k)
-    node = function.instruction_MX(k)
-    if code == ca.OP_CALL:
-        return _count(node.which_function(), 1, codes, own, known)
-    if code == ca.OP_MTIMES:
-        left, right = node.dep(1), node.dep(2)
-        products = left.shape[0] * left.shape[1] * right.shape[1]
-        own["multiplications"] += products
-        own["additions and subtractions"] += products
-        return True
-    kind = codes.get(code)
-    if kind:
-        own[kind] += node.nnz()
-        return True
-    return code not in (ca.OP_SOLVE, ca.OP_INVERSE, ca.OP_DETERMINANT)
+def _counted(function: ca.Function, known: dict[str, _Found]) -> _Found:
+    if function.is_a("SXFunction") or function.is_a("MXFunction"):
+        return _instructions(function, known)
+    if function.is_a("Map") and function.info().get("f") is not None:
+        found, whole = _within(function.info()["f"], known)
+        return Counter({kind: n * function.info()["n"] for kind, n in found.items()}), whole
+    if function.class_name() == "Switch":  # one of the branches is taken: at most the longest
+        branches = [*function.info()["f"], function.info()["f_def"]]
+        parts = [_within(branch, known) for branch in branches]
+        return max((found for found, _ in parts), key=Counter.total), all(w for _, w in parts)
+    return Counter(), False
+
+
+def _instructions(function: ca.Function, known: dict[str, _Found]) -> _Found:
+    found: Counter[str] = Counter()
+    whole, scalars = True, function.is_a("SXFunction")
+    nodes = function.instructions_sx() if scalars else ()
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        node = nodes[k] if scalars else function.instruction_MX(k)
+        if code == ca.OP_CALL:
+            inside, understood = _within(node.which_function(), known)
+            found.update(inside)
+            whole = whole and understood
+        elif code == ca.OP_MTIMES:
+            left, right = node.dep(1), node.dep(2)
+            products = left.shape[0] * left.shape[1] * right.shape[1]
+            found["multiplications"] += products
+            found["additions and subtractions"] += products
+        elif code in _CODES:
+            found[_CODES[code]] += 1 if scalars else node.nnz()
+        elif code in _UNCOUNTED:
+            whole = False
+    return found, whole

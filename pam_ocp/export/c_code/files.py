@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...core.block import Block
 from ...core.errors import ExportError
 from ...core.variables import Variable
-from ..c_keywords import C_KEYWORDS
+from ..source import C_KEYWORDS
 from .counts import Counts
 from .generated import Precision, StepCode, inexact, library_functions, portable_functions
 

@@ -7,16 +7,14 @@ sparsities). Here only the functions that compute remain, all of them static.
 from __future__ import annotations
 
 import re
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
 from ...core.block import Block
 from ...core.errors import ExportError
-from ..runtime import c_text
+from ..source import c_text, casadi_code
 
 STEP = "block_step"
 LARGEST_SINGLE, SMALLEST_SINGLE = 3.4028235e38, 1.1754944e-38
@@ -77,20 +75,8 @@ def step_code(block: Block, precision: Precision) -> StepCode:
     kept: Any = block.step
     arguments = kept.sx_in() if kept.is_a("SXFunction") else kept.mx_in()
     step = ca.Function(STEP, arguments, kept.call(arguments))
-    options: dict[str, Any] = {
-        "casadi_int": "int",
-        "casadi_real": precision.ctype,
-        "with_header": False,
-        "mex": False,
-        "main": False,
-        "verbose": False,
-    }
-    generator = ca.CodeGenerator(f"{STEP}.c", options)
-    generator.add(step)
-    with tempfile.TemporaryDirectory() as folder:
-        generator.generate(f"{folder}/")
-        raw = (Path(folder) / f"{STEP}.c").read_text(encoding="utf-8")
-    text = _computing(raw)
+    options = {"casadi_real": precision.ctype, "verbose": False}
+    text = _computing(casadi_code(f"{STEP}.c", [step], **options))
     for word in _REFUSED:
         if word in text:
             raise ExportError(

@@ -18,17 +18,22 @@ from ...numerics.elementwise import array_table
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant, require_plant
 from ..sampled import as_block
-from .instructions import Instructions
+from .instructions import (
+    REACH,
+    Instructions,
+    Signature,
+    block_program,
+    plant_programs,
+    quickest,
+    signature,
+)
 from .registry import WORLDS
-from .signature import Signature, block_program, plant_programs, signature
 
 Array: TypeAlias = Any
 """A jax.Array, or what becomes one."""
 Parameters: TypeAlias = "Mapping[str, Any] | Any | None"
 Method: TypeAlias = Literal["rk4", "rosenbrock"]
 
-REACH = 2.5
-"""Longest step of rk4 in time constants of the quickest motion that decays (its border: 2.785)."""
 LAST = 1e-9
 """A part of a step, so little of which is left to an output time is made with it."""
 ORDERS = {"rk4": 4, "rosenbrock": 5}
@@ -110,12 +115,7 @@ class JaxBlock:
 
     def step(self, memory: Array, inputs: Array, p: Parameters = None) -> tuple[Array, Array]:
         """(memory, outputs) behind one sample; arrays of (..., n), as the functions of plants."""
-        own = self.signature
-        groups = [
-            own.entries("memory", memory, len(own.states)),
-            own.entries("inputs", inputs, len(own.inputs)),
-            own.values(p),
-        ]
+        groups = self.signature.groups(memory, inputs, p, ("memory", "inputs"))
         shape = _shape(*groups)
         results = self._program.run(_table(True), [g.__getitem__ for g in groups])
         return _column(results[0], shape), _column(results[1], shape)
@@ -198,12 +198,7 @@ class JaxPlant:
 
     def entries(self, x: Array, u: Array, p: Parameters) -> tuple[list[Any], list[Any], list[Any]]:
         """States, inputs and parameters, each as a list of arrays that broadcast."""
-        own = self.signature
-        return (
-            own.entries("x", x, len(own.states)),
-            own.entries("u", u, len(own.inputs)),
-            own.values(p),
-        )
+        return self.signature.groups(x, u, p)
 
     def slopes(self, x: list[Any], u: list[Any], p: list[Any]) -> list[Any]:
         """x' of entries, as entries."""
@@ -250,16 +245,11 @@ class JaxPlant:
         """The longest step [s] that rk4 may take, by the quickest motion that decays at the start,
         at inputs over their ranges.
         """
-        plant, largest = self.plant, 0.0
-        x, p = self.signature.x0, self.signature.p0
-        low, high = (plant.vector("input", attribute=a) for a in ("min", "max"))
-        ends = [np.where(np.isfinite(b), b, self.signature.u0) for b in (low, high)]
-        for u in (self.signature.u0, *ends, (ends[0] + ends[1]) / 2):
-            a = np.array(plant.jacobians(x, u, p)[0])
-            if np.all(np.isfinite(a)):
-                poles = np.linalg.eigvals(a)
-                largest = max(largest, *np.abs(poles[poles.real < 0]), 0.0)
-        return REACH / float(largest) if largest > 0 else float("inf")
+        start = self.signature.u0
+        low, high = (self.plant.vector("input", attribute=a) for a in ("min", "max"))
+        ends = [np.where(np.isfinite(b), b, start) for b in (low, high)]
+        largest = max(quickest(self.plant, u) for u in (start, *ends, (ends[0] + ends[1]) / 2))
+        return REACH / largest if largest > 0 else float("inf")
 
     def simulate(
         self,

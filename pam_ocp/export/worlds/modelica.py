@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,25 +31,12 @@ LONG = 60
 """Letters, beyond which a part that is used twice gets a name; shorter ones are written again."""
 
 
-@dataclass(frozen=True)
-class Language:
-    """How a language writes what CasADi has.
-
-    functions : {operation: template}, ``{0}`` and ``{1}`` its arguments. condition : of (if, then)
-        with else 0. logic : words for and, or, not. number : how a number is written. pair : what
-        joins a named part and its formula.
-    """
-
-    name: str
-    functions: Mapping[str, str]
-    condition: str
-    logic: tuple[str, str, str]
-    power: str = "^"
-
-
+_PLAIN = (
+    *("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),
+    *("floor", "ceil", "sign"),
+)
 FUNCTIONS = {
-    **{n: f"{n}({{0}})" for n in ("exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos")},
-    **{n: f"{n}({{0}})" for n in ("atan", "sinh", "cosh", "tanh", "floor", "ceil", "sign")},
+    **{name: f"{name}({{0}})" for name in _PLAIN},
     "fabs": "abs({0})",
     "fmin": "min({0}, {1})",
     "fmax": "max({0}, {1})",
@@ -58,9 +45,19 @@ FUNCTIONS = {
     "expm1": "(2*exp(({0})/2)*sinh(({0})/2))",
     "log1p": "log(1 + ({0}))",
 }
-MODELICA = Language(
-    "Modelica", FUNCTIONS, "noEvent(if {0} then {1} else {2})", ("and", "or", "not ")
-)
+OPERATORS = {
+    "add": ("{} + {}", SUM, (SUM, PRODUCT)),
+    "sub": ("{} - {}", SUM, (SUM, PRODUCT)),
+    "mul": ("{}*{}", PRODUCT, (PRODUCT, POWER)),
+    "div": ("{}/{}", PRODUCT, (PRODUCT, POWER)),
+    "neg": ("-{}", SUM, (PRODUCT,)),
+    "twice": ("2*{}", PRODUCT, (POWER,)),
+    "inv": ("1/{}", PRODUCT, (POWER,)),
+    "sq": ("{}^2", POWER, (ATOM,)),
+    **dict.fromkeys(("pow", "constpow"), ("{}^{}", POWER, (ATOM, ATOM))),
+}
+"""{operation: (its text, how firmly that holds together, and how firmly its parts must)}."""
+EITHER = "noEvent(if {0} then {1} else {2})"
 _WORDS = """
 algorithm and annotation assert block break class connect connector constant constrainedby der
 discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends external
@@ -167,7 +164,7 @@ def _equations(plant: Plant, names: Mapping[str, str]) -> tuple[list[str], list[
     prefix = "w"
     while any(n.startswith(prefix) and n[len(prefix) :].isdigit() for n in names.values()):
         prefix += "w"
-    shared, (slopes, outputs) = formulas(program, arguments, MODELICA, prefix)
+    shared, (slopes, outputs) = formulas(program, arguments, prefix)
     lines = list(shared)
     lines += [(f"der({names[v.name]})", e) for v, e in zip(plant.states, slopes, strict=True)]
     lines += [(names[v.name], e) for v, e in zip(plant.outputs, outputs, strict=True)]
@@ -267,11 +264,12 @@ class _Node:
     text: str = ""
     used: int = 0
     name: str = ""
-    made: dict[bool, tuple[str, int]] = field(default_factory=dict)
+    made: tuple[str, int] | None = None
+    """Its text, once that is written."""
 
 
 _BOOLEAN = ("lt", "le", "eq", "ne", "not", "and", "or")
-_COMPARED = {"lt": "{0} < {1}", "le": "{0} <= {1}"}
+_COMPARED = {"lt": "<", "le": "<="}
 
 
 def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str, str]:
@@ -289,7 +287,7 @@ def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str,
 
 
 def formulas(
-    program: Instructions, arguments: Sequence[Sequence[str]], language: Language, prefix: str
+    program: Instructions, arguments: Sequence[Sequence[str]], prefix: str
 ) -> tuple[list[tuple[str, str]], list[list[str]]]:
     """((name, formula) of the shared parts, in order; the formulas of each result).
 
@@ -316,16 +314,15 @@ def formulas(
     for column in results:
         for entry in column:
             entry.used += 1
-    writer = _Writer(language)
     shared: list[tuple[str, str]] = []
     for node in nodes:
         if node.parts and node.used > 1 and node.kind not in _BOOLEAN:
-            text, _ = writer.number(node)
-            if len(text) > LONG or node.kind in language.functions:
+            text, _ = _text_of(node)
+            if len(text) > LONG or node.kind in FUNCTIONS:
                 node.name = f"{prefix}{len(shared) + 1}"
-                node.made.clear()
+                node.made = None
                 shared.append((node.name, text))
-    return shared, [[writer.number(entry)[0] for entry in column] for column in results]
+    return shared, [[_text_of(entry)[0] for entry in column] for column in results]
 
 
 def _branches(a: _Node, b: _Node) -> tuple[_Node, _Node, _Node] | None:
@@ -346,77 +343,51 @@ def _number(value: float) -> str:
     return text[:-2] if text.endswith(".0") and "e" not in text and len(text) < 9 else text
 
 
-class _Writer:
-    """Nodes to text, each once."""
+def _text_of(node: _Node) -> tuple[str, int]:
+    """The text of a value, and how firmly it holds together."""
+    if node.name:
+        return node.name, ATOM
+    if node.made is None:
+        node.made = _written(node)
+    return node.made
 
-    def __init__(self, language: Language) -> None:
-        self.language = language
 
-    def number(self, node: _Node) -> tuple[str, int]:
-        """The text of a value, and how firmly it holds together."""
-        if node.name:
-            return node.name, ATOM
-        if False not in node.made:
-            node.made[False] = self._number(node)
-        return node.made[False]
+def _at(node: _Node, least: int) -> str:
+    text, level = _text_of(node)
+    return text if level >= least else f"({text})"
 
-    def _at(self, node: _Node, least: int) -> str:
-        text, level = self.number(node)
-        return text if level >= least else f"({text})"
 
-    def _number(self, node: _Node) -> tuple[str, int]:
-        kind, parts = node.kind, node.parts
-        if kind in ("name", "number"):
-            return node.text, SUM if node.text.startswith("-") else ATOM
-        if kind in _BOOLEAN:
-            return self.language.condition.format(self.truth(node), "1", "0"), ATOM
-        if kind == "if_else_zero":
-            return self._either(parts[0], parts[1], None), ATOM
-        if kind == "add" and (branches := _branches(*parts)):
-            return self._either(*branches), ATOM
-        if kind == "add":
-            return f"{self._at(parts[0], SUM)} + {self._at(parts[1], PRODUCT)}", SUM
-        if kind == "sub":
-            return f"{self._at(parts[0], SUM)} - {self._at(parts[1], PRODUCT)}", SUM
-        if kind == "mul":
-            return f"{self._at(parts[0], PRODUCT)}*{self._at(parts[1], POWER)}", PRODUCT
-        if kind == "div":
-            return f"{self._at(parts[0], PRODUCT)}/{self._at(parts[1], POWER)}", PRODUCT
-        if kind == "neg":
-            return f"-{self._at(parts[0], PRODUCT)}", SUM
-        if kind == "twice":
-            return f"2*{self._at(parts[0], POWER)}", PRODUCT
-        if kind == "inv":
-            return f"1/{self._at(parts[0], POWER)}", PRODUCT
-        if kind == "sq":
-            return f"{self._at(parts[0], ATOM)}{self.language.power}2", POWER
-        if kind in ("pow", "constpow"):
-            both = self._at(parts[0], ATOM), self._at(parts[1], ATOM)
-            return self.language.power.join(both), POWER
-        if kind not in self.language.functions:
-            raise ExportError(f"{self.language.name} has no {kind!r}; write the formula otherwise")
-        plain = [self.number(part)[0] for part in parts]
-        return self.language.functions[kind].format(*plain), ATOM
+def _written(node: _Node) -> tuple[str, int]:
+    kind, parts = node.kind, node.parts
+    if kind in ("name", "number"):
+        return node.text, SUM if node.text.startswith("-") else ATOM
+    if kind in _BOOLEAN:
+        return EITHER.format(_truth(node), "1", "0"), ATOM
+    if kind == "if_else_zero":
+        return EITHER.format(_truth(parts[0]), _text_of(parts[1])[0], "0"), ATOM
+    if kind == "add" and (branches := _branches(*parts)):
+        condition, then, other = branches
+        return EITHER.format(_truth(condition), _text_of(then)[0], _text_of(other)[0]), ATOM
+    if kind in OPERATORS:
+        template, level, least = OPERATORS[kind]
+        return template.format(*map(_at, parts, least)), level
+    if kind not in FUNCTIONS:
+        raise ExportError(f"Modelica has no {kind!r}; write the formula otherwise")
+    return FUNCTIONS[kind].format(*(_text_of(part)[0] for part in parts)), ATOM
 
-    def _either(self, condition: _Node, then: _Node, other: _Node | None) -> str:
-        rest = "0" if other is None else self.number(other)[0]
-        return self.language.condition.format(self.truth(condition), self.number(then)[0], rest)
 
-    def truth(self, node: _Node) -> str:
-        """The text of a condition."""
-        both, either, no = self.language.logic
-        kind, parts = node.kind, node.parts
-        if node.name or kind not in _BOOLEAN:
-            # of a number: whether it is not 0, which relations of reals do not ask
-            text = self.number(node)[0]
-            return f"{self.language.functions['fabs'].format(text)} > 0"
-        if kind in _COMPARED:
-            return _COMPARED[kind].format(self._at(parts[0], SUM), self._at(parts[1], SUM))
-        if kind == "not":
-            return f"{no}({self.truth(parts[0])})"
-        if kind in ("and", "or"):
-            word = both if kind == "and" else either
-            return f"({self.truth(parts[0])}) {word} ({self.truth(parts[1])})"
-        sides = self._at(parts[0], SUM), self._at(parts[1], SUM)
-        same = f"{sides[0]} >= {sides[1]} {both} {sides[0]} <= {sides[1]}"
-        return f"({same})" if kind == "eq" else f"{no}({same})"
+def _truth(node: _Node) -> str:
+    """The text of a condition."""
+    kind, parts = node.kind, node.parts
+    if node.name or kind not in _BOOLEAN:
+        # of a number: whether it is not 0, which relations of reals do not ask
+        return f"abs({_text_of(node)[0]}) > 0"
+    if kind == "not":
+        return f"not ({_truth(parts[0])})"
+    if kind in ("and", "or"):
+        return f"({_truth(parts[0])}) {kind} ({_truth(parts[1])})"
+    a, b = (_at(part, SUM) for part in parts)
+    if kind in _COMPARED:
+        return f"{a} {_COMPARED[kind]} {b}"
+    same = f"{a} >= {b} and {a} <= {b}"
+    return f"({same})" if kind == "eq" else f"not ({same})"

@@ -30,13 +30,11 @@ from ...plants.damping import Loss
 from ...plants.feeds import Feed
 from ...plants.limbs import Limb
 from ...plants.plant import Plant
+from .instructions import REACH, quickest
 from .registry import ENDINGS, WORLDS
 
 Way: TypeAlias = "Sequence[str] | Mapping[str, float]"
 
-REACH = 2.5
-"""Longest step in time constants of the quickest decaying state: the border of RK4 is 2.785, that
-of Euler's 2."""
 MOVED = ("length", "speed")
 
 
@@ -364,12 +362,7 @@ class _Law:
     def check(self, step: float) -> None:
         """Refuse a time step that this muscle's states do not stand."""
         plant = self.muscle.plant
-        if not self.count:
-            return
-        x, p = plant.vector("state"), plant.vector("parameter")
-        a = np.array(plant.jacobians(x, plant.vector("input"), p)[0])
-        poles = np.linalg.eigvals(a) if np.all(np.isfinite(a)) else np.zeros(1)
-        fastest = float(np.max(np.abs(poles[poles.real < 0]), initial=0.0))
+        fastest = quickest(plant, plant.vector("input")) if self.count else 0.0
         if fastest * step > REACH:
             raise InputError(
                 f"timestep = {step:g} s is too long for {self.muscle.name!r}, whose quickest state "

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Callable, Sequence
+from functools import partial, reduce
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -15,21 +18,27 @@ from ...core.block import Block
 from ...core.errors import ExportError, InputError
 from ...core.lazy import library
 from ...core.stop import verb
+from ...numerics.elementwise import array_table
 from ...plants.plant import Plant, require_plant
 from ..sampled import as_block
-from .instructions import Instructions, Table
+from .instructions import (
+    Instructions,
+    Signature,
+    Table,
+    block_program,
+    plant_programs,
+    signature,
+)
 from .registry import ENDINGS, WORLDS
-from .signature import Signature, block_program, plant_programs, signature
 
 Precision = Literal["double", "single"]
 OPSET, IR = 18, 10
 PLAIN = {
-    **{"add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "neg": "Neg", "fabs": "Abs"},
     **{"exp": "Exp", "log": "Log", "sqrt": "Sqrt", "sin": "Sin", "cos": "Cos", "tanh": "Tanh"},
-    **{"floor": "Floor", "ceil": "Ceil", "sign": "Sign", "fmin": "Min", "fmax": "Max"},
-    **{"inv": "Reciprocal", "pow": "Pow", "constpow": "Pow"},
+    **{"floor": "Floor", "ceil": "Ceil", "sign": "Sign", "round": "Round", "abs": "Abs"},
+    **{"minimum": "Min", "maximum": "Max", "where": "Where"},
 }
-"""Operations that ONNX has, and that its runtime computes in double precision."""
+"""NumPy's functions that ONNX has, and that its runtime computes in double precision."""
 
 
 @verb
@@ -86,7 +95,7 @@ def _model(
     graph = _Graph(precision == "double")
     groups = zip(arguments, (own.states, own.inputs, own.parameters), strict=True)
     columns = {name: len(names) for name, names in groups}
-    entries = [graph.split(name, n) for name, n in columns.items()]
+    entries = [graph.split(name) for name in columns]
     rows = graph.rows([name for name, n in columns.items() if n])
     made = [
         column
@@ -120,8 +129,34 @@ def _model(
     return model
 
 
+def _operator(kind: str, swapped: bool = False) -> Any:
+    def operate(self: _Value, *others: Any) -> _Value:
+        operands = (self, *others)
+        return self.graph.node(kind, *(operands[::-1] if swapped else operands))
+
+    return operate
+
+
+class _Value:
+    """A value under way: the name of what a node gives; operators make further nodes."""
+
+    def __init__(self, graph: _Graph, name: str) -> None:
+        self.graph, self.name = graph, name
+
+    __add__, __radd__ = _operator("Add"), _operator("Add", True)
+    __sub__, __rsub__ = _operator("Sub"), _operator("Sub", True)
+    __mul__, __rmul__ = _operator("Mul"), _operator("Mul", True)
+    __truediv__, __rtruediv__ = _operator("Div"), _operator("Div", True)
+    __neg__, __abs__ = _operator("Neg"), _operator("Abs")
+    __lt__, __le__, __eq__ = _operator("Less"), _operator("LessOrEqual"), _operator("Equal")
+    __and__, __or__ = _operator("And"), _operator("Or")
+
+    def __ne__(self, other: Any) -> Any:
+        return self.graph.node("Not", self == other)
+
+
 class _Graph:
-    """Nodes under way; a value is its name."""
+    """Nodes under way."""
 
     def __init__(self, double: bool) -> None:
         from onnx import TensorProto
@@ -132,177 +167,146 @@ class _Graph:
         self.initializers: list[Any] = []
         self._known: dict[tuple[Any, ...], str] = {}
 
-    def node(self, kind: str, *inputs: str, **attributes: Any) -> str:
-        """One operation; the same one stands once."""
+    def node(self, kind: str, *inputs: Any, **attributes: Any) -> _Value:
+        """One operation on values, numbers or inputs by name; the same one stands once."""
         from onnx import helper
 
-        key = (kind, inputs, tuple(sorted(attributes.items())))
+        values = [self.constant(i) if isinstance(i, int | float) else i for i in inputs]
+        names = tuple(v.name if isinstance(v, _Value) else v for v in values)
+        key = (kind, names, tuple(sorted(attributes.items())))
         if key not in self._known:
             self._known[key] = f"v{len(self._known)}"
-            name = self._known[key]
-            self.nodes.append(helper.make_node(kind, list(inputs), [name], **attributes))
-        return self._known[key]
+            made = helper.make_node(kind, list(names), [self._known[key]], **attributes)
+            self.nodes.append(made)
+        return _Value(self, self._known[key])
 
-    def constant(self, value: float) -> str:
+    def constant(self, value: float) -> _Value:
         return self._stored(np.array(value, np.float64 if self.double else np.float32))
 
-    def _stored(self, value: Any) -> str:
+    def _stored(self, value: Any) -> _Value:
         from onnx import numpy_helper
 
         key = ("constant", value.tobytes(), str(value.dtype), value.shape)
         if key not in self._known:
             self._known[key] = f"c{len(self._known)}"
             self.initializers.append(numpy_helper.from_array(value, self._known[key]))
-        return self._known[key]
+        return _Value(self, self._known[key])
 
     # ---- columns ------------------------------------------------------------------------------
-    def split(self, name: str, count: int) -> Callable[[int], str]:
+    def split(self, name: str) -> Callable[[int], _Value]:
         """What gives the columns (N, 1) of an input."""
+        return lambda i: self.node("Gather", name, self._stored(np.array([i])), axis=1)
 
-        def column(i: int) -> str:
-            return self.node("Gather", name, self._stored(np.array([i])), axis=1)
+    def rows(self, inputs: Sequence[str]) -> _Value:
+        """The shape (N, 1) of the batch, for results that hang on no input."""
+        zeros = [0.0 * self.split(name)(0) for name in inputs]
+        return self.node("Shape", reduce(operator.add, zeros))
 
-        return column
-
-    def rows(self, inputs: Sequence[str]) -> str:
-        """Zeros (N, 1) of the batch, for results that hang on no input."""
-        zeros = [self.node("Mul", self.split(name, 1)(0), self.constant(0.0)) for name in inputs]
-        total = zeros[0]
-        for zero in zeros[1:]:
-            total = self.node("Add", total, zero)
-        shape = self.node("Shape", total)
-        return shape
-
-    def join(self, name: str, column: Sequence[str], rows: str) -> None:
+    def join(self, name: str, column: Sequence[_Value], rows: _Value) -> None:
         """The columns side by side as an output."""
         from onnx import helper
 
-        wide = [self.node("Expand", entry, rows) for entry in column]
+        wide = [self.node("Expand", entry, rows).name for entry in column]
         if wide:
             self.nodes.append(helper.make_node("Concat", wide, [name], axis=1))
             return
-        none = self._stored(np.zeros(0, np.int64))
-        some = self.node("Expand", self.constant(0.0), rows)
+        none = self._stored(np.zeros(0, np.int64)).name
+        some = self.node("Expand", 0.0, rows).name
         self.nodes.append(helper.make_node("Gather", [some, none], [name], axis=1))
 
     # ---- operations ---------------------------------------------------------------------------
     def table(self) -> Table:
         """All operations, by nodes that the runtime has in double precision."""
-        node, constant = self.node, self.constant
-
-        def plain(kind: str) -> Callable[..., str]:
-            return lambda *inputs: node(kind, *inputs)
-
-        def number(condition: str) -> str:
-            return node("Cast", condition, to=self.kind)
-
-        def compared(kind: str) -> Callable[[str, str], str]:
-            return lambda a, b: number(node(kind, a, b))
-
-        def truth(a: str) -> str:
-            return node("Not", node("Equal", a, constant(0.0)))
-
-        def joined(kind: str) -> Callable[[str, str], str]:
-            return lambda a, b: number(node(kind, truth(a), truth(b)))
-
-        own = {name: plain(kind) for name, kind in PLAIN.items()}
-        own |= {"lt": compared("Less"), "le": compared("LessOrEqual"), "eq": compared("Equal")}
-        own |= {"and": joined("And"), "or": joined("Or")}
-        own |= {
-            "sq": lambda a: node("Mul", a, a),
-            "twice": lambda a: node("Add", a, a),
-            "ne": lambda a, b: number(node("Not", node("Equal", a, b))),
-            "not": lambda a: number(node("Equal", a, constant(0.0))),
-            "if_else_zero": lambda c, a: node("Where", truth(c), a, constant(0.0)),
-        }
-        return own | _composed(own, self)
+        power = partial(self.node, "Pow")
+        own = array_table(_functions(self))
+        return {**own, "pow": power, "constpow": power, **_errors(self)}
 
 
-def _composed(o: dict[str, Callable[..., str]], graph: _Graph) -> dict[str, Callable[..., str]]:
-    """What ONNX, or its runtime in double precision, does not have, made of what it has."""
-    number = graph.constant
+def _functions(graph: _Graph) -> SimpleNamespace:
+    """NumPy's functions: what ONNX, or its runtime in double precision, does not have, is made of
+    what it has.
+    """
+    node = graph.node
+    own = {name: partial(node, kind) for name, kind in PLAIN.items()}
+    exp, log, sqrt, sin, cos = (own[n] for n in ("exp", "log", "sqrt", "sin", "cos"))
+    where = own["where"]
 
-    def where(condition: str, a: str, b: str) -> str:
-        return graph.node("Where", graph.node("Cast", condition, to=9), a, b)
+    def sinh(a: Any) -> Any:
+        e = expm1(a)
+        return where(abs(a) < 1.0, 0.5 * (e + e / (e + 1.0)), 0.5 * (exp(a) - exp(-a)))
 
-    def half(a: str) -> str:
-        return o["mul"](number(0.5), a)
-
-    def sinh(a: str) -> str:
-        small, e = o["lt"](o["fabs"](a), number(1.0)), expm1(a)
-        exact = half(o["add"](e, o["div"](e, o["add"](e, number(1.0)))))
-        return where(small, exact, half(o["sub"](o["exp"](a), o["exp"](o["neg"](a)))))
-
-    def cosh(a: str) -> str:
-        return half(o["add"](o["exp"](a), o["exp"](o["neg"](a))))
-
-    def expm1(a: str) -> str:
+    def expm1(a: Any) -> Any:
         # tanh(a/2) = (e^a - 1)/(e^a + 1)
-        near = o["mul"](o["tanh"](half(a)), o["add"](o["exp"](a), number(1.0)))
-        far = o["sub"](o["exp"](a), number(1.0))
-        return where(o["lt"](o["fabs"](a), number(1.0)), near, far)
+        near = own["tanh"](0.5 * a) * (exp(a) + 1.0)
+        return where(abs(a) < 1.0, near, exp(a) - 1.0)
 
-    def log1p(a: str) -> str:
+    def log1p(a: Any) -> Any:
         # W. Kahan: the error of 1 + a is taken back
-        whole = o["add"](number(1.0), a)
-        rest = o["sub"](whole, number(1.0))
-        same = o["eq"](rest, number(0.0))
-        safe = where(same, number(1.0), rest)
-        return where(same, a, o["mul"](o["log"](whole), o["div"](a, safe)))
+        whole = 1.0 + a
+        rest = whole - 1.0
+        same = rest == 0.0
+        return where(same, a, log(whole) * (a / where(same, 1.0, rest)))
 
-    def tan(a: str) -> str:
-        return o["div"](o["sin"](a), o["cos"](a))
-
-    def atan(a: str) -> str:
+    def atan(a: Any) -> Any:
         if not graph.double:
-            return graph.node("Atan", a)
+            return node("Atan", a)
         # single precision, then what is missing: atan(a) - y = atan((a - tan y)/(1 + a tan y))
-        y = graph.node("Cast", graph.node("Atan", graph.node("Cast", a, to=1)), to=11)
-        sine, cosine = o["sin"](y), o["cos"](y)
-        missing = o["div"](o["sub"](o["mul"](a, cosine), sine), o["add"](cosine, o["mul"](a, sine)))
-        return o["add"](y, missing)
+        y = node("Cast", node("Atan", node("Cast", a, to=1)), to=11)
+        return y + (a * cos(y) - sin(y)) / (cos(y) + a * sin(y))
 
-    def asin(a: str) -> str:
-        root = o["sqrt"](o["mul"](o["sub"](number(1.0), a), o["add"](number(1.0), a)))
-        return o["twice"](atan(o["div"](a, o["add"](number(1.0), root))))
+    def asin(a: Any) -> Any:
+        half = atan(a / (1.0 + sqrt((1.0 - a) * (1.0 + a))))
+        return half + half
 
-    def atan2(y: str, x: str) -> str:
+    def atan2(y: Any, x: Any) -> Any:
         # 2 atan(y/(|(x, y)| + x)) right of the axis, turned by half a turn left of it
-        left = o["lt"](x, number(0.0))
-        length = o["add"](hypot(x, y), o["fabs"](x))
-        none = o["eq"](length, number(0.0))
-        right = o["twice"](atan(o["div"](y, where(none, number(1.0), length))))
-        return where(left, o["sub"](copysign(number(np.pi), y), right), right)
+        length = hypot(x, y) + abs(x)
+        half = atan(y / where(length == 0.0, 1.0, length))
+        right = half + half
+        return where(x < 0.0, copysign(np.pi, y) - right, right)
 
-    def hypot(a: str, b: str) -> str:
-        size = o["fmax"](o["fabs"](a), o["fabs"](b))
-        safe = where(o["eq"](size, number(0.0)), number(1.0), size)
-        parts = o["sq"](o["div"](a, safe)), o["sq"](o["div"](b, safe))
-        return o["mul"](size, o["sqrt"](o["add"](*parts)))
+    def hypot(a: Any, b: Any) -> Any:
+        size = own["maximum"](abs(a), abs(b))
+        safe = where(size == 0.0, 1.0, size)
+        a, b = a / safe, b / safe
+        return size * sqrt(a * a + b * b)
 
-    def copysign(a: str, b: str) -> str:
-        negative = o["or"](
-            o["lt"](b, number(0.0)), o["lt"](o["inv"](b), number(0.0))
-        )  # 1/-0 is -inf
-        return where(negative, o["neg"](o["fabs"](a)), o["fabs"](a))
+    def copysign(a: Any, b: Any) -> Any:
+        negative = (b < 0.0) | (1.0 / b < 0.0)  # 1/-0 is -inf
+        return where(negative, -abs(a), abs(a))
 
-    def asinh(a: str) -> str:
-        size = o["fabs"](a)
-        root = o["sqrt"](o["add"](o["sq"](size), number(1.0)))
-        more = o["add"](size, o["div"](o["sq"](size), o["add"](number(1.0), root)))
-        return o["mul"](o["sign"](a), log1p(more))
+    def asinh(a: Any) -> Any:
+        size = abs(a)
+        square = size * size
+        return own["sign"](a) * log1p(size + square / (1.0 + sqrt(square + 1.0)))
 
-    def acosh(a: str) -> str:
-        b = o["sub"](a, number(1.0))
-        return log1p(o["add"](b, o["sqrt"](o["add"](o["twice"](b), o["sq"](b)))))
+    def acosh(a: Any) -> Any:
+        b = a - 1.0
+        return log1p(b + sqrt(b + b + b * b))
 
-    def atanh(a: str) -> str:
-        return half(log1p(o["div"](o["twice"](a), o["sub"](number(1.0), a))))
+    made: dict[str, Any] = {
+        "sinh": sinh,
+        "expm1": expm1,
+        "log1p": log1p,
+        "atan": atan,
+        "asin": asin,
+    }
+    made |= {"atan2": atan2, "hypot": hypot, "copysign": copysign, "asinh": asinh, "acosh": acosh}
+    return SimpleNamespace(
+        **own,
+        **made,
+        tan=lambda a: sin(a) / cos(a),
+        acos=lambda a: np.pi / 2 - asin(a),
+        cosh=lambda a: 0.5 * (exp(a) + exp(-a)),
+        atanh=lambda a: 0.5 * log1p((a + a) / (1.0 - a)),
+        fmod=lambda a, b: node("Mod", a, b, fmod=1),
+    )
 
-    def remainder(a: str, b: str) -> str:
-        return o["sub"](a, o["mul"](b, graph.node("Round", o["div"](a, b))))
 
-    def erf(a: str) -> str:
+def _errors(graph: _Graph) -> Table:
+    """The error function and its inverse."""
+
+    def erf(a: Any) -> Any:
         if graph.double:
             raise ExportError(
                 "to_onnx: the error function is there in single precision alone; give "
@@ -310,26 +314,7 @@ def _composed(o: dict[str, Callable[..., str]], graph: _Graph) -> dict[str, Call
             )
         return graph.node("Erf", a)
 
-    def erfinv(a: str) -> str:
+    def erfinv(a: Any) -> Any:
         raise ExportError("to_onnx: ONNX has no inverse of the error function; write it otherwise")
 
-    return {
-        "sinh": sinh,
-        "cosh": cosh,
-        "tan": tan,
-        "atan": atan,
-        "asin": asin,
-        "acos": lambda a: o["sub"](number(np.pi / 2), asin(a)),
-        "atan2": atan2,
-        "asinh": asinh,
-        "acosh": acosh,
-        "atanh": atanh,
-        "log1p": log1p,
-        "expm1": expm1,
-        "hypot": hypot,
-        "copysign": copysign,
-        "fmod": lambda a, b: graph.node("Mod", a, b, fmod=1),
-        "remainder": remainder,
-        "erf": erf,
-        "erfinv": erfinv,
-    }
+    return {"erf": erf, "erfinv": erfinv}

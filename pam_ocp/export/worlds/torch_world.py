@@ -13,9 +13,8 @@ from ...numerics.elementwise import array_table
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant, require_plant
 from ..sampled import as_block
-from .instructions import Instructions
+from .instructions import Instructions, Signature, block_program, plant_programs, signature
 from .registry import WORLDS
-from .signature import Signature, block_program, plant_programs, signature
 
 Tensor: TypeAlias = Any
 """A torch.Tensor."""
@@ -73,24 +72,15 @@ def _modules() -> tuple[type, type]:
                 "erfinv": torch.erfinv,
             }
 
-        def values(self, p: Any) -> list[Tensor]:
-            """Parameters in their order."""
-            if isinstance(p, dict) or p is None:
-                rest = {n: self.p[i] for i, n in enumerate(self.signature.parameters)}
-                return self.signature.values({**rest, **(p or {})})
-            return self.signature.values(p)
-
-        def entries(self, x: Tensor, u: Tensor, p: Any) -> list[list[Tensor]]:
-            own = self.signature
-            return [
-                own.entries("x", x, len(own.states)),
-                own.entries("u", u, len(own.inputs)),
-                self.values(p),
-            ]
+        def given(self, p: Any) -> Any:
+            """Parameters, those that ``p`` does not name as they are trained."""
+            if not isinstance(p, dict) and p is not None:
+                return p
+            return {n: self.p[i] for i, n in enumerate(self.signature.parameters)} | (p or {})
 
         def results(self, program: Instructions, x: Tensor, u: Tensor, p: Any) -> list[Tensor]:
             """What the operations give, as tensors of (..., n)."""
-            groups = self.entries(x, u, p)
+            groups = self.signature.groups(x, u, self.given(p))
 
             def constant(value: float) -> Tensor:
                 return torch.tensor(value, dtype=self.p.dtype, device=self.p.device)
