@@ -10,10 +10,9 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.errors import (
     InputError,
@@ -33,9 +32,8 @@ from ..simulation.instruments import Instrument, readers_of
 from ..simulation.sampled import SampledPlant
 from ..simulation.simulator import evaluated
 from .controller import Observer
+from .kinds import Array
 from .references import Source, source
-
-Array: TypeAlias = NDArray[np.float64]
 
 ASTRAY = 10.0
 """A state this many times beyond all that is usual for it tells of an unstable loop."""
@@ -302,12 +300,10 @@ class Actuators:
         self._alias = {n.replace(".", "_"): n for n in self._known}
         self._range = {n: self._known[n] for n in side.inputs}
         self._start = dict(side.inputs)
-        inversion = None if model is None else Inversion(model)
-        self._inversion = inversion if inversion and self._of(model) else None
-
-    def _of(self, model: Plant | None) -> bool:
-        """Whether the side has the model's inputs."""
-        return model is not None and all(v.name in self._range for v in model.inputs)
+        inversion = None
+        if model is not None and all(v.name in self._range for v in model.inputs):
+            inversion = Inversion(model)
+        self._inversion = inversion or None
 
     def known(self, name: str) -> Variable:
         """A variable of the side. Raises UnknownNameError."""
@@ -377,7 +373,8 @@ class Sensors:
         seed: int,
         instruments: Mapping[str, Instrument] | None = None,
     ) -> None:
-        self.names = [v.name for v in side.variables if v.causality in ("state", "output")]
+        known = {v.name: v for v in side.variables if v.causality in ("state", "output")}
+        self.names = [*known]
         alias = {n.replace(".", "_"): n for n in self.names}
         expected = estimator.deviations if estimator is not None else {}
         for name in expected:
@@ -392,7 +389,6 @@ class Sensors:
         if unknown:
             raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")
         self._random = np.random.default_rng(require_count("seed", seed, 0))
-        known = {v.name: v for v in side.variables if v.name in self.names}
         known |= {n: known[full] for n, full in alias.items()}
         for name in instruments or {}:
             if name not in known:

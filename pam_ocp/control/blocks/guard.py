@@ -24,7 +24,7 @@ from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.variables import Causality, Variable
 from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
-from .draft import column_of, per
+from .draft import Draft, Symbol, column_of, kind_of_step, per
 
 Symbols: TypeAlias = "dict[str, ca.SX]"
 
@@ -288,22 +288,15 @@ class _Guarded:
         status = Variable(
             "status", "output", start=0.0, min=0.0, max=63.0, description=f"sum of: {words}"
         )
-        outputs = [self._output(v) for v in law.outputs]
-        return Block(
-            name=law.name,
-            sample_time=law.sample_time,
-            inputs=(*self.inputs, enable),
-            outputs=(*outputs, status),
-            parameters=(*law.parameters, *self._kept["parameter"].values()),
-            memory=(*law.memory, *self._kept["state"].values()),
-            step=self._step(),
-            description=law.description,
-            commands=law.commands,
+        draft = Draft(law.name, law.sample_time, law.description, kind_of_step(law))
+        given = self._stepped(draft, enable)
+        draft.outputs([*(self._output(v) for v in law.outputs), status], given, law.commands)
+        return replace(
+            draft.block(),
             missing=tuple(v.name for v in self.inputs),
             loops=law.loops,
             delay=law.delay,
             flags={"enable": {}, "status": FLAGS},
-            matrices=law.matrices,
         )
 
     def _output(self, v: Variable) -> Variable:
@@ -312,41 +305,30 @@ class _Guarded:
         low, high = self.ranges[v.name]
         return replace(v, min=low, max=high, start=self._kept["state"][f"sent.{v.name}"].start)
 
-    def _step(self) -> ca.Function:
-        law, kept = self.law, self._kept
-        sizes = [
-            len(law.memory) + len(kept["state"]),
-            len(self.inputs) + 1,
-            len(law.parameters) + len(kept["parameter"]),
+    def _stepped(self, draft: Draft, enable: Variable) -> Symbol:
+        """The outputs; of the memories, whole columns, whose code stays short however much memory
+        a law has.
+        """
+        law, kept = self.law, {c: list(of.values()) for c, of in self._kept.items()}
+        draft.column(law.memory)
+        draft.column(law.parameters)
+        known = [
+            draft.column(part) for part in (kept["state"], self.inputs, [enable], kept["parameter"])
         ]
-        kind = ca.SX if law.step.is_a("SXFunction") else ca.MX
-        names = ["memory", "inputs", "parameters"]
-        columns: list[Any] = [kind.sym(n, size) for n, size in zip(names, sizes, strict=True)]
-        of_law, of_guard = _split(columns[0], len(law.memory))
-        inputs, enable = _split(columns[1], len(self.inputs))
-        gains, settings = _split(columns[2], len(law.parameters))
-        known = [of_guard, inputs, enable, settings]
         seen, held, ages, flags = self._watch().call(known)
-        after, outputs = law.step.call([of_law, seen, gains])
-        # of whole vectors, whose code stays short however much memory a law has
-        sound = ca.sum1(ca.fabs(after) <= LARGEST) == after.numel() if law.memory else kind(1)
+        before, after, outputs = draft.call(law, seen)
+        sound = ca.sum1(ca.fabs(after) <= LARGEST) == after.numel() if law.memory else draft.kind(1)
         rest: list[Any] = [*known, flags, sound, outputs]
         whole, sent, fade, done, given = self._act().call(rest)
-        memory = ca.if_else(whole, after, of_law) if law.memory else after
+        if law.memory:
+            draft.next(law.memory[0].name, ca.if_else(whole, after, before))
         order = [f"held.{v.name}" for v in self.inputs] + [f"age.{v.name}" for v in self.inputs]
         order += [f"{part}.{v.name}" for part in ("sent", "fade") for v in self.commands]
         order += ["was_active", "was_limited", "was_held_back"] if self.commands else []
-        parts: Any = ca.vertcat(held, ages, sent, fade, done)
-        places = [order.index(n) for n in kept["state"]]
-        sorted_parts = parts[places] if places else parts
-        ends: list[Any] = [ca.densify(ca.vertcat(memory, sorted_parts)), ca.densify(given)]
-        return ca.Function("step", columns, ends, names, ["memory_next", "outputs"])
-
-
-def _split(column: Any, first: int) -> tuple[Any, Any]:
-    """The first entries, and the others (not slices: of a scalar they would be rows)."""
-    first_part, second = ca.vertsplit(column, [0, first, column.numel()])
-    return first_part, second
+        places = [order.index(v.name) for v in kept["state"]]
+        if places:
+            draft.next(kept["state"][0].name, ca.vertcat(held, ages, sent, fade, done)[places])
+        return given
 
 
 def _cat(entries: list[ca.SX]) -> Any:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ...core.variables import Variable
 from ...export.machine import quick
+from ..kinds import Array
 from ..step import Givens, Step
 
-Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 
 UNBOUNDED = 1e6
