@@ -3,9 +3,9 @@ compiler."""
 
 import numpy as np
 import pytest
+from conftest import refused
 from mpc_cases import mass as free_mass
 
-import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
 from pam_ocp.control.mpc.mpc import Mpc
 from pam_ocp.core.errors import ExportError
@@ -135,6 +135,5 @@ def test_without_a_compiler_it_says_so(tmp_path, monkeypatch):
         raise ExportError("no C compiler is found")
 
     monkeypatch.setattr(machine, "compile_library", none)
-    with pytest.raises(pam.InputError, match=r"compiled = True: no C compiler is found"):
-        moves(compiled=True)
+    refused(r"compiled = True: no C compiler is found", moves, compiled=True)
     assert np.all(np.isfinite(moves()))
