@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -59,13 +58,8 @@ class Side(ABC):
     def __enter__(self) -> Side:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._held_open.__exit__(kind, error, trace)
+    def __exit__(self, *raised: Any) -> None:
+        self._held_open.__exit__(*raised)
 
     @abstractmethod
     def values(self) -> dict[str, float]:
@@ -209,7 +203,10 @@ class FmuSide(Side):
             inputs = fmu.names("input")
             self._names = list(dict.fromkeys([*fmu.states, *inputs, *fmu.names("output")]))
             self.variables = tuple(_described(fmu, n, model) for n in self._names)
-            self._require_inputs(model)
+            needed = () if model is None else (*model.states, *model.inputs)
+            for v in needed:
+                if v.name not in self._names and not v.disturbance:
+                    raise UnknownNameError("variable of the FMU", v.name, self._names)
             self._runner: Any = opened.enter_context(Runner(fmu, "CoSimulation"))
             given = {**by_name("parameters", parameters), **by_name("start", start)}
             if not (start is None or isinstance(start, Mapping)):  # of a point what the FMU has
@@ -218,13 +215,6 @@ class FmuSide(Side):
             read = self._runner.get(inputs)
             self.inputs = {n: float(v) for n, v in zip(inputs, read, strict=True)}
             self._held_open = opened.pop_all()
-
-    def _require_inputs(self, model: Plant | None) -> None:
-        """UnknownNameError for a state or control of the model that the FMU does not have."""
-        if model is not None:
-            for variable in (*model.states, *(v for v in model.inputs if not v.disturbance)):
-                if variable.name not in self._names:
-                    raise UnknownNameError("variable of the FMU", variable.name, self._names)
 
     def values(self) -> dict[str, float]:
         self._runner.set(self.inputs)

@@ -307,7 +307,9 @@ class Mpc:
             outcome = self._calls(point, now, self._applied * self.program.u_nominal)
             fallback, failed = False, not outcome.usable
         self._warm = not failed
-        before, self._applied = self._applied, self._first_inputs()
+        at, low, high = self.program.first_inputs, self.program.w_low, self.program.w_high
+        first = np.clip(point.w[at], low[at], high[at])  # held to their bounds against rounding
+        before, self._applied = self._applied, first
         self._sample = now / self.program.x_nominal, before if self.delay else self._applied, q
         self._done.record(
             perf_counter() - begin,
@@ -521,13 +523,6 @@ class Mpc:
             point.unknowns[p.at] = node[:, None]
             point.unknowns[p.at_last[: p.nx]] = x
         point.start[: p.nx], point.start[p.nx :] = x, self._applied[p.rated]
-
-    def _first_inputs(self) -> Array:
-        """The first inputs of the solution, held to their bounds against rounding."""
-        p = self.program
-        at = p.first_inputs
-        inputs: Array = np.clip(self._sqp.point.w[at], p.w_low[at], p.w_high[at])
-        return inputs
 
 
 @dataclass
