@@ -161,7 +161,7 @@ pam.HangingLoad(NAME, math.inf)  # must be a finite number
 pam.HangingLoad(NAME, -5)  # must be > 0
 pam.HangingLoad(NAME, 1j)  # is not a number
 pam.HangingLoad(NAME, [5])  # is not a number
-pam.HangingLoad(NAME, True)  # must be a finite number
+pam.HangingLoad(NAME, True)  # is not a number
 pam.HangingLoad(NAME, np.array(5.0))  # works
 pam.HangingLoad(NAME, np.int64(5))  # works
 pam.HangingLoad(NAME, ca.SX.sym("m"))  # must be a finite number

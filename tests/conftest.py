@@ -94,6 +94,18 @@ def dask_client() -> Iterator[Any]:
         yield client
 
 
+def refused(
+    words: str,
+    call: Callable[..., Any],
+    *arguments: Any,
+    error: type[Exception] = pam.InputError,
+    **options: Any,
+) -> None:
+    """The call raises an error that says these words."""
+    with pytest.raises(error, match=words):
+        call(*arguments, **options)
+
+
 def flat(value: Any) -> Any:
     """A CasADi matrix as a row of numbers."""
     return np.asarray(value).ravel()

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..core.block import Block
 from ..core.errors import InputError, kind_of, require_positive
@@ -27,11 +27,9 @@ from ..plants.plant import Plant, require_plant
 from .blocks.draft import Draft, Symbol, about, as_output
 from .blocks.running import ByBlock, Running
 from .controller import Measured
-from .kinds import BLOCKS
+from .kinds import BLOCKS, Array
 from .linear_quadratic import Weighting, require_quick, stationary
 from .state_feedback import feedback_law
-
-Array: TypeAlias = NDArray[np.float64]
 
 LONGEST = 2**24
 """Samples of a motion: single precision counts so far."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,12 +19,11 @@ from ..operating.linear import linearize, modes
 from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.several import equilibrium_path
 from ..plants.plant import Plant, Values
+from .kinds import Array
 from .state_feedback import StateFeedback
 
 if TYPE_CHECKING:
     import control
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 def frequency_response(system: control.StateSpace, hertz: ArrayLike) -> NDArray[np.complex128]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError, require_finite, require_positive
@@ -29,8 +27,6 @@ from .inverse import (
 from .kinds import BLOCKS, CONTROLLERS, law_of
 from .pid import PID, PressureLoop, pid_law, saturating
 from .references import Source, source
-
-Array: TypeAlias = NDArray[np.float64]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 BISECTIONS = 60
@@ -231,8 +227,7 @@ class MemoryModel:
 
         known : other states and inputs by name, the pressures among them.
         """
-        if self._step is None:
-            return memory
+        assert self._step is not None
         position, velocity = self._at
         begin, end = way
         z = {**self.start, **known, velocity: (end - begin) / duration}
@@ -353,70 +348,45 @@ def hysteresis_compensation(
     ``ahead.*`` one sample later (position, velocity, acceleration, for a pair stiffness). The
     reference is to be smooth: a target has no preview by which to round it off.
     """
-    return _Compensation(controller, name).block()
+    o, inverse, muscles = controller, controller.inverse, controller.inverse.muscles
+    draft = Draft(name, o.sample_time, "feed-forward by the inverse of the hysteresis", ca.MX)
+    model = MemoryModel(o.plant, inverse.position, inverse.velocity)
+    position = o.plant.variable(inverse.position)
 
-
-@dataclass
-class _Compensation:
-    owner: HysteresisCompensation
-    name: str
-
-    def __post_init__(self) -> None:
-        o = self.owner
-        self.inverse, self.plant = o.inverse, o.plant
-        description = "feed-forward by the inverse of the hysteresis"
-        self.draft = Draft(self.name, o.sample_time, description, ca.MX)
-        self.model = MemoryModel(o.plant, o.inverse.position, o.inverse.velocity)
-
-    def _reference(self, first: str) -> tuple[Symbol, Symbol, Symbol, Symbol | None]:
-        x = self.plant.variable(self.inverse.position).start or 0.0
-        motion = wanted_motion(self.draft, self.inverse, (x, 0.0, 0.0), first)
-        k = None
-        if self.owner.stiffness is not None:
-            k = wanted_stiffness(self.draft, self.plant, self.owner.stiffness, first)
+    def reference(first: str) -> tuple[Symbol, Symbol, Symbol, Symbol | None]:
+        motion = wanted_motion(draft, inverse, (position.start or 0.0, 0.0, 0.0), first)
+        k = None if o.stiffness is None else wanted_stiffness(draft, o.plant, o.stiffness, first)
         return (*motion, k)
 
-    def block(self) -> Block:
-        draft, o, muscles = self.draft, self.owner, self.inverse.muscles
-        x, v, a, k = self._reference("wanted")
-        ahead = self._reference("ahead")
-        started = draft.started
-        held = {n: draft.memory(f"memory.{n}", s) for n, s in self.model.values.items()}
-        modelled = [draft.memory(f"model.{m}.pressure", unit="Pa", nominal=1e5) for m in muscles]
-        first = pressures_of(draft, self.inverse, x, v, a, k, held)
-        now = [ca.if_else(started, p, first[i]) for i, p in enumerate(modelled)]
-        added: list[Any] = [ca.MX(0)] * len(muscles)
-        if o.frequency:
-            error = x - draft.like(self.plant.variable(self.inverse.position))
-            more = pid_law(draft, PID.placed(o.frequency), error, saturating(draft))
-            wanted = pressures_of(draft, self.inverse, x, v, a + more, k, held)
-            added = [wanted[i] - p for i, p in enumerate(now)]
-            draft.next("saturated", at_an_end(self.inverse, wanted))
-        after = self._moved(held, x, ahead[0], modelled, started) if o.compensate else held
-        coming = pressures_of(draft, self.inverse, *ahead, after)
-        targets = {
-            m: (now[i] + added[i], (coming[i] - now[i]) / o.sample_time)
-            for i, m in enumerate(muscles)
-        }
-        for n, value in after.items():
-            draft.next(f"memory.{n}", value)
-        for i, m in enumerate(muscles):
-            draft.next(f"model.{m}.pressure", coming[i])
-        o.inputs.enter(draft, targets, o.pressure_time)
-        return draft.block()
-
-    def _moved(
-        self, held: Mapping[str, Symbol], x: Symbol, to: Symbol, p: list[Symbol], started: Symbol
-    ) -> dict[str, Symbol]:
-        """The memories a sample later; see :meth:`MemoryModel.move`."""
-        if not held:
-            return {}
-        model = self.model
+    (x, v, a, k), ahead = reference("wanted"), reference("ahead")
+    started = draft.started
+    held = {n: draft.memory(f"memory.{n}", s) for n, s in model.values.items()}
+    modelled = [draft.memory(f"model.{m}.pressure", unit="Pa", nominal=1e5) for m in muscles]
+    first = pressures_of(draft, inverse, x, v, a, k, held)
+    now = [ca.if_else(started, p, first[i]) for i, p in enumerate(modelled)]
+    added: list[Any] = [ca.MX(0)] * len(muscles)
+    if o.frequency:
+        more = pid_law(draft, PID.placed(o.frequency), x - draft.like(position), saturating(draft))
+        wanted = pressures_of(draft, inverse, x, v, a + more, k, held)
+        added = [wanted[i] - p for i, p in enumerate(now)]
+        draft.next("saturated", at_an_end(inverse, wanted))
+    after = held
+    if held and o.compensate:
+        starts = (model.start[f"{m}.pressure"] for m in muscles)
         known = {
-            f"{m}.pressure": ca.if_else(started, value, model.start[f"{m}.pressure"])
-            for m, value in zip(self.inverse.muscles, p, strict=True)
+            f"{m}.pressure": ca.if_else(started, p, start)
+            for m, p, start in zip(muscles, modelled, starts, strict=True)
         }
-        memory: Any = ca.vertcat(*held.values())
-        after = model.moved(memory, (x, to), known, self.owner.sample_time)
-        self.draft.repeats("steps of the hysteresis", PARTS)
-        return dict(zip(held, ca.vertsplit(after), strict=True))
+        moved = model.moved(ca.vertcat(*held.values()), (x, ahead[0]), known, o.sample_time)
+        after = dict(zip(held, ca.vertsplit(moved), strict=True))
+        draft.repeats("steps of the hysteresis", PARTS)
+    coming = pressures_of(draft, inverse, *ahead, after)
+    targets = {
+        m: (now[i] + added[i], (coming[i] - now[i]) / o.sample_time) for i, m in enumerate(muscles)
+    }
+    for n, value in after.items():
+        draft.next(f"memory.{n}", value)
+    for i, m in enumerate(muscles):
+        draft.next(f"model.{m}.pressure", coming[i])
+    o.inputs.enter(draft, targets, o.pressure_time)
+    return draft.block()

@@ -74,18 +74,11 @@ def pid_controller(
     if 0.0 in weights.values():
         raise InputError("weights: a command of weight 0 takes no part; leave it out")
     pid = Plant(name, f"PID with feed-forward for {measured.name} of {plant.name}")
-    shown: dict[str, Any] = {"unit": measured.unit, "nominal": measured.nominal}
-    reference = pid.input("reference", **shown, description=f"wanted {measured.name}")
-    found = pid.input("position", **shown, description=f"measured {measured.name}")
-    gains = (
-        pid.parameter(n, value, tunable=True, nominal=max(1.0, abs(value)), description=words)
-        for n, value, words in (
-            ("proportional", proportional, "command per unit of position"),
-            ("integral", integral, "command per unit of position and second"),
-            ("derivative", derivative, "command per unit of velocity"),
-        )
-    )
-    kp, ki, kd = gains
+    reference = pid.input("reference", **_shown(measured, 0.0, "wanted"))
+    found = pid.input("position", **_shown(measured, 0.0, "measured"))
+    kp = _gain(pid, "proportional", proportional, "command per unit of position")
+    ki = _gain(pid, "integral", integral, "command per unit of position and second")
+    kd = _gain(pid, "derivative", derivative, "command per unit of velocity")
     tau, windup = (
         pid.parameter(n, value, unit="s", min=1e-9, tunable=True, description=words)
         for n, value, words in (
@@ -95,6 +88,7 @@ def pid_controller(
     )
     size: dict[str, Any] = {"unit": commands[0].unit, "nominal": commands[0].nominal}
     total = pid.state("integrated", **size, description="part of the integral")
+    shown: dict[str, Any] = {"unit": measured.unit, "nominal": measured.nominal}
     smooth = pid.state("smoothed", **shown, description="error, low-pass filtered")
     error = reference - found
     rate = (error - smooth) / tau
@@ -106,11 +100,7 @@ def pid_controller(
         forward = valves.entered(
             command,
             lambda v: pid.input(
-                f"feedforward.{v.name}",
-                unit=v.unit,
-                start=v.start or 0.0,
-                nominal=v.nominal,
-                description=f"feed-forward of {v.name}",
+                f"feedforward.{v.name}", **_shown(v, v.start or 0.0, "feed-forward of")
             ),
         )
         wanted = forward + weight * action
@@ -227,22 +217,21 @@ def _tunable(plant: Plant) -> Any:
     return declare
 
 
+def _gain(built: Plant, name: str, value: float, words: str) -> ca.SX:
+    nominal = max(1.0, abs(value))
+    return built.parameter(name, value, tunable=True, nominal=nominal, description=words)
+
+
 def _gains(
     built: Plant, name: str, commands: list[Variable], names: list[str], values: Any
 ) -> ca.SX:
     """A matrix of gains as tunable parameters, a row for each command."""
     rows = [
         [
-            built.parameter(
-                f"{name}.{command.name}.{n}",
-                float(value),
-                tunable=True,
-                nominal=max(1.0, abs(float(value))),
-                description=f"of {n} to {command.name} [SI]",
-            )
+            _gain(built, f"{name}.{c.name}.{n}", float(value), f"of {n} to {c.name} [SI]")
             for n, value in zip(names, row, strict=True)
         ]
-        for command, row in zip(commands, values, strict=True)
+        for c, row in zip(commands, values, strict=True)
     ]
     return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 
@@ -284,26 +273,12 @@ class _Valves:
         parts = [e for o in openings for e in (o.forward, *o.inverse)]
         parts += [e for c in self.inversion.carried.values() for e in (c.entered, c.left)]
         used = {s.name() for s in ca.symvar(ca.vertcat(*parts))} if parts else set()
-        return ca.SX(
-            ca.vertcat(
-                *(
-                    self._parameter(v) if v.name in used else float(v.start or 0.0)
-                    for v in self.plant.parameters
-                )
-            )
-        )
-
-    def _parameter(self, v: Variable) -> ca.SX:
-        return self.built.parameter(
-            v.name,
-            float(v.start or 0.0),
-            unit=v.unit,
-            min=v.min,
-            max=v.max,
-            nominal=v.nominal,
-            tunable=True,
-            description=v.description,
-        )
+        column: list[Any] = [float(v.start or 0.0) for v in self.plant.parameters]
+        for i, v in enumerate(self.plant.parameters):
+            if v.name in used:
+                given = {n: getattr(v, n) for n in ("unit", "min", "max", "nominal", "description")}
+                column[i] = self.built.parameter(v.name, column[i], tunable=True, **given)
+        return ca.SX(ca.vertcat(*column))
 
     def _column(self, states: Mapping[str, ca.SX]) -> ca.SX:
         """The plant's states; start values for those that nobody gives."""
@@ -329,11 +304,6 @@ class _Valves:
         held: ca.SX = clipped(wanted, [door.min], [door.max])
         known = self._p, self._column(self.states)
         for command, value in sent_by(self.inversion, {door.name: held}, known):
-            self.built.output(
-                command.name,
-                value,
-                unit=command.unit,
-                nominal=command.nominal,
-                description=command.description,
-            )
+            shown = {n: getattr(command, n) for n in ("unit", "nominal", "description")}
+            self.built.output(command.name, value, **shown)
         return held

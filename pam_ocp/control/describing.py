@@ -6,13 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, SimulationError, require_instance
+from ..core.errors import InputError, SimulationError, require_instance, require_numbers
 from ..core.stop import verb
 from ..muscles.pneumatic_muscle import Muscle
 from ..numerics.newton import iterate, least_squares
@@ -20,8 +19,7 @@ from ..numerics.solvers import integrator
 from ..operating.linear import chosen_signals, point_of
 from ..operating.resting_point import OperatingPoint
 from ..plants.plant import Plant, Values, require_plant
-
-Array: TypeAlias = NDArray[np.float64]
+from .kinds import Array
 
 STEADY = 1e-9
 """A motion repeats itself when a period changes no state by more than this part of its nominal."""
@@ -114,11 +112,8 @@ def describing_function(
 
 
 def _positive(name: str, values: ArrayLike) -> Array:
-    try:
-        found = np.atleast_1d(np.asarray(values, dtype=float))
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {values!r}: give numbers") from None
-    if found.ndim != 1 or not found.size or not np.all(np.isfinite(found) & (found > 0)):
+    found = np.atleast_1d(require_numbers(name, values))
+    if found.ndim != 1 or not found.size or not np.all(found > 0):
         raise InputError(f"{name} must hold finite numbers > 0")
     return found
 
@@ -132,7 +127,6 @@ class _Period:
         self.plant, self.samples = plant, samples
         self.nominal = plant.vector("state", attribute="nominal")
         self.constants = np.concatenate([plant.vector("parameter"), u])
-        self.names = [v.name for v in plant.states]
         n, m = len(self.nominal), len(plant.parameters)
         x, t = ca.SX.sym("x", n), ca.SX.sym("t")
         p = ca.SX.sym("p", len(self.constants))
@@ -145,23 +139,14 @@ class _Period:
         slopes = ca.SX.sym("slopes", n, n)
         change = ca.jacobian(ode, x) @ slopes
         given, options = ca.vertcat(swing, p), {"reltol": rtol, "abstol": rtol}
-        both = {
-            "t": t,
-            "x": ca.vertcat(x, ca.vec(slopes)),
-            "p": given,
-            "ode": ca.vertcat(ode, ca.vec(change)),
-        }
-        self.map = integrator("period", "rosenbrock", both, 0.0, 1.0, options)
-        grid = (np.arange(samples) + 1.0) / samples
         single = {"t": t, "x": x, "p": given, "ode": ode}
-        self.motion = integrator("motion", "rosenbrock", single, 0.0, grid.tolist(), options)
+        varied = {"x": ca.vertcat(x, ca.vec(slopes)), "ode": ca.vertcat(ode, ca.vec(change))}
+        self.map = integrator("period", "rosenbrock", single | varied, 0.0, 1.0, options)
+        self.grid = (np.arange(samples) + 1.0) / samples
+        self.motion = integrator("motion", "rosenbrock", single, 0.0, self.grid.tolist(), options)
         shown = [v.name for v in (*plant.states, *plant.outputs)].index(output)
         value = ca.vertcat(x * self.nominal, y)[shown]
         self.output = ca.Function("output", [t, x, given], [value])
-        self.grid = grid
-
-    def _given(self, amplitude: float, hertz: float) -> Array:
-        return np.concatenate([[amplitude, 1 / hertz], self.constants])
 
     def _failure(self, amplitude: float, hertz: float, why: str) -> SimulationError:
         return SimulationError(
@@ -173,18 +158,17 @@ class _Period:
         self, start: Array, amplitude: float, hertz: float
     ) -> tuple[Array, NDArray[np.complex128]]:
         """The state (SI) at the begin of a period of the periodic motion, and its multipliers."""
-        n, given = len(self.nominal), self._given(amplitude, hertz)
+        n, given = len(self.nominal), [amplitude, 1 / hertz, *self.constants]
         slopes = np.eye(n)
 
         def missed(x: Array) -> tuple[Array, Callable[[Array], Array]]:
             try:
-                end = np.asarray(
-                    self.map(x0=np.concatenate([x, np.eye(n).ravel()]), p=given)["xf"], dtype=float
-                ).ravel()
+                found = self.map(x0=[*x, *np.eye(n).ravel()], p=given)["xf"]
+                end = np.asarray(found, dtype=float).ravel()
             except RuntimeError:
-                raise self._failure(amplitude, hertz, "cannot be integrated") from None
+                end = np.array([np.nan])
             if not np.all(np.isfinite(end)):
-                raise self._failure(amplitude, hertz, "cannot be integrated")
+                raise self._failure(amplitude, hertz, "cannot be integrated") from None
             slopes[:] = end[n:].reshape(n, n, order="F")
             return end[:n] - x, least_squares(slopes - np.eye(n), rcond=1e-13)
 
@@ -207,7 +191,7 @@ class _Period:
         """N, the mean, and the distortion of the output over the period that begins at
         ``start``.
         """
-        given = self._given(amplitude, hertz)
+        given = [amplitude, 1 / hertz, *self.constants]
         states = self.motion(x0=start / self.nominal, p=given)["xf"]
         y = np.asarray(self.output(self.grid[None, :], states, given), dtype=float).ravel()
         # y = mean + sum over k of Re(c_k e^(2 pi i k t)); a sine of amplitude A is -i A

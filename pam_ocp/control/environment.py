@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Any, Literal, TypeAlias, get_args
@@ -17,8 +17,8 @@ from ..core.stop import verb
 from ..export.worlds.jax_world import JaxPlant, jax_plant
 from ..planning.planner import plan
 from ..plants.plant import Plant, Values, require_plant
+from .kinds import Array
 
-Array: TypeAlias = NDArray[np.float64]
 Target: TypeAlias = "Mapping[str, float | tuple[float, float]]"
 Kind = Literal["reach", "track", "stiffness"]
 
@@ -154,8 +154,6 @@ class _System:
     @cached_property
     def _moved(self) -> Any:
         """(x, u) -> (x a sample later, y there), compiled."""
-        import jax
-
         longest = self.world.longest / PARTS
         steps = max(1, math.ceil(self.sample_time / longest)) if longest < math.inf else 1
         method = "rk4" if steps <= RK4_STEPS else "rosenbrock"
@@ -166,31 +164,18 @@ class _System:
             new = stepper.run(x, u, steps=steps)
             return new, self.world.outputs(0.0, new, u)
 
-        return jax.jit(moved)
+        return _compiled(moved)
 
     @cached_property
-    def _outputs(self) -> Any:
-        import jax
-
-        return jax.jit(lambda x, u: self.world.outputs(0.0, x, u))
-
-    def outputs(self, x: Array, u: Array) -> Array:
-        """y (n, ny)."""
-        made: Array = self._called(lambda: self._outputs(x, u))
-        return made
-
-    def _called(self, function: Any) -> Any:
-        import jax
-
-        with jax.enable_x64(True):
-            return jax.tree.map(np.asarray, function())
+    def outputs(self) -> Any:
+        """(x, u) -> y (n, ny), compiled."""
+        return _compiled(lambda x, u: self.world.outputs(0.0, x, u))
 
     def moved(self, x: Array, action: Array) -> tuple[Array, Array, Array]:
         """(x, y, u) a sample later."""
         low, high = (self.plant.vector("input", attribute=a) for a in ("min", "max"))
         u = low + (np.clip(np.asarray(action, float), -1, 1) + 1) / 2 * (high - low)
-        new, y = self._called(lambda: self._moved(x, u))
-        return new, y, u
+        return *self._moved(x, u), u
 
     def drawn(self, rng: np.random.Generator, n: int) -> Array:
         """Targets (n, values)."""
@@ -259,6 +244,18 @@ class _System:
     def score(self, time: float) -> float:
         """The optimal time as a part of a policy's: 1 is the optimum."""
         return float(self.optimum.duration / require_positive("time", time, "s"))
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    import jax
+
+    jitted = jax.jit(function)
+
+    def called(*arguments: Array) -> Any:
+        with jax.enable_x64(True):
+            return jax.tree.map(np.asarray, jitted(*arguments))
+
+    return called
 
 
 @cache

@@ -7,20 +7,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..core.block import Block
 from ..core.errors import InputError
 from ..core.stop import locked
 from ..plants.plant import Plant, require_plant
 from .blocks.draft import Draft, Symbol, as_output, per
-from .kinds import BLOCKS
-
-Array: TypeAlias = NDArray[np.float64]
+from .kinds import BLOCKS, Array
 
 STEPS = 16
 """Of Newton's method where the equations are not straight lines of the pressures."""

@@ -22,12 +22,16 @@ on and off) is put around it by :func:`guarded`. A law may take these inputs, wh
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError, UnknownNameError, kind_of
 from ..core.registry import Registry
 
+Array: TypeAlias = NDArray[np.float64]
 CONTROLLERS: Registry[Callable[..., Any]] = Registry("controller", __package__)
 ESTIMATORS: Registry[Callable[..., Any]] = Registry("estimator", f"{__package__}.estimators")
 BLOCKS: Registry[Callable[..., Block]] = Registry("block", __package__)

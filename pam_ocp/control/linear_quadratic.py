@@ -5,11 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..core.block import Block
 from ..core.errors import InputError, require_instance, require_positive
@@ -21,10 +20,8 @@ from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .blocks.draft import Draft, Symbol, about
 from .blocks.running import SampledLaw
-from .kinds import BLOCKS, CONTROLLERS
+from .kinds import BLOCKS, CONTROLLERS, Array
 from .state_feedback import Setpoint, StateFeedback, feedback_law
-
-Array: TypeAlias = NDArray[np.float64]
 
 HALVINGS = 6
 """From a nominal value down: steps of an input that are looked at, and as many up."""

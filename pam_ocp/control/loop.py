@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import (
@@ -19,6 +18,7 @@ from ..core.errors import (
     UnknownNameError,
     kind_of,
     require_count,
+    require_instance,
     require_positive,
     require_tolerance,
 )
@@ -33,6 +33,7 @@ from ..plants.plant import Given, Plant, Values
 from ..plants.plant_data import SYSTEM, carried, plant_of_data
 from ..simulation.instruments import Instrument
 from .controller import Controller, Estimate, Measured, Observer, Tracking
+from .kinds import Array
 from .mpc_statistics import MpcStatistics, MpcStep
 from .references import Source, source
 from .sides import Actuators, HasSide, PlantSide, Sensors, Side, side_of
@@ -40,7 +41,6 @@ from .sides import Actuators, HasSide, PlantSide, Sensors, Side, side_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array: TypeAlias = NDArray[np.float64]
 Law: TypeAlias = "Controller | Tracking | Callable[[float, Measured], Mapping[str, float]]"
 
 SAMPLE_TIME = 1e-3
@@ -348,8 +348,7 @@ def _require_controller(controller: Any, plant: Any) -> None:
             f"controller is {kind_of(controller)}, which is not called with (t, measured); "
             "give a controller, or a function"
         )
-    if plant is not None and not isinstance(plant, Plant):
-        raise InputError(f"plant is {kind_of(plant)}: give the Plant that the FMU is of")
+    require_instance("plant", plant, Plant, "give the Plant that the FMU is of", none=True)
 
 
 def _sample_time(

@@ -6,14 +6,12 @@ import math
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.shown import shown
-
-Array: TypeAlias = NDArray[np.float64]
+from .kinds import Array
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError, require_finite, require_instance, require_positive
@@ -20,10 +19,9 @@ from .blocks.draft import Draft, Symbol, as_output, compensated
 from .blocks.running import ByBlock, Running, SampledLaw
 from .controller import Measured
 from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
-from .kinds import BLOCKS
+from .kinds import BLOCKS, Array
 from .references import Reference
 
-Array: TypeAlias = NDArray[np.float64]
 Values: TypeAlias = Mapping[str, Any]
 """Numbers or symbols by name."""
 

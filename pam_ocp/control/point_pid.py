@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -21,12 +21,10 @@ from .blocks.running import SampledLaw
 from .kinds import BLOCKS, CONTROLLERS
 from .pid import PID, pid_law, saturating
 from .references import Source
-from .state_feedback import acting, at_rest
+from .state_feedback import REST, acting
 
 if TYPE_CHECKING:
     import control
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @CONTROLLERS.register("pid", units={"filter_time": "s", "sample_time": "s"})
@@ -173,7 +171,7 @@ def point_pid(controller: PointPid, name: str = "pid") -> Block:
     ]
     position = controller.plant.variable(controller.position)
     wanted = draft.wanted(position, controller.wanted(0.0)[position.name])
-    u0 = at_rest(draft, "u0", chosen, [point[v.name] for v in chosen])
+    u0 = draft.parameters("u0", chosen, [point[v.name] for v in chosen], REST)
     w = ca.vertcat(
         *(
             draft.parameter(

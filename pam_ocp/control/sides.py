@@ -9,11 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.errors import (
     InputError,
@@ -33,9 +31,8 @@ from ..simulation.instruments import Instrument, readers_of
 from ..simulation.sampled import SampledPlant
 from ..simulation.simulator import evaluated
 from .controller import Observer
+from .kinds import Array
 from .references import Source, source
-
-Array: TypeAlias = NDArray[np.float64]
 
 ASTRAY = 10.0
 """A state this many times beyond all that is usual for it tells of an unstable loop."""
@@ -61,13 +58,8 @@ class Side(ABC):
     def __enter__(self) -> Side:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._held_open.__exit__(kind, error, trace)
+    def __exit__(self, *raised: Any) -> None:
+        self._held_open.__exit__(*raised)
 
     @abstractmethod
     def values(self) -> dict[str, float]:
@@ -211,7 +203,10 @@ class FmuSide(Side):
             inputs = fmu.names("input")
             self._names = list(dict.fromkeys([*fmu.states, *inputs, *fmu.names("output")]))
             self.variables = tuple(_described(fmu, n, model) for n in self._names)
-            self._require_inputs(model)
+            needed = () if model is None else (*model.states, *model.inputs)
+            for v in needed:
+                if v.name not in self._names and not v.disturbance:
+                    raise UnknownNameError("variable of the FMU", v.name, self._names)
             self._runner: Any = opened.enter_context(Runner(fmu, "CoSimulation"))
             given = {**by_name("parameters", parameters), **by_name("start", start)}
             if not (start is None or isinstance(start, Mapping)):  # of a point what the FMU has
@@ -220,13 +215,6 @@ class FmuSide(Side):
             read = self._runner.get(inputs)
             self.inputs = {n: float(v) for n, v in zip(inputs, read, strict=True)}
             self._held_open = opened.pop_all()
-
-    def _require_inputs(self, model: Plant | None) -> None:
-        """UnknownNameError for a state or control of the model that the FMU does not have."""
-        if model is not None:
-            for variable in (*model.states, *(v for v in model.inputs if not v.disturbance)):
-                if variable.name not in self._names:
-                    raise UnknownNameError("variable of the FMU", variable.name, self._names)
 
     def values(self) -> dict[str, float]:
         self._runner.set(self.inputs)
@@ -302,12 +290,10 @@ class Actuators:
         self._alias = {n.replace(".", "_"): n for n in self._known}
         self._range = {n: self._known[n] for n in side.inputs}
         self._start = dict(side.inputs)
-        inversion = None if model is None else Inversion(model)
-        self._inversion = inversion if inversion and self._of(model) else None
-
-    def _of(self, model: Plant | None) -> bool:
-        """Whether the side has the model's inputs."""
-        return model is not None and all(v.name in self._range for v in model.inputs)
+        inversion = None
+        if model is not None and all(v.name in self._range for v in model.inputs):
+            inversion = Inversion(model)
+        self._inversion = inversion or None
 
     def known(self, name: str) -> Variable:
         """A variable of the side. Raises UnknownNameError."""
@@ -377,7 +363,8 @@ class Sensors:
         seed: int,
         instruments: Mapping[str, Instrument] | None = None,
     ) -> None:
-        self.names = [v.name for v in side.variables if v.causality in ("state", "output")]
+        known = {v.name: v for v in side.variables if v.causality in ("state", "output")}
+        self.names = [*known]
         alias = {n.replace(".", "_"): n for n in self.names}
         expected = estimator.deviations if estimator is not None else {}
         for name in expected:
@@ -392,7 +379,6 @@ class Sensors:
         if unknown:
             raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")
         self._random = np.random.default_rng(require_count("seed", seed, 0))
-        known = {v.name: v for v in side.variables if v.name in self.names}
         known |= {n: known[full] for n, full in alias.items()}
         for name in instruments or {}:
             if name not in known:

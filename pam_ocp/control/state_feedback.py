@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..core.block import Block
 from ..core.errors import InputError, require_instance
@@ -18,18 +18,18 @@ from ..operating.linear import chosen_signals, linearize
 from ..operating.resting_point import OperatingPoint
 from ..plants.inversion import Inversion
 from .blocks.chain import chain
-from .blocks.draft import Draft, Symbol, about, clipped, compensated, least_norm, opened_by
+from .blocks.draft import Draft, Symbol, clipped, compensated, least_norm, opened_by
 from .blocks.running import ByBlock, Running, SampledLaw
 from .controller import Measured
 from .estimators.stationary import StationaryFilter, stationary_filter
-from .kinds import BLOCKS, ESTIMATE
+from .kinds import BLOCKS, ESTIMATE, Array
 from .references import Source
 
 if TYPE_CHECKING:
     import control
 
-Array: TypeAlias = NDArray[np.float64]
 Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
+REST = "at the equilibrium"
 
 
 @dataclass
@@ -55,17 +55,18 @@ class StateFeedback(SampledLaw):
     def __post_init__(self) -> None:
         self._at_point = {n: self.point[n] for n in self.integrated}
         if isinstance(self.setpoint, Mapping):
-            self._check_setpoint(self.setpoint)
+            for name, value in self.setpoint.items():
+                self._integrated("setpoint", name).check(value, "setpoint")
 
-    def _check_setpoint(self, given: Mapping[str, float]) -> None:
-        for name, value in given.items():
-            variable = self.point.plant.variable(name)
-            if variable.name not in self.integrated:
-                raise InputError(
-                    f"setpoint: {name} is not integrated, so the feedback holds it at its point; "
-                    f"design lqr(..., integral={{{name!r}: weight}})"
-                )
-            variable.check(value, "setpoint")
+    def _integrated(self, argument: str, name: str) -> Variable:
+        """What is to be reached. InputError where it is not integrated."""
+        variable = self.point.plant.variable(name)
+        if variable.name not in self.integrated:
+            raise InputError(
+                f"{argument}: {name} is not integrated, so the feedback holds it at its point; "
+                f"design lqr(..., integral={{{name!r}: weight}})"
+            )
+        return variable
 
     def wanted(self, t: float) -> dict[str, float]:
         """Values that the integrated outputs are to reach: the point's, or the set point's."""
@@ -87,11 +88,7 @@ class StateFeedback(SampledLaw):
     ) -> StateFeedback:
         """The Controller that takes what it integrates to ``reference``; see :class:`Tracking`."""
         for name in reference:
-            if name not in self.integrated:
-                raise InputError(
-                    f"reference: {name} is not integrated, so the feedback holds it at its point; "
-                    f"design lqr(..., integral={{{name!r}: weight}})"
-                )
+            self._integrated("reference", name)
         return replace(self, setpoint=lambda t: {n: at(t) for n, at in reference.items()})
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
@@ -167,8 +164,8 @@ def state_feedback(controller: StateFeedback, name: str = "state_feedback") -> B
         draft.matrix("Ki", controller.Ki, chosen, integrated, "s"),
     )
     about = (
-        at_rest(draft, "x0", plant.states, point.x),
-        at_rest(draft, "u0", chosen, [point[n] for n in controller.inputs]),
+        draft.parameters("x0", plant.states, point.x, REST),
+        draft.parameters("u0", chosen, [point[n] for n in controller.inputs], REST),
     )
     goals = controller._at_point if callable(controller.setpoint) else controller.wanted(0.0)
     wanted = [draft.wanted(v, goals[v.name]) for v in integrated]
@@ -190,70 +187,46 @@ def feedback_law(
 
     states, chosen : x and u, beyond whose range the integrals are frozen. gains : K, Ki. about :
     x0, u0. tracked : what is integrated, and the values wanted of it.
+
+    Each step begins with what the one before has left: its errors, and whether an input was asked
+    for beyond its range. So the guard can tell what became of the commands; while something else is
+    sent, the integrals follow the inputs that acted.
     """
     (k, ki), (x0, u0), (integrated, wanted) = gains, about, tracked
-    u = v = u0 - ca.mtimes(k, draft.states(inversion, states) - x0)
-    integrals = Integrating(draft, [w.name for w in integrated])
-    if integrated:
-        short = acting(draft, inversion, chosen) - v
-        u = v - ca.mtimes(ki, integrals.values(ki, short))
-    errors = [draft.like(w) - goal for w, goal in zip(integrated, wanted, strict=True)]
-    integrals.add(errors, u, chosen)
-    draft.send(inversion, chosen, u)
-
-
-class Integrating:
-    """The integrals of a feedback u = v - Ki integral: frozen at limits, following while off.
-
-    Each step begins with what the one before has left: its error, and whether an input was asked
-    for beyond its range. So the guard can tell what became of the commands.
-    """
-
-    def __init__(self, draft: Draft, names: list[str]) -> None:
-        self.draft, self.names = draft, names
-        if names:
-            self.frozen = draft.memory("frozen", description="an input was beyond its range")
-        self._kept = [
+    u = u0 - ca.mtimes(k, draft.states(inversion, states) - x0)
+    if not integrated:
+        draft.send(inversion, chosen, u)
+        return
+    total, carry, error = (
+        draft.column(
             [
-                draft.memory(f"{part}.{n}", description=words)
-                for part, words in (
-                    ("integral", "integral of the error"),
-                    ("carry", "what rounding took from the integral"),
-                    ("error", "error of the last step"),
-                )
+                Variable(f"{part}.{v.name}", "state", start=0.0, description=words)
+                for v in integrated
             ]
-            for n in names
-        ]
-
-    def values(self, ki: Symbol, short: Symbol) -> Symbol:
-        """The integrals now. short : what the feedback without integrals lacks to the inputs that
-        acted (u_sent - v), which the integrals follow while something else is sent."""
-        draft = self.draft
-        self._now = []
-        if not self.names:
-            return draft.kind.zeros(0, 1)
-        limited = ca.logic_or(self.frozen, draft.limited)
-        follow = least_norm(ki, -short)
-        for i, (total, carry, error) in enumerate(self._kept):
-            more = ca.if_else(limited, 0, draft.sample_time * error)
-            added, left = compensated(total, carry, more)
-            added, left = (ca.if_else(limited, a, b) for a, b in ((total, added), (carry, left)))
-            here = ca.if_else(draft.active, added, follow[i])
-            self._now.append((here, ca.if_else(draft.active, left, 0)))
-        return ca.vertcat(*(here for here, _ in self._now))
-
-    def add(self, errors: list[Symbol], u: Symbol, chosen: Sequence[Variable]) -> None:
-        """Leave the errors, and the inputs as they were asked for, to the next step."""
-        if not self.names:
-            return
-        beyond = self.draft.kind(0)
-        for i, v in enumerate(chosen):
-            beyond = ca.fmax(beyond, ca.logic_or(u[i] < v.min, u[i] > v.max))
-        self.draft.next("frozen", beyond)
-        for name, (here, left), error in zip(self.names, self._now, errors, strict=True):
-            self.draft.next(f"integral.{name}", here)
-            self.draft.next(f"carry.{name}", left)
-            self.draft.next(f"error.{name}", error)
+        )
+        for part, words in (
+            ("integral", "integral of the error"),
+            ("carry", "what rounding took from the integral"),
+            ("error", "error of the last step"),
+        )
+    )
+    frozen = draft.memory("frozen", description="an input was beyond its range")
+    limited = ca.logic_or(frozen, draft.limited)
+    follow = least_norm(ki, u - acting(draft, inversion, chosen))
+    added, left = compensated(total, carry, draft.sample_time * error)
+    added, left = (ca.if_else(limited, a, b) for a, b in ((total, added), (carry, left)))
+    now = ca.if_else(draft.active, added, follow)
+    u = u - ca.mtimes(ki, now)
+    beyond = draft.kind(0)
+    for i, v in enumerate(chosen):
+        beyond = ca.fmax(beyond, ca.logic_or(u[i] < v.min, u[i] > v.max))
+    errors = [draft.like(v) - goal for v, goal in zip(integrated, wanted, strict=True)]
+    first = integrated[0].name
+    draft.next("frozen", beyond)
+    draft.next(f"integral.{first}", now)
+    draft.next(f"carry.{first}", ca.if_else(draft.active, left, 0))
+    draft.next(f"error.{first}", ca.vertcat(*errors))
+    draft.send(inversion, chosen, u)
 
 
 def acting(draft: Draft, inversion: Inversion | None, chosen: list[Variable]) -> Symbol:
@@ -262,18 +235,6 @@ def acting(draft: Draft, inversion: Inversion | None, chosen: list[Variable]) ->
         return draft.sent(chosen)
     acted = opened_by(inversion, inversion.plant, draft)
     return ca.vertcat(*(acted[v.name] for v in chosen))
-
-
-def at_rest(draft: Draft, name: str, variables: Sequence[Variable], values: ArrayLike) -> Symbol:
-    """Values at an equilibrium, each a parameter ``name.VARIABLE``."""
-    return ca.vertcat(
-        *(
-            draft.parameter(
-                f"{name}.{v.name}", float(value), **about(v, f"{v.name} at the equilibrium")
-            )
-            for v, value in zip(variables, np.asarray(values, dtype=float), strict=True)
-        )
-    )
 
 
 # ---- without offset: the disturbance is estimated and made good for (no integrals) ---------------

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, get_args
+from typing import Any, get_args
 
 import casadi as ca
 import numpy as np
@@ -22,8 +21,7 @@ from ..core.plausible import outside
 from ..numerics.runge_kutta import rk4
 from ..plants.plant import Plant, Values
 from ..simulation.sampled import StepMethod, stepped
-
-Array: TypeAlias = NDArray[np.float64]
+from .kinds import Array
 
 LEAST, MOST = 2, 64
 """Substeps where none are given."""
@@ -89,23 +87,6 @@ class Givens:
         return inputs, p, offsets
 
 
-def open_range(argument: str, given: Any, unit: str = "") -> tuple[float, float]:
-    """(low, high) that a user gave, None for an open end [SI]. Raises InputError."""
-    try:
-        ends = () if isinstance(given, str) else tuple(given)
-    except TypeError:
-        ends = ()
-    if len(ends) != 2:
-        raise InputError(f"{argument} = {given!r}: give (low, high)")
-    low, high = (
-        open_end if end is None else require_finite(argument, end, unit)
-        for end, open_end in zip(ends, (-math.inf, math.inf), strict=True)
-    )
-    if low > high:
-        raise InputError(f"{argument} = {given!r}: the bounds are crossed")
-    return low, high
-
-
 @dataclass(frozen=True)
 class Step:
     """How one node follows from the one before, the inputs held.
@@ -154,9 +135,9 @@ class Step:
         """1/|pole| [s] of the motion that decays in the plant and grows most here; 0 for none."""
         if self.method != "rk4":
             return 0.0
-        at = np.concatenate([plant.vector(c) for c in ("state", "input", "parameter")])
-        poles = plant.cached(("decaying poles", *at), lambda: _poles(plant))
-        growth = self._growth(poles)
+        x, u, p = (plant.vector(c) for c in ("state", "input", "parameter"))
+        poles = plant.cached(("decaying poles", *x, *u, *p), lambda: _poles(plant, x, u))
+        growth = self._growth(poles)  # of a pole 0 it is 1
         if np.max(growth, initial=0.0) <= GROWTH:
             return 0.0
         return float(1 / np.abs(poles[int(np.argmax(growth))]))
@@ -182,12 +163,12 @@ class Step:
         known = ca.SX.sym("q", len(given.names))
         slope = _slope(given, state, control, known)
         slopes = ca.Function("slopes", [state, control, known], [slope, ca.jacobian(slope, state)])
-        span = self.length if length is None else length
 
         def slopes_at(z: ca.SX) -> tuple[ca.SX, ca.SX]:
             value, jacobian = slopes.call([z, u, q])
             return value, jacobian
 
+        span = self.length if length is None else length
         return stepped(slopes_at, x, span, self.method, self.substeps)
 
     def with_slopes(
@@ -227,8 +208,8 @@ def _slope(given: Givens, x: ca.SX, u: ca.SX, q: ca.SX) -> ca.SX:
 
 
 def _poles_about(plant: Plant) -> NDArray[np.complex128]:
-    """Poles [1/s] that decay (0 for those that do not), at places all over the finite ranges of
-    states and inputs; a row each. What has no range stays within its nominal value.
+    """Those at places all over the finite ranges of states and inputs; a row each. What has no
+    range stays within its nominal value.
     """
     rng = np.random.default_rng(0)
     columns = []
@@ -239,24 +220,17 @@ def _poles_about(plant: Plant) -> NDArray[np.complex128]:
         open_ = ~(np.isfinite(low) & np.isfinite(high))
         low, high = np.where(open_, start - size, low), np.where(open_, start + size, high)
         columns.append(rng.uniform(low[:, None], high[:, None], (len(low), PLACES)))
-    x, u = columns
-    p, scale = plant.vector("parameter"), plant.vector("state", attribute="nominal")
-    ratio = scale / scale[:, None]
-    found = []
-    for k in range(PLACES):
-        a = np.asarray(plant.jacobians(x[:, k], u[:, k], p)[0], dtype=float) * ratio
-        if np.all(np.isfinite(a)):
-            found.append(np.linalg.eigvals(a))
-    poles = np.array(found, dtype=np.complex128).reshape(-1, len(scale))
-    return np.where(poles.real < 0, poles, 0.0)
+    places = zip(*(column.T for column in columns), strict=True)
+    rows = [poles for x, u in places if len(poles := _poles(plant, x, u))]
+    return np.array(rows, dtype=np.complex128).reshape(-1, len(plant.states))
 
 
-def _poles(plant: Plant) -> NDArray[np.complex128]:
-    """Poles at the start values that decay [1/s]."""
-    x, u, p = (plant.vector(c) for c in ("state", "input", "parameter"))
+def _poles(plant: Plant, x: Array, u: Array) -> NDArray[np.complex128]:
+    """Poles [1/s] that decay, 0 for those that do not; none where slopes are not finite."""
     scale = plant.vector("state", attribute="nominal")
-    a = np.asarray(plant.jacobians(x, u, p)[0], dtype=float) * scale / scale[:, None]
+    slopes = plant.jacobians(x, u, plant.vector("parameter"))[0]
+    a = np.asarray(slopes, dtype=float) * scale / scale[:, None]
     if not np.all(np.isfinite(a)):
         return np.zeros(0, dtype=np.complex128)
     found = np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
-    return found[found.real < 0]
+    return np.where(found.real < 0, found, 0.0)

@@ -8,7 +8,7 @@ by Python.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,70 +22,36 @@ Array: TypeAlias = NDArray[np.float64]
 AMBIENT = 101325.0
 """Standard atmosphere [Pa], which an absolute pressure counts from where nothing else is said."""
 
-# What people write, in lower case, and the name in pam_ocp.core.units
-SPELLINGS = {
-    "pa": "Pa",
-    "hpa": "hPa",
-    "kpa": "kPa",
-    "mpa": "MPa",
-    "mbar": "mbar",
-    "bar": "bar",
-    "barg": "bar",
-    "bara": "bar abs",
-    "psi": "psi",
-    "psig": "psi",
-    "psia": "psi abs",
-    "torr": "torr",
-    "mmhg": "mmHg",
-    "inhg": "inHg",
-    "ata": "at abs",
-    "atü": "at",
-    "n": "N",
-    "kn": "kN",
-    "dan": "daN",
-    "kp": "kp",
-    "newton": "N",
-    "lbf": "lbf",
-    "kgf": "kgf",
-    "m": "m",
-    "cm": "cm",
-    "mm": "mm",
-    "in": "in",
-    "inch": "in",
-    "s": "s",
-    "sec": "s",
-    "seconds": "s",
-    "sekunden": "s",
-    "second": "s",
-    "ms": "ms",
-    "msec": "ms",
-    "milliseconds": "ms",
-    "us": "us",
-    "usec": "us",
-    "microseconds": "us",
-    "nsec": "ns",
-    "nanoseconds": "ns",
-    "min": "min",
-    "minutes": "min",
-    "hours": "h",
-    "day": "d",
-    "days": "d",
-    "tage": "d",
-    "rad": "rad",
-    "deg": "deg",
-    "°": "deg",
-    "%": "%",
-    "percent": "%",
-    "pct": "%",
-    "1": "1",
-    "-": "1",
-    "fraction": "1",
-    "volt": "V",
-    "µs": "us",
-    "μs": "us",
-    "µm": "um",
-    "μm": "um",
+_NAMES = (
+    "Pa hPa kPa MPa mbar bar psi torr mmHg inHg N kN daN kp lbf kgf m cm mm in s ms us min rad deg "
+    "% 1"
+)
+"""Of pam_ocp.core.units, which are known in small letters, too."""
+_WORDS = {
+    "bar": "barg",
+    "bar abs": "bara",
+    "psi": "psig",
+    "psi abs": "psia",
+    "at": "atü",
+    "at abs": "ata",
+    "N": "newton",
+    "in": "inch",
+    "um": "µm μm",
+    "s": "sec second seconds sekunden",
+    "ms": "msec milliseconds",
+    "us": "usec microseconds µs μs",
+    "ns": "nsec nanoseconds",
+    "min": "minutes",
+    "h": "hours",
+    "d": "day days tage",
+    "deg": "°",
+    "%": "percent pct",
+    "1": "- fraction",
+    "V": "volt",
 }
+SPELLINGS = {name.lower(): name for name in _NAMES.split()}
+SPELLINGS |= {word: name for name, words in _WORDS.items() for word in words.split()}
+"""What people write, in lower case, and the name in pam_ocp.core.units."""
 COUNTS = frozenset(
     {"1", "count", "counts", "cnt", "digit", "digits", "lsb", "inc", "bit", "bits", "raw", "adc"}
 )
@@ -117,7 +83,7 @@ class Scale:
 
     unit: str
     measured: Unit
-    formula: _Node | None = None
+    formula: str | None = None
     reading: float = 1.0
     kind: tuple[int, ...] = ()
     shift: float = 0.0
@@ -127,7 +93,7 @@ class Scale:
         if self.formula is None:
             return np.asarray(values * self.measured.factor - self.shift)
         with np.errstate(all="ignore"):
-            found = _value(self.formula, values * self.reading, self.kind, self.unit)[0]
+            found = _Parser(self.unit, self.formula, values * self.reading, self.kind).value()[0]
         return np.asarray(found * np.ones_like(values) - self.shift)
 
 
@@ -169,24 +135,28 @@ def scale_of(
     except UnknownNameError:
         if not re.search(r"[-+*/^\s\d]", plain):
             raise
-        tree = _parsed(where, plain)
-        return _calibrated(where, name, tree, base, header, shift)
+        return replace(_calibrated(where, plain, base, header), unit=name, shift=shift)
     return Scale(name, measured, shift=shift)
 
 
-def _calibrated(
-    where: str, text: str, tree: _Node, base: Unit | None, header: str | None, shift: float
-) -> Scale:
-    names = sorted(_readings(tree))
+def _calibrated(where: str, text: str, base: Unit | None, header: str | None) -> Scale:
+    parser, formula = _Parser(where, text), text
+    parser.value()
+    names = sorted(parser.names)
     if len(names) > 1:
         raise InputError(
             f"{where}: {text!r} names {' and '.join(names)}; a calibration has one reading, as in "
             "'V * 2 bar/V - 0.3 bar', and a unit behind every constant"
         )
     if names:
-        reading = _unit_or_count(names[0], header)
-    else:
-        reading, tree = _gain(where, text, tree)
+        reading = _unit_or_count(names[0])
+    else:  # "2 bar/V": so much for each V
+        below = text.rpartition("/")[2].strip() if "/" in text else ""
+        if not below or sum(bool(token["number"]) for token in parser.tokens) > 1:
+            raise InputError(
+                f"{where}: {text!r} names no reading; write it as in 'V * 2 bar/V - 0.3 bar'"
+            )
+        reading, formula = _unit_or_count(below), f"{below} * ({text})"
     if header is not None and header.lower() not in COUNTS:
         said = unit(spelled(header).removesuffix(" abs"))
         if names and _is_symbol(names[0]) and not said.compatible(reading):
@@ -194,13 +164,13 @@ def _calibrated(
                 f"{where} says {header}, but {text!r} reads {names[0]}; correct one of them"
             )
         reading = said
-    _, kind = _value(tree, np.ones(1), reading.exponents, text)
+    _, kind = _Parser(where, formula, np.ones(1), reading.exponents).value()
     if base is not None and kind != base.exponents:
         raise InputError(
             f"{where}: {text!r} gives something else than {base.name}; give each constant its "
             f"unit, as in 'V * 2 {base.name}/V - 0.3 {base.name}'"
         )
-    return Scale(text, Unit(text, kind), tree, reading.factor, reading.exponents, shift)
+    return Scale(text, Unit(text, kind), formula, reading.factor, reading.exponents)
 
 
 def _is_symbol(name: str) -> bool:
@@ -212,31 +182,28 @@ def _is_symbol(name: str) -> bool:
     return True
 
 
-def _unit_or_count(name: str, header: str | None) -> Unit:
+def _unit_or_count(name: str) -> Unit:
     name = SPELLINGS.get(name.lower(), name)
     return unit(name) if _is_symbol(name) else unit("1")
 
 
-def _gain(where: str, text: str, tree: _Node) -> tuple[Unit, _Node]:
-    """``"2 bar/V"``: so much for each V."""
-    below = text.rpartition("/")[2].strip() if "/" in text else ""
-    if tree[0] != "constant" or not below:
-        raise InputError(
-            f"{where}: {text!r} names no reading; write it as in 'V * 2 bar/V - 0.3 bar'"
-        )
-    return _unit_or_count(below, None), ("*", tree, ("reading", below))
-
-
 # ---- grammar: sums of products of powers of readings and constants ------------------------------
-_Node: TypeAlias = tuple[Any, ...]
 _Value: TypeAlias = tuple[Any, tuple[int, ...]]
+"""(SI value, exponents of its unit)."""
 
 
 class _Parser:
-    """sum = product {(+|-) product}; product = power {(*|/) power}; power = atom [^ digit]."""
+    """sum = product {(+|-) product}; product = power {(*|/) power}; power = atom [^ digit].
 
-    def __init__(self, where: str, text: str) -> None:
-        self.where, self.text, at = where, text, 0
+    Each gives its value for readings [SI] of a kind; kind None: units are not looked at.
+    """
+
+    def __init__(
+        self, where: str, text: str, readings: Any = 1.0, kind: tuple[int, ...] | None = None
+    ) -> None:
+        self.where, self.text, self.readings, self.kind, at = where, text, readings, kind, 0
+        self.names: set[str] = set()
+        """Of the readings."""
         self.tokens: list[re.Match[str]] = []
         while at < len(text.rstrip()):
             match = _TOKEN.match(text, at)
@@ -252,34 +219,51 @@ class _Parser:
             "'V * 2 bar/V - 0.3 bar'"
         )
 
+    def value(self) -> _Value:
+        """Of the whole text."""
+        found = self.sum()
+        if self.at < len(self.tokens):
+            raise self.wrong(f"cannot be read at {self.tokens[self.at][0].strip()!r}")
+        return found
+
     def peek(self, kind: str, ahead: int = 0) -> str | None:
         place = self.at + ahead
         return self.tokens[place][kind] if place < len(self.tokens) else None
 
-    def sum(self) -> _Node:
+    def sum(self) -> _Value:
         sign = self.peek("sign")
         if sign in ("+", "-"):
             self.at += 1
-        node = self.product()
-        node = ("-", ("zero",), node) if sign == "-" else node
+        total, kind = self.product()
+        total = -total if sign == "-" else total
         while (sign := self.peek("sign")) in ("+", "-"):
             self.at += 1
-            node = (sign, node, self.product())
-        return node
+            more, other = self.product()
+            if self.kind is not None and kind != other:
+                raise InputError(
+                    f"{self.text!r} adds things of different kinds; give each constant its unit, "
+                    "as in 'V * 2 bar/V - 0.3 bar'"
+                )
+            total = total + more if sign == "+" else total - more
+        return total, kind
 
-    def product(self) -> _Node:
-        node = self.power()
+    def product(self) -> _Value:
+        value, kind = self.power()
         while (sign := self.peek("sign")) in ("*", "/", "·"):
             self.at += 1
-            node = ("/" if sign == "/" else "*", node, self.power())
-        return node
+            other, its = self.power()
+            value = np.divide(value, other) if sign == "/" else value * other
+            turn = -1 if sign == "/" else 1
+            kind = tuple(a + turn * b for a, b in zip(kind, its, strict=True))
+        return value, kind
 
-    def power(self) -> _Node:
-        node = self.atom()
+    def power(self) -> _Value:
+        value, kind = self.atom()
         if self.peek("sign") in ("^", "**"):
             self.at += 1
-            node = ("^", node, self.digit())
-        return node
+            power = self.digit()
+            return value**power, tuple(e * power for e in kind)
+        return value, kind
 
     def digit(self) -> int:
         number = self.peek("number")
@@ -288,94 +272,45 @@ class _Parser:
         self.at += 1
         return int(number)
 
-    def atom(self) -> _Node:
+    def atom(self) -> _Value:
         if self.peek("sign") == "(":
             self.at, self.level = self.at + 1, self.level + 1
-            node = self.sum()
+            found = self.sum()
             if self.peek("sign") != ")" or self.level > 20:
                 raise self.wrong("lacks a closing bracket")
             self.at += 1
-            return node
+            return found
         number = self.peek("number")
         if number is not None:
             self.at += 1
-            return ("constant", float(number), self.units())
-        name = self.peek("name")
+            return self.constant(float(number))
+        name, power = self.peek("name"), int(self.peek("power") or 1)
         if name is None:
             raise self.wrong("ends too early" if self.at >= len(self.tokens) else "is no equation")
-        power = self.peek("power")
         self.at += 1
-        return ("^", ("reading", name), int(power)) if power else ("reading", name)
+        self.names.add(name)
+        return self.readings**power, tuple(e * power for e in self.kind or unit("1").exponents)
 
-    def units(self) -> tuple[tuple[str, int], ...]:
-        """The unit behind a number: names joined by / or a point; ``*`` ends it."""
-        found, sign = [], 1
+    def constant(self, number: float) -> _Value:
+        """With the unit behind it: names joined by / or a point; ``*`` ends it."""
+        exponents, sign = unit("1").exponents, 1
         while (name := self.peek("name")) is not None:
             power = int(self.peek("power") or 1)
             self.at += 1
             if self.peek("sign") == "^":
                 self.at += 1
                 power = self.digit()
-            found.append((name, sign * power))
+            known = SPELLINGS.get(name.lower(), name)
+            counted = known.lower() in COUNTS or not (_is_symbol(known) or any(self.kind or ()))
+            if self.kind is not None and not counted:
+                one = unit(known)
+                number *= one.factor ** (sign * power)
+                exponents = tuple(
+                    e + sign * power * o for e, o in zip(exponents, one.exponents, strict=True)
+                )
             following = self.peek("sign")
             if following not in ("/", ".") or self.peek("name", 1) is None:
                 break
             sign = -1 if following == "/" else sign
             self.at += 1
-        return tuple(found)
-
-
-def _parsed(where: str, text: str) -> _Node:
-    parser = _Parser(where, text)
-    node = parser.sum()
-    if parser.at < len(parser.tokens):
-        raise parser.wrong(f"cannot be read at {parser.tokens[parser.at][0].strip()!r}")
-    return node
-
-
-def _readings(node: _Node) -> set[str]:
-    if node[0] == "reading":
-        return {node[1]}
-    return set().union(
-        *(_readings(n) for n in node[1:] if isinstance(n, tuple) and n and n[0] in _OF)
-    )
-
-
-_OF = ("reading", "constant", "zero", "+", "-", "*", "/", "^")
-
-
-def _value(node: _Node, reading: Array, kind: tuple[int, ...], text: str) -> _Value:
-    """(SI value, exponents of its unit)."""
-    what = node[0]
-    if what == "reading":
-        return reading, kind
-    if what == "zero":
-        return 0.0, ()
-    if what == "constant":
-        return _constant(node[1], node[2], kind)
-    if what == "^":
-        value, base = _value(node[1], reading, kind, text)
-        return value ** node[2], tuple(e * node[2] for e in base)
-    (a, left), (b, right) = (_value(n, reading, kind, text) for n in node[1:])
-    if what == "*":
-        return a * b, tuple(x + y for x, y in zip(left, right, strict=True))
-    if what == "/":
-        return np.divide(a, b), tuple(x - y for x, y in zip(left, right, strict=True))
-    if left and left != right:
-        raise InputError(
-            f"{text!r} adds things of different kinds; give each constant its unit, as in "
-            "'V * 2 bar/V - 0.3 bar'"
-        )
-    return (a + b if what == "+" else a - b), right
-
-
-def _constant(number: float, units: tuple[tuple[str, int], ...], kind: tuple[int, ...]) -> _Value:
-    exponents, factor = unit("1").exponents, 1.0
-    for name, power in units:
-        known = SPELLINGS.get(name.lower(), name)
-        if known.lower() in COUNTS or (not _is_symbol(known) and not any(kind)):
-            continue
-        one = unit(known)
-        exponents = tuple(e + power * o for e, o in zip(exponents, one.exponents, strict=True))
-        factor *= one.factor**power
-    return number * factor, exponents
+        return number, exponents

@@ -48,35 +48,22 @@ MODULE = frozenset(vars(types.ModuleType(""))) | frozenset(
 """Members of a module that come from where it lies."""
 READERS = ("open", "loadtxt", "genfromtxt", "fromfile", "memmap", "loadmat")
 """Names of what reads a file; so do those that begin with read_ or load_."""
-HIDDEN = {
-    "eval": "runs code that is text",
-    "exec": "runs code that is text",
-    "__import__": "imports what is named as it runs",
-    "import_module": "imports what is named as it runs",
-    "run_path": "runs a file that is named as it runs",
-    "globals": "looks up names as it runs",
-    "environ": "reads the environment",
-    "getenv": "reads the environment",
-    "sys.argv": "reads the command line",
-    "sys.modules": "looks up names as it runs",
-    "subprocess": "runs another program",
-    "os.popen": "runs another program",
-    "os.system": "runs another program",
-    "posix.system": "runs another program",
-    "socket": "asks other machines",
-    "urllib": "asks other machines",
-    "http": "asks other machines",
-    "requests": "asks other machines",
-    "sqlite3": "asks a database",
-    "input": "asks at the keyboard",
-    **dict.fromkeys(
-        ("time.time", "time.time_ns", "time.perf_counter", "time.monotonic", "now", "utcnow"),
-        "asks the clock",
-    ),
-    **dict.fromkeys(("uuid1", "uuid4", "urandom", "secrets"), "is another at each call"),
-    "CDLL": "calls compiled code",
-    "LoadLibrary": "calls compiled code",
+_ASKS = {
+    "runs code that is text": "eval exec",
+    "imports what is named as it runs": "__import__ import_module",
+    "runs a file that is named as it runs": "run_path",
+    "looks up names as it runs": "globals sys.modules",
+    "reads the environment": "environ getenv",
+    "reads the command line": "sys.argv",
+    "runs another program": "subprocess os.popen os.system posix.system",
+    "asks other machines": "socket urllib http requests",
+    "asks a database": "sqlite3",
+    "asks at the keyboard": "input",
+    "asks the clock": "time.time time.time_ns time.perf_counter time.monotonic now utcnow",
+    "is another at each call": "uuid1 uuid4 urandom secrets",
+    "calls compiled code": "CDLL LoadLibrary",
 }
+HIDDEN = {name: why for why, names in _ASKS.items() for name in names.split()}
 """What leads out of sight, {name, module, or name in a module: what it does}."""
 
 
@@ -478,7 +465,7 @@ class _Walk:
 
     def _object(self, value: Any) -> Iterator[bytes]:
         """By its class and its state, as copies are made of it."""
-        wrapped = [getattr(value, n) for n in _WRAPPED if n in _given(value)]
+        wrapped = [getattr(value, n) for n in _WRAPPED if hasattr(value, n)]
         if wrapped and type(value).__module__ in ("builtins", "functools"):
             yield from self._all(*wrapped, getattr(value, "keywords", None))
         elif hasattr(value, "serialize") and type(value).__module__.startswith("casadi"):
@@ -561,10 +548,6 @@ def _held(function: types.FunctionType) -> Iterator[Any]:
     for cell in function.__closure__ or ():
         with suppress(ValueError):  # empty
             yield cell.cell_contents
-
-
-def _given(value: Any) -> set[str]:
-    return {n for n in _WRAPPED if hasattr(value, n)}
 
 
 def _stated(kind: type, state: Any) -> Any:

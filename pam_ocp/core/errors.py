@@ -13,46 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .exceptions import (
-    ExportError,
-    FitError,
-    InputError,
-    OutOfTime,
-    PamError,
-    PlanError,
-    PlanWarning,
-    SimulationError,
-    UnknownNameError,
-    VibrationError,
-    WriteError,
-)
+from .exceptions import ExportError as ExportError
+from .exceptions import FitError as FitError
+from .exceptions import InputError as InputError
+from .exceptions import OutOfTime as OutOfTime
+from .exceptions import PamError as PamError
+from .exceptions import PlanError as PlanError
+from .exceptions import PlanWarning as PlanWarning
+from .exceptions import SimulationError as SimulationError
+from .exceptions import UnknownNameError as UnknownNameError
+from .exceptions import VibrationError as VibrationError
+from .exceptions import WriteError as WriteError
 from .plausible import doubt, meant_within
 from .quantities import is_quantity, quantity
-
-__all__ = [
-    "ExportError",
-    "FitError",
-    "InputError",
-    "OutOfTime",
-    "PamError",
-    "PlanError",
-    "PlanWarning",
-    "SimulationError",
-    "UnknownNameError",
-    "VibrationError",
-    "WriteError",
-    "kind_of",
-    "require_count",
-    "require_ends",
-    "require_finite",
-    "require_flag",
-    "require_instance",
-    "require_names",
-    "require_numbers",
-    "require_positive",
-    "require_tolerance",
-    "with_article",
-]
 
 LARGEST_COUNT = 2**63 - 1
 LEAST_TOLERANCE = 1e-14
@@ -118,23 +91,34 @@ def require_tolerance(argument: str, value: Any) -> float:
     return given
 
 
-def require_finite(argument: str, value: Any, unit: str = "") -> float:
-    """``value`` as a float, or an InputError when it is not a finite number.
+def require_number(argument: str, value: Any, unit: str = "") -> float:
+    """``value`` as a float, infinite and NaN among them, or an InputError when it is no number.
 
     A text such as "20 mm" is a number too, where ``unit`` is known.
     """
     if is_quantity(value):
-        value = quantity(argument, value, *([unit] if unit else []))
+        return quantity(argument, value, *([unit] if unit else []))
     try:
-        number = math.nan if isinstance(value, bool | np.bool_) else float(value)
+        if isinstance(value, bool | np.bool_):
+            value = bool(value)
+            raise TypeError
+        if getattr(value, "ndim", 0) > 0:
+            raise TypeError
+        return float(value)
     except OverflowError:
         raise InputError(f"{argument} is larger than any float (1.8e308)") from None
     except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{argument} = {value!r} is not a number; give a float") from None
+
+
+def require_finite(argument: str, value: Any, unit: str = "") -> float:
+    """``value`` as a float, or an InputError when it is not a finite number, see
+    :func:`require_number`.
+    """
+    number = require_number(argument, value, unit)
     if not math.isfinite(number):
-        given = value if isinstance(value, bool | np.bool_) else number
         kind = f"number {unit}" if unit not in ("", "1") else "number"
-        raise InputError(f"{argument} = {given} must be a finite {kind}")
+        raise InputError(f"{argument} = {number} must be a finite {kind}")
     return number
 
 
@@ -179,14 +163,24 @@ def require_numbers(
     return found
 
 
-def require_ends(argument: str, ends: Any, unit: str = "") -> tuple[float, float]:
-    """(low, high) of numbers or texts such as "3 bar"; ends may be infinite. Raises InputError."""
+def require_ends(
+    argument: str, ends: Any, unit: str = "", *, open_ends: bool = False
+) -> tuple[float, float]:
+    """(low, high) of numbers or texts such as "3 bar"; ends may be infinite. Raises InputError.
+
+    open_ends : None stands for an infinite end, and both may be equal.
+    """
     if not isinstance(ends, list | tuple | np.ndarray) or len(ends) != 2:
         raise InputError(f"{argument} = {ends!r}: give (low, high)")
     low, high = (
-        end if end in (-math.inf, math.inf) else require_finite(argument, end, unit) for end in ends
+        infinite
+        if open_ends and end is None
+        else end
+        if end in (-math.inf, math.inf)
+        else require_finite(argument, end, unit)
+        for end, infinite in zip(ends, (-math.inf, math.inf), strict=True)
     )
-    if not low < high:
+    if not (low < high or (open_ends and low == high)):
         raise InputError(f"{argument} = {ends!r} must be (low, high), the first the smaller")
     return float(low), float(high)
 

@@ -22,7 +22,11 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from .atomic import atomic_path, make_folder, require_local, require_place, spelled
+from .atomic import atomic_path as atomic_path
+from .atomic import make_folder as make_folder
+from .atomic import require_local as require_local
+from .atomic import require_place as require_place
+from .atomic import spelled as spelled
 from .exceptions import InputError, PamError
 from .interrupts import interruptible
 
@@ -30,30 +34,6 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
-
-__all__ = [
-    "atomic_path",
-    "content_of",
-    "json_of",
-    "make_folder",
-    "members_of",
-    "most_unpacked",
-    "read_json",
-    "read_npz",
-    "read_toml",
-    "reading",
-    "require_ending",
-    "require_file",
-    "require_format",
-    "require_local",
-    "require_place",
-    "require_size",
-    "require_unpacked",
-    "said_in",
-    "spelled",
-    "write_json",
-    "write_npz",
-]
 
 Array: TypeAlias = NDArray[Any]
 

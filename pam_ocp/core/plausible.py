@@ -140,7 +140,7 @@ def meant_within(value: float, unit: str, low: float, high: float) -> str:
     """A remedy for a value outside ``low`` .. ``high``: the unit in which it lies inside, or ""."""
     usual = _BY_KIND.get(unit_of(unit).exponents)
     names = usual.units if usual else ("%",) if unit == "1" else ()
-    size = max(abs(v) for v in (low, high) if math.isfinite(v)) if _ends(low, high) else 0.0
+    size = max((abs(v) for v in (low, high) if math.isfinite(v)), default=0.0)
     found = []
     for said in ("", *names):  # the unit that was said, "" for SI, and the one that was meant
         number = value if not said else _as_said(value, said)
@@ -158,10 +158,6 @@ def meant_within(value: float, unit: str, low: float, high: float) -> str:
 
 NEAR = 30.0
 """Times that a value is less than the largest possible: still likely."""
-
-
-def _ends(low: float, high: float) -> bool:
-    return math.isfinite(low) or math.isfinite(high)
 
 
 def _as_said(value: float, unit: str) -> float:

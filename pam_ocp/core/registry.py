@@ -206,10 +206,10 @@ def arguments(
     made: Callable[..., Any], units: Mapping[str, tuple[str, ...]]
 ) -> dict[str, Argument]:
     """The arguments of a class or function; a plain number's unit is "1"."""
-    found = {}
+    found, roles = {}, {r.argument for r in _REGISTRIES.values()}
     for name, parameter in inspect.signature(made).parameters.items():
         kind = str(parameter.annotation)  # "Loss | float" is a component, or a number for one
-        number = kind == "float" or ("float" in kind and name not in _roles())
+        number = kind == "float" or ("float" in kind and name not in roles)
         own = units.get(name, ("1",) if number else ())
         found[name] = Argument(name, own, parameter.default)
     return found
@@ -223,10 +223,6 @@ def registries() -> tuple[Registry[Any], ...]:
 def registry_of(argument: str) -> Registry[Any] | None:
     """The registry of what this argument takes; None for one that takes no component."""
     return next((r for r in _REGISTRIES.values() if argument and r.argument == argument), None)
-
-
-def _roles() -> set[str]:
-    return {r.argument for r in _REGISTRIES.values()}
 
 
 def _home(made: Any) -> str:

@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from types import FunctionType, TracebackType
+from types import FunctionType
 from typing import Any, ParamSpec, TypeVar
 
 from .arguments import require_known_keywords, with_kinds
@@ -152,12 +152,7 @@ class _Until:
         _here.deadline = moment
 
     @undisturbed
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         own, _here.deadline = _here.deadline, self._outer
         if self._timer is not None:
             self._timer.cancel()

@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 from .atomic import atomic_path, is_url, spelled
 from .errors import InputError, kind_of
 from .exceptions import WriteError
+from .lazy import library
 
 OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"})
 """Where what is put is seen as a whole or not at all; elsewhere a file is written beside its place
@@ -167,14 +168,14 @@ def opened(path: Folder) -> Iterator[Any]:
 
 # ---- file systems --------------------------------------------------------------------------------
 def _of_url(label: str, url: str) -> Remote:
-    fsspec = _fsspec(label)
+    fsspec = library("fsspec", "studies", f"{label}: a folder elsewhere")
     try:
         fs, path = fsspec.core.url_to_fs(url)
     except ImportError as error:
         protocol = url.partition("://")[0]
-        library = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
+        needed = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
         raise InputError(
-            f"{label} = {url}: {error}: pip install {library.get(protocol, 'what it names')}"
+            f"{label} = {url}: {error}: pip install {needed.get(protocol, 'what it names')}"
         ) from None
     except ValueError as error:
         raise InputError(f"{label} = {url}: {error}; {GIVE}") from None
@@ -183,7 +184,7 @@ def _of_url(label: str, url: str) -> Remote:
 
 
 def _of_fsspec(label: str, fs: Any) -> Any:
-    fsspec = _fsspec(label)
+    fsspec = library("fsspec", "studies", f"{label}: a folder elsewhere")
     if isinstance(fs, fsspec.AbstractFileSystem):
         return fs
     if type(fs).__module__.partition(".")[0] == "pyarrow":
@@ -194,16 +195,6 @@ def _of_fsspec(label: str, fs: Any) -> Any:
         except Exception:  # another thing of pyarrow's
             pass
     raise InputError(f"{label} is {kind_of(fs)}; {GIVE}")
-
-
-def _fsspec(label: str) -> Any:
-    try:
-        import fsspec
-    except ImportError:
-        raise InputError(
-            f"{label}: folders elsewhere need fsspec: pip install 'pam_ocp[studies]'"
-        ) from None
-    return fsspec
 
 
 def _protocol(fs: Any) -> str:

@@ -38,56 +38,29 @@ def _exponents(**powers: int) -> tuple[int, ...]:
     return tuple(powers.get(b, 0) for b in BASE)
 
 
-# name: (exponents, factor to SI). Offsets (degC, absolute scales) are not needed here.
-_SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
-    "1": (_exponents(), 1.0),
-    "%": (_exponents(), 0.01),
-    "kg": (_exponents(kg=1), 1.0),
-    "lb": (_exponents(kg=1), 0.45359237),
-    "g": (_exponents(kg=1), 1e-3),
-    "m": (_exponents(m=1), 1.0),
-    "mm": (_exponents(m=1), 1e-3),
-    "cm": (_exponents(m=1), 1e-2),
-    "um": (_exponents(m=1), 1e-6),
-    "in": (_exponents(m=1), 0.0254),
-    "l": (_exponents(m=3), 1e-3),
-    "s": (_exponents(s=1), 1.0),
-    "ms": (_exponents(s=1), 1e-3),
-    "us": (_exponents(s=1), 1e-6),
-    "min": (_exponents(s=1), 60.0),
-    "h": (_exponents(s=1), 3600.0),
-    "d": (_exponents(s=1), 86400.0),
-    "Hz": (_exponents(s=-1), 1.0),
-    "K": (_exponents(K=1), 1.0),
-    "rad": (_exponents(rad=1), 1.0),
-    "deg": (_exponents(rad=1), 0.017453292519943295),
-    "N": (_exponents(kg=1, m=1, s=-2), 1.0),
-    "kN": (_exponents(kg=1, m=1, s=-2), 1e3),
-    "daN": (_exponents(kg=1, m=1, s=-2), 10.0),
-    "lbf": (_exponents(kg=1, m=1, s=-2), 4.4482216152605),
-    "mN": (_exponents(kg=1, m=1, s=-2), 1e-3),
-    "gf": (_exponents(kg=1, m=1, s=-2), 9.80665e-3),
-    "kgf": (_exponents(kg=1, m=1, s=-2), 9.80665),
-    "kp": (_exponents(kg=1, m=1, s=-2), 9.80665),
-    "J": (_exponents(kg=1, m=2, s=-2), 1.0),
-    "W": (_exponents(kg=1, m=2, s=-3), 1.0),
-    "V": (_exponents(kg=1, m=2, s=-3, A=-1), 1.0),
-    "mV": (_exponents(kg=1, m=2, s=-3, A=-1), 1e-3),
-    "A": (_exponents(A=1), 1.0),
-    "mA": (_exponents(A=1), 1e-3),
-    "Pa": (_exponents(kg=1, m=-1, s=-2), 1.0),
-    "hPa": (_exponents(kg=1, m=-1, s=-2), 1e2),
-    "mbar": (_exponents(kg=1, m=-1, s=-2), 1e2),
-    "kPa": (_exponents(kg=1, m=-1, s=-2), 1e3),
-    "bar": (_exponents(kg=1, m=-1, s=-2), 1e5),
-    "MPa": (_exponents(kg=1, m=-1, s=-2), 1e6),
-    "psi": (_exponents(kg=1, m=-1, s=-2), 6894.757293168),
-    "atm": (_exponents(kg=1, m=-1, s=-2), 101325.0),
-    "at": (_exponents(kg=1, m=-1, s=-2), 98066.5),
-    "torr": (_exponents(kg=1, m=-1, s=-2), 101325.0 / 760.0),
-    "mmHg": (_exponents(kg=1, m=-1, s=-2), 133.322387415),
-    "inHg": (_exponents(kg=1, m=-1, s=-2), 25.4 * 133.322387415),
-}
+_NEWTON, _PASCAL = _exponents(kg=1, m=1, s=-2), _exponents(kg=1, m=-1, s=-2)
+_VOLT = _exponents(kg=1, m=2, s=-3, A=-1)
+_KINDS: tuple[tuple[tuple[int, ...], dict[str, float]], ...] = (
+    (_exponents(), {"1": 1.0, "%": 0.01}),
+    (_exponents(kg=1), {"kg": 1.0, "lb": 0.45359237, "g": 1e-3}),
+    (_exponents(m=1), {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254}),
+    (_exponents(m=3), {"l": 1e-3}),
+    (_exponents(s=1), {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0, "d": 86400.0}),
+    (_exponents(s=-1), {"Hz": 1.0}),
+    (_exponents(K=1), {"K": 1.0}),
+    (_exponents(rad=1), {"rad": 1.0, "deg": 0.017453292519943295}),
+    (_NEWTON, {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605, "mN": 1e-3}),
+    (_NEWTON, {"gf": 9.80665e-3, "kgf": 9.80665, "kp": 9.80665}),
+    (_exponents(kg=1, m=2, s=-2), {"J": 1.0}),
+    (_exponents(kg=1, m=2, s=-3), {"W": 1.0}),
+    (_VOLT, {"V": 1.0, "mV": 1e-3}),
+    (_exponents(A=1), {"A": 1.0, "mA": 1e-3}),
+    (_PASCAL, {"Pa": 1.0, "hPa": 1e2, "mbar": 1e2, "kPa": 1e3, "bar": 1e5, "MPa": 1e6}),
+    (_PASCAL, {"psi": 6894.757293168, "atm": 101325.0, "at": 98066.5, "torr": 101325.0 / 760.0}),
+    (_PASCAL, {"mmHg": 133.322387415, "inHg": 25.4 * 133.322387415}),
+)
+"""(exponents, {symbol: factor to SI}). Offsets (degC, absolute scales) are not needed here."""
+_SYMBOLS = {name: (kind, factor) for kind, symbols in _KINDS for name, factor in symbols.items()}
 
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
 

@@ -8,12 +8,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from . import units
-from .errors import InputError, with_article
+from .errors import InputError, require_number, with_article
 from .plausible import doubt, meant_within
-from .quantities import is_quantity, quantity
 from .shown import shown
 from .units import DIGITS, significant
 
@@ -130,8 +127,9 @@ class Variable:
             raise InputError(f"{self.name}: a held memory needs a finite min and max")
         if self.codes != "":
             self._check_codes()
-        if not (math.isfinite(self.max) and self.doubt(self.max, "max")):
-            self._check_start()
+        doubted = math.isfinite(self.max) and self.doubt(self.max, "max")
+        if not doubted and self.start is not None:
+            object.__setattr__(self, "start", self.check(self.start, "start"))
         if self.codes and self.start is not None and self.start % 1:
             raise InputError(
                 f"{self.name}: start = {self.start:g}: give one of the codes 0, 1, ..."
@@ -151,27 +149,12 @@ class Variable:
             object.__setattr__(self, "min", max(self.min, 0.0))
             object.__setattr__(self, "max", min(self.max, len(words) - 1.0))
 
-    def _check_start(self) -> None:
-        if self.start is not None:
-            object.__setattr__(self, "start", self.check(self.start, "start"))
-
     def number(self, value: Any, argument: str = "value") -> float:
         """``value`` as a float [unit]; a text such as "20 mm" or "3 bar" is one too.
 
         InputError when it is no number. Infinite and NaN pass here.
         """
-        if is_quantity(value):
-            return quantity(f"{self.name}: {argument}", value, self.unit)
-        if isinstance(value, bool | np.bool_ | list | tuple) or np.ndim(value) > 0:
-            raise InputError(f"{self.name}: {argument} = {value!r} is not a number")
-        try:
-            return float(value)
-        except OverflowError:
-            raise InputError(
-                f"{self.name}: {argument} is larger than any float (1.8e308)"
-            ) from None
-        except (TypeError, ValueError, RuntimeError):
-            raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
+        return require_number(f"{self.name}: {argument}", value, self.unit)
 
     def check(self, value: Any, argument: str = "value") -> float:
         """``value`` as a float; InputError when it is no finite number in [min, max].

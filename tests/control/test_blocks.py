@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.control import (
@@ -27,7 +28,7 @@ from pam_ocp.control.estimators.stationary import WithEstimate
 from pam_ocp.control.kinds import BLOCKS
 from pam_ocp.control.references import sine
 from pam_ocp.core.block import Block
-from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.core.errors import UnknownNameError
 
 MUSCLE = pam.muscle("DMSP-20-300")
 REST = {"x": 0.002, "stiffness": 2.2e4}
@@ -322,55 +323,37 @@ def test_the_loop_tells_a_block_what_to_reach(hanging):
     controller = BlockController(block(feedback))
     loop = pam.closed_loop(controller, hanging, {"x": 0.042}, duration=1.0, start=point)
     assert loop.steady_error("x", 0.1) < 1e-5
-    with refused("is not told v"):
-        pam.closed_loop(controller, hanging, {"v": 0.1}, duration=0.1)
+    refused("is not told v", pam.closed_loop, controller, hanging, {"v": 0.1}, duration=0.1)
 
 
 # ---- refused ------------------------------------------------------------------------------------
-def refused(words, error=InputError):
-    return pytest.raises(error, match=words)
-
-
 def test_what_cannot_be_a_block_is_refused_in_one_sentence(slide, hanging):
     feedback = lqr(slide, REST, sample_time=STEP)
-    with refused("not known as a block"):
-        block(object())
-    with refused("for another plant"):
-        block(feedback, plant=hanging)
-    with refused("limits="):
-        block(PID(1.0))
-    with refused("command", UnknownNameError):
-        block(feedback, rates={"muscle3.command": 1e6})
-    with refused("outside"):
-        block(feedback, safe={"muscle1.command": 1e9})
-    with refused("beyond the command's range"):
-        block(feedback, limits={"muscle1.command": (-1.0, 1e5)})
-    with refused("option of a StateFeedback", UnknownNameError):
-        block(feedback, gain=3.0)
-    with refused("guarded already"):
-        block(block(feedback))
-    with refused("PID.kp = inf must be a finite number"):
-        PID(float("inf"))
+    refused("not known as a block", block, object())
+    refused("for another plant", block, feedback, plant=hanging)
+    refused("limits=", block, PID(1.0))
+    refused("command", block, feedback, error=UnknownNameError, rates={"muscle3.command": 1e6})
+    refused("outside", block, feedback, safe={"muscle1.command": 1e9})
+    refused("beyond the command's range", block, feedback, limits={"muscle1.command": (-1.0, 1e5)})
+    refused("option of a StateFeedback", block, feedback, error=UnknownNameError, gain=3.0)
+    refused("guarded already", block, block(feedback))
+    refused("PID.kp = inf must be a finite number", PID, float("inf"))
     changed = PID(1.0)
     changed.kp = float("inf")
-    with refused("must be finite"):
-        block(changed, limits={"command": (-1, 1)})
+    refused("must be finite", block, changed, limits={"command": (-1, 1)})
 
 
 def test_chains_that_do_not_fit_are_refused(slide):
     feedback = lqr(slide, REST, sample_time=STEP)
     estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=1e-3)
-    with refused("sample_time"):
-        chain([estimator, feedback])
-    with refused("named"):
-        chain([feedback, feedback])
+    refused("sample_time", chain, [estimator, feedback])
+    refused("named", chain, [feedback, feedback])
     estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=STEP)
-    with refused("y", UnknownNameError):
-        chain([estimator, feedback], {"state_feedback.y": "filter.estimate.x"})
-    with refused("counts in"):
-        chain([estimator, feedback], {"state_feedback.v": "filter.estimate.x"})
-    with refused("part of the chain", UnknownNameError):
-        chain([estimator, feedback], {"feedback.x": "filter.estimate.x"})
+    given = [estimator, feedback], {"state_feedback.y": "filter.estimate.x"}
+    refused("y", chain, *given, error=UnknownNameError)
+    refused("counts in", chain, [estimator, feedback], {"state_feedback.v": "filter.estimate.x"})
+    given = [estimator, feedback], {"feedback.x": "filter.estimate.x"}
+    refused("part of the chain", chain, *given, error=UnknownNameError)
 
 
 @pytest.mark.parametrize(
@@ -389,5 +372,4 @@ def test_chains_that_do_not_fit_are_refused(slide):
     ],
 )
 def test_what_is_no_plant_and_no_controller_is_named(call, said):
-    with pytest.raises(pam.InputError, match=said):
-        call()
+    refused(said, call)

@@ -3,15 +3,30 @@ compiler."""
 
 import numpy as np
 import pytest
+from conftest import refused
 from mpc_cases import mass as free_mass
 
-import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
 from pam_ocp.control.mpc.mpc import Mpc
 from pam_ocp.core.errors import ExportError
 from pam_ocp.export import machine
 
 H = 0.05
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """A place for machine code of this test alone."""
+    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """One for several tests, so that a program is compiled once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PAM_OCP_CACHE", str(tmp_path_factory.mktemp("machine_code")))
+        yield
 
 
 def moves(**options):
@@ -27,12 +42,11 @@ def moves(**options):
     return np.array(found)
 
 
-def test_a_compiled_mpc_moves_as_the_other(tmp_path, monkeypatch):
-    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+def test_a_compiled_mpc_moves_as_the_other(cache, monkeypatch):
     plain = moves()
-    assert not list(tmp_path.glob("function/*"))
+    assert not list(cache.glob("function/*"))
     np.testing.assert_allclose(moves(compiled=True), plain, rtol=1e-6, atol=1e-8)
-    assert list(tmp_path.glob("function/*"))
+    assert list(cache.glob("function/*"))
     monkeypatch.setattr(machine, "compile_library", None)  # what is there is used
     np.testing.assert_allclose(moves(compiled=True), plain, rtol=1e-6, atol=1e-8)
 
@@ -51,8 +65,7 @@ def bounded(**options):
 
 
 @pytest.mark.slow
-def test_a_compiled_step_finds_what_ipopt_finds_at_limits_that_hold(tmp_path, monkeypatch):
-    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+def test_a_compiled_step_finds_what_ipopt_finds_at_limits_that_hold(shared):
     machine_code, ipopt = bounded(iterations=20, compiled=True), bounded(solver="ipopt")
     state = np.array([0.0, 0.8])  # outside its soft limit: brought back
     for k in range(25):
@@ -66,17 +79,15 @@ def test_a_compiled_step_finds_what_ipopt_finds_at_limits_that_hold(tmp_path, mo
 
 
 @pytest.mark.slow
-def test_where_a_compiled_program_has_no_solution_ipopt_is_asked(tmp_path, monkeypatch):
-    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+def test_where_a_compiled_program_has_no_solution_ipopt_is_asked(shared):
     mpc = bounded(soft=False, compiled=True)
     assert np.isfinite(mpc.control([0.0, 2.0])["f"])
     assert mpc.statistics.fallbacks == mpc.statistics.failures == 1
 
 
 @pytest.mark.slow
-def test_a_compiled_call_is_cut_off_after_a_jump_and_completed_later(tmp_path, monkeypatch):
+def test_a_compiled_call_is_cut_off_after_a_jump_and_completed_later(shared):
     """At 1.5 times ``work``, or with its first quadratic program."""
-    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
     mpc = bounded(iterations=20, work=4, compiled=True)
     free = bounded(iterations=20, work=None, compiled=True)
     for controller in (mpc, free):
@@ -92,16 +103,14 @@ def test_a_compiled_call_is_cut_off_after_a_jump_and_completed_later(tmp_path, m
     assert calls[-1].converged
 
 
-def test_the_compiled_call_of_real_time_is_that_of_python_to_the_last_bit(tmp_path, monkeypatch):
-    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+def test_the_compiled_call_of_real_time_is_that_of_python_to_the_last_bit(cache):
     plain = moves(solver="riccati", bounds={"v": (-0.5, 0.5)})
     compiled = moves(solver="riccati", bounds={"v": (-0.5, 0.5)}, compiled=True)
-    assert list(tmp_path.glob("function/*"))
+    assert list(cache.glob("function/*"))
     np.testing.assert_array_equal(compiled, plain)
 
 
-def test_a_compiled_filter_is_the_linear_kalman_filter(tmp_path, monkeypatch):
-    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+def test_a_compiled_filter_is_the_linear_kalman_filter(cache):
     found = KalmanFilter(
         free_mass(),
         sample_time=H,
@@ -110,7 +119,7 @@ def test_a_compiled_filter_is_the_linear_kalman_filter(tmp_path, monkeypatch):
         uncertainty={"x": 0.1, "v": 0.4},
         compiled=True,
     )
-    assert list(tmp_path.glob("function/*"))
+    assert list(cache.glob("function/*"))
     # by hand, in SI
     a, q = np.array([[1.0, H], [0.0, 1.0]]), 0.25
     noise = q * np.array([[H**3 / 3, H**2 / 2], [H**2 / 2, H]])
@@ -128,13 +137,11 @@ def test_a_compiled_filter_is_the_linear_kalman_filter(tmp_path, monkeypatch):
         found.predict({"f": force})
 
 
-def test_without_a_compiler_it_says_so(tmp_path, monkeypatch):
-    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+def test_without_a_compiler_it_says_so(cache, monkeypatch):
 
     def none(*arguments):
         raise ExportError("no C compiler is found")
 
     monkeypatch.setattr(machine, "compile_library", none)
-    with pytest.raises(pam.InputError, match=r"compiled = True: no C compiler is found"):
-        moves(compiled=True)
+    refused(r"compiled = True: no C compiler is found", moves, compiled=True)
     assert np.all(np.isfinite(moves()))

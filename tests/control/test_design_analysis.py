@@ -3,7 +3,7 @@
 import control
 import numpy as np
 import pytest
-from conftest import BAR
+from conftest import BAR, refused
 from scipy import linalg
 
 import pam_ocp as pam
@@ -146,8 +146,7 @@ def test_every_figure_is_drawn_without_pyplot(slide, hanging):
         plots.plot_mode_map(found),
     ]
     assert all(isinstance(f, Figure) for f in figures)
-    with pytest.raises(InputError, match="runs is empty"):
-        plots.plot_tracking({}, ["x"])
+    refused("runs is empty", plots.plot_tracking, {}, ["x"])
 
 
 def test_a_mode_map_names_the_axis_that_is_empty(hanging):
@@ -156,9 +155,7 @@ def test_a_mode_map_names_the_axis_that_is_empty(hanging):
 
 
 def test_what_is_no_system_is_refused_in_a_sentence(slide, tmp_path):
-    with pytest.raises(InputError, match=r"margins: loop is a dict, not a control\.StateSpace"):
-        margins({})
-    with pytest.raises(InputError, match=r"modes: system is a float, not a control\.StateSpace"):
-        pam.operating.modes(1.0)
+    refused(r"margins: loop is a dict, not a control\.StateSpace", margins, {})
+    refused(r"modes: system is a float, not a control\.StateSpace", pam.operating.modes, 1.0)
     with pytest.raises(InputError, match="guess is a str, not a Trajectory or a HopfPoint"):
         pam.vibration.limit_cycle(slide, "here")

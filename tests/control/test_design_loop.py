@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import BAR
+from conftest import BAR, refused
 from design_tools import Fixed
 from scipy.optimize import brentq
 
@@ -102,16 +102,13 @@ def test_a_pair_that_is_slack_at_its_start_is_as_stiff_as_between_first_pull_and
 
 
 def test_the_inverse_says_what_it_lacks(joint, long_muscle):
-    with pytest.raises(InputError, match="give a stiffness for a pair"):
-        InverseDynamics(joint)(0.0, 0.0, 0.0)
+    refused("give a stiffness for a pair", InverseDynamics(joint), 0.0, 0.0, 0.0)
     with pytest.raises(InputError, match=r"only through a tendon .* \(higher relative degree"):
         InverseDynamics(pam.SeriesLoad(long_muscle))
     resting = pam.Plant("resting")
     resting.der(resting.state("x"), 0.0)
-    with pytest.raises(InputError, match="needs a plant with one position"):
-        InverseDynamics(resting)
-    with pytest.raises(InputError, match="not a Plant"):
-        InverseDynamics(long_muscle)
+    refused("needs a plant with one position", InverseDynamics, resting)
+    refused("not a Plant", InverseDynamics, long_muscle)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from conftest import refused
 from design_tools import example
 from scipy.integrate import solve_ivp
 
@@ -79,8 +80,7 @@ def test_at_rest_a_design_for_held_inputs_is_that_of_dlqr(slide):
 
 def test_a_motion_without_inputs_is_refused_and_a_wrong_end_too(slide, hanging):
     motion = pam.simulate(hanging, duration=0.1)
-    with pytest.raises(InputError, match=r"holds no column 'muscle1\.pressure'"):
-        tvlqr(slide, motion)
+    refused(r"holds no column 'muscle1\.pressure'", tvlqr, slide, motion)
     with pytest.raises(
         InputError, match=r"final has shape \(1, 1\); the Riccati matrix has \(3, 3\)"
     ):
@@ -107,9 +107,6 @@ def test_the_example_holds_its_plan_under_wrong_mass_and_force_to_a_fifth_of_ope
 
 
 def test_what_is_no_plant_or_motion_is_refused(slide):
-    with pytest.raises(InputError, match="motion is a dict, not a Trajectory"):
-        tvlqr(slide, {})
-    with pytest.raises(InputError, match="plant is a dict, not a Plant"):
-        tvlqr({}, {})
-    with pytest.raises(InputError, match="plant is a str, not a Plant"):
-        pam.lqr("slide")
+    refused("motion is a dict, not a Trajectory", tvlqr, slide, {})
+    refused("plant is a dict, not a Plant", tvlqr, {}, {})
+    refused("plant is a str, not a Plant", pam.lqr, "slide")

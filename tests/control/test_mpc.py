@@ -4,7 +4,7 @@ closed loops.
 
 import numpy as np
 import pytest
-from conftest import benchmark_slide, scipy_states
+from conftest import benchmark_slide, refused, scipy_states
 from mpc_cases import COMMANDS, exact, mass, slide_mpc
 
 import pam_ocp as pam
@@ -14,7 +14,7 @@ from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.mpc import sqp
 from pam_ocp.control.mpc.mpc import Mpc
 from pam_ocp.control.mpc.stage_qp import StageQp
-from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.core.errors import UnknownNameError
 
 SOLVERS = ("hpipm", "piqp", "ipopt", "riccati")
 
@@ -230,41 +230,29 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
         ({"rate": {"x": 1.0}}, "x is a state"),
         ({"rate": {"push": 1.0}}, "push is a disturbance"),
         ({"bounds": {"m": (0, 1)}}, "m is a parameter"),
-        ({"bounds": {"v": (1, -1)}}, "crossed"),
+        ({"bounds": {"v": (1, -1)}}, "the first the smaller"),
         ({"solver": "magic"}, "solver = 'magic'"),
         ({"method": "euler"}, "method = 'euler'"),
     ],
 )
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
-    with pytest.raises(InputError, match=words):
-        mass_mpc(**{"horizon": 5, **change})
+    refused(words, mass_mpc, **{"horizon": 5, **change})
 
 
 def test_unknown_names_get_the_nearest_one():
     mpc = mass_mpc(horizon=5)
-    with pytest.raises(UnknownNameError, match="push"):
-        mpc.control([0, 0], values={"pushh": 1.0})
-    with pytest.raises(UnknownNameError, match="tracked"):
-        mpc.control([0, 0], {"v": 1.0})
-    with pytest.raises(InputError, match="v is missing"):
-        mpc.control({"x": 0.0})
-    with pytest.raises(InputError, match="6 of them"):
-        mpc.control([0, 0], {"x": [1.0, 2.0]})
+    refused("push", mpc.control, [0, 0], error=UnknownNameError, values={"pushh": 1.0})
+    refused("tracked", mpc.control, [0, 0], {"v": 1.0}, error=UnknownNameError)
+    refused("v is missing", mpc.control, {"x": 0.0})
+    refused("6 of them", mpc.control, [0, 0], {"x": [1.0, 2.0]})
 
 
 def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
     mpc, real = mass_mpc(horizon=5), mass()
-    with pytest.raises(InputError, match="shorter than a sample"):
-        closed_loop(mpc, real, {"x": 1.0}, duration=0.01)
     with pytest.raises(UnknownNameError, match="push"):
         closed_loop(mpc, real, {"x": 1.0}, duration=1.0, disturbances={"pushh": 1.0})
-    with pytest.raises(InputError, match="no such FMU"):
-        closed_loop(mpc, tmp_path / "none.fmu", {"x": 1.0}, duration=1.0)
-    slow = KalmanFilter(real, sample_time=0.2, measured={"x": 1e-3})
-    with pytest.raises(InputError, match="estimator's sample_time"):
-        closed_loop(mpc, real, {"x": 1.0}, duration=1.0, estimator=slow)
-    with pytest.raises(InputError, match="the controller comes first"):
-        pam.closed_loop(real, mpc, duration=1.0)
+    refused("no such FMU", closed_loop, mpc, tmp_path / "none.fmu", {"x": 1.0}, duration=1.0)
+    refused("the controller comes first", pam.closed_loop, real, mpc, duration=1.0)
 
 
 # ---- what its statistics say

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.core.arguments import blamed, with_kinds
@@ -36,8 +37,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
 @pytest.mark.parametrize("name", CALLS)
 def test_the_argument_is_named_with_what_it_takes(name: str) -> None:
     call, kind = CALLS[name]
-    with pytest.raises(pam.InputError, match=f"^{name} = .*: give .*{kind}"):
-        call()
+    refused(f"^{name} = .*: give .*{kind}", call)
 
 
 @with_kinds
@@ -64,8 +64,7 @@ def called(
     ],
 )
 def test_each_kind_of_hint_in_words(given: Mapping[str, Any], said: str) -> None:
-    with pytest.raises(pam.InputError, match=said):
-        called(**given)
+    refused(said, called, **given)
 
 
 def fails() -> None:
@@ -82,10 +81,8 @@ def fails() -> None:
     ],
 )
 def test_errors_of_calls_with_the_right_kinds_are_as_they_are(given: Mapping[str, Any]) -> None:
-    with pytest.raises(TypeError, match="something deep"):
-        called(**given)
-    with pytest.raises(KeyError, match="mine"):
-        called(**given, act=fails)
+    refused("something deep", called, error=TypeError, **given)
+    refused("mine", called, error=KeyError, **given, act=fails)
 
 
 def test_what_works_is_not_refused() -> None:

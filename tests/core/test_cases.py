@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp import InputError, PamError
@@ -151,8 +152,7 @@ def test_progress_is_told() -> None:
 
 @pytest.mark.parametrize("wrong", ["two", 1.5, True, -1])
 def test_what_is_no_executor_is_refused(wrong: Any) -> None:
-    with pytest.raises(InputError, match="executor"):
-        pam.each(abs, [1], executor=wrong)
+    refused("executor", pam.each, abs, [1], executor=wrong)
 
 
 @pytest.mark.slow

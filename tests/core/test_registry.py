@@ -6,9 +6,10 @@ import sys
 import textwrap
 
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.core.errors import UnknownNameError
 from pam_ocp.core.registry import Registry, registries, registry_of
 
 
@@ -86,8 +87,7 @@ def test_a_name_belongs_to_one_only_until_it_is_removed(gears):
         """Another one."""
 
     assert len(gears) == 2
-    with pytest.raises(InputError, match=r"registered already, by gear_room.spur.SpurGear; give"):
-        gears.register()(SpurGear)
+    refused(r"registered already, by gear_room.spur.SpurGear; give", gears.register(), SpurGear)
     gears.remove("SpurGear")
     assert gears.register()(SpurGear) is gears["SpurGear"]
     assert gears.register()(SpurGear) is SpurGear  # a module that is loaded again
@@ -144,5 +144,4 @@ def test_components_take_texts_with_units_for_all_their_quantities():
     assert creep == pam.losses.Creep(stiffness=(300.0, 200.0), time=(0.2, 2.0))
     assert pam.feeds.SpoolValve(overlap="5 %").overlap == pytest.approx(0.05)
     assert pam.feeds.Tube(lag="20 ms").lag == pytest.approx(0.02)
-    with pytest.raises(pam.InputError, match=r"Tube\.lag = '20 mm'.*something else"):
-        pam.feeds.Tube(lag="20 mm")
+    refused(r"Tube\.lag = '20 mm'.*something else", pam.feeds.Tube, lag="20 mm")

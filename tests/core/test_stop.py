@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.core.errors import OutOfTime
@@ -214,8 +215,7 @@ def test_an_outer_limit_is_not_taken_for_an_inner_one():
                 inner()
             check()
 
-    with pytest.raises(OutOfTime, match=r"time_limit = 0\.01 s"):
-        outer()
+    refused(r"time_limit = 0\.01 s", outer, error=OutOfTime)
 
 
 def test_a_time_limit_breaks_off_one_long_call_of_the_integrator():
@@ -341,8 +341,7 @@ def test_a_branch_of_cycles_keeps_what_it_has(monkeypatch):
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, math.nan, "soon"])
 def test_a_time_limit_is_a_positive_number(wrong):
-    with pytest.raises(pam.InputError, match="time_limit"):
-        pam.simulate(slide(), duration=0.01, time_limit=wrong)
+    refused("time_limit", pam.simulate, slide(), duration=0.01, time_limit=wrong)
 
 
 # ---- processes -----------------------------------------------------------------------------------

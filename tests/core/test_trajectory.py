@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
-from pam_ocp import InputError, Trajectory, UnknownNameError, Variable
+from pam_ocp import Trajectory, UnknownNameError, Variable
 from pam_ocp.core import units
 from pam_ocp.core.signals import merged, signals
 
@@ -44,32 +45,22 @@ def test_what_was_saved_comes_back(tmp_path, ending):
 
 
 def test_an_unwritable_place_leaves_nothing_behind(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        record().save(tmp_path / "nowhere" / "record.csv")
-    with pytest.raises(InputError, match=r"\.csv, \.npz, \.parquet"):
-        record().save(tmp_path / "record.txt")
+    refused("does not exist", record().save, tmp_path / "nowhere" / "record.csv")
+    refused(r"\.csv, \.npz, \.parquet", record().save, tmp_path / "record.txt")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_comparison_finds_the_largest_deviation_and_its_time():
-    other = record()
-    other["x"][1] += 1e-3
-    comparison = record().compare(other)
-    assert comparison["x"].largest == pytest.approx(1e-3)
-    assert comparison["x"].time == 0.1
-    assert comparison.largest == pytest.approx(0.1)
-    assert "x" in str(comparison)
 
 
 def test_a_deviation_counts_whichever_way_it_goes():
     other = record()
     other["x"][1] -= 5e-3
     other["x"][2] += 1e-3
-    found = record().compare(other)["x"]
+    comparison = record().compare(other)
+    found = comparison["x"]
     assert (found.largest, found.time) == (pytest.approx(5e-3), 0.1)
     assert found.relative == pytest.approx(0.5)
     assert found.rms == pytest.approx(np.sqrt((25e-6 + 1e-6) / 3))
-    assert record().compare(other).largest == pytest.approx(0.5)
+    assert comparison.largest == pytest.approx(0.5)
+    assert str(comparison).splitlines()[1].split()[0] == "x"
 
 
 @pytest.mark.parametrize(
@@ -82,8 +73,7 @@ def test_a_deviation_counts_whichever_way_it_goes():
     ],
 )
 def test_a_record_that_is_none_is_refused(t, columns, message):
-    with pytest.raises(InputError, match=message):
-        Trajectory(t, columns, VARIABLES)
+    refused(message, Trajectory, t, columns, VARIABLES)
 
 
 def test_an_unknown_column_brings_the_nearest():
@@ -127,8 +117,7 @@ def test_the_last_sample_of_a_held_input_is_its_end_not_an_interval(slide):
     ],
 )
 def test_bad_inputs_are_refused_with_a_reason(slide, inputs, message):
-    with pytest.raises(InputError, match=message):
-        pam.simulate(slide, inputs, t=[0.0, 0.1])
+    refused(message, pam.simulate, slide, inputs, t=[0.0, 0.1])
 
 
 @pytest.mark.parametrize(
@@ -155,8 +144,7 @@ def test_a_table_whose_first_column_is_no_time_is_refused(tmp_path):
     for head in ("time [mm]", "time (ms)"):
         table = tmp_path / "inputs.csv"
         table.write_text(f"{head},x [m]\n0,1\n1,2\n")
-        with pytest.raises(pam.PamError, match="time"):
-            pam.Trajectory.load(table)
+        refused("time", pam.Trajectory.load, table, error=pam.PamError)
 
 
 def test_inputs_that_jump_stand_twice_in_a_table_and_move_the_plant_again(hanging, tmp_path):

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import benchmark_slide
+from conftest import benchmark_slide, refused
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError, WriteError
+from pam_ocp.core.errors import WriteError
 from pam_ocp.core.files import atomic_path, make_folder, write_json
 from pam_ocp.export import export_motion, export_ssp, save_input_table
 from pam_ocp.figures.saved import save_figure
@@ -113,13 +113,13 @@ def test_a_writer_that_runs_out_of_space_leaves_all_as_it_was(name, writers, tmp
 def test_what_the_last_steps_refuse_is_one_sentence(
     call, number, name, writers, tmp_path, monkeypatch
 ):
-    def refused(*_: Any) -> None:
+    def refuse(*_: Any) -> None:
         raise OSError(number, os.strerror(number))
 
     target = tmp_path / name
     target.write_bytes(b"old")
     with monkeypatch.context() as patch:
-        patch.setattr(call, refused)
+        patch.setattr(call, refuse)
         with pytest.raises(WriteError, match=os.strerror(number)) as caught:
             writers[name](target)
     assert caught.value.errno == number
@@ -148,8 +148,7 @@ def test_odd_targets_are_refused(name, writers, tmp_path):
         ("x" * 300 + ending, "too long.*shorter name"),
         (f"a\0{ending}", "is no name for a file"),
     ):
-        with pytest.raises(WriteError, match=words):
-            writers[name](tmp_path / target)
+        refused(words, writers[name], tmp_path / target, error=WriteError)
     assert not [f for f in os.listdir(tmp_path) if f.startswith(".")]
     assert Path("/dev/null").is_char_device()
 
@@ -276,11 +275,9 @@ def test_an_error_that_is_none_of_the_system_stays_itself(tmp_path):
 
 def test_a_figure_of_an_unknown_ending_is_refused(writers, tmp_path):
     for name in ("a.xyz", "a"):
-        with pytest.raises(InputError, match=r"end its name in \.png"):
-            writers["motion.png"](tmp_path / name)
+        refused(r"end its name in \.png", writers["motion.png"], tmp_path / name)
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "a").touch()
-    with pytest.raises(WriteError, match="is a file; give the name of a folder"):
-        make_folder(tmp_path / "a")
+    refused("is a file; give the name of a folder", make_folder, tmp_path / "a", error=WriteError)

@@ -16,10 +16,7 @@ from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable
 from ..kinds import BEFORE, ESTIMATE, SENT, law_of
-from .draft import about, column_of
-
-_ENDS = ["memory", "inputs", "parameters"], ["memory_next", "outputs"]
-"""Names of a step's arguments and results."""
+from .draft import Draft, Symbol, about, column_of, kind_of_step
 
 
 @with_kinds
@@ -75,33 +72,23 @@ def with_delay(law: Block, delay: int) -> Block:
         raise InputError(
             f"delay = {delay}: {law.name} is designed for delay = {law.delay}; give that"
         )
-    sent = [i for i, v in enumerate(law.inputs) if v.name.startswith(SENT)]
+    sent = [v for v in law.inputs if v.name.startswith(SENT)]
     if law.commands or not sent:
         return replace(law, delay=delay)
-    kind: Any = ca.SX if law.step.is_a("SXFunction") else ca.MX
-    n, count = len(law.memory), len(sent)
-    sizes = n + delay * count, len(law.inputs), len(law.parameters)
-    m, u, p = (kind.sym(name, size) for name, size in zip(_ENDS[0], sizes, strict=True))
-    own, acted, later = ca.vertsplit(m, [0, n, n + count, n + delay * count])
-    entries = _entries(u)
-    now = ca.vertcat(*(entries[i] for i in sent))
-    for place, value in zip(sent, _entries(acted), strict=True):
-        entries[place] = value
-    after, outputs = law.step.call([own, ca.vertcat(*entries), p])
-    results = [ca.densify(ca.vertcat(after, later, now)), outputs]
-    waiting = [
-        Variable(
-            f"{v.name}{BEFORE}{delay - k}", "state", start=v.start, **about(v, "sent, acts later")
-        )
-        for k in range(delay)
-        for v in (law.inputs[i] for i in sent)
-    ]
-    return replace(
-        law,
-        memory=(*law.memory, *waiting),
-        step=ca.Function("step", [m, u, p], results, *_ENDS),
-        delay=delay,
-    )
+    draft = Draft(law.name, law.sample_time, law.description, kind_of_step(law))
+    entries = dict(zip(law.inputs, ca.vertsplit(draft.column(law.inputs)), strict=True))
+    for v in sent:
+        name, words = f"{v.name}{BEFORE}", about(v, "sent, acts later")
+        start, value = v.start or 0.0, entries[v]
+        for k in range(1, delay + 1):
+            waits = draft.memory(f"{name}{k}", start, **words)
+            draft.next(f"{name}{k}", value)
+            value = waits
+        entries[v] = value
+    _, _, outputs = draft.call(law, ca.vertcat(*entries.values()))
+    draft.outputs(law.outputs, outputs)
+    made = draft.block()
+    return replace(law, memory=made.memory, step=made.step, delay=delay)
 
 
 class _Chain:
@@ -182,64 +169,10 @@ class _Chain:
 
     # ---- the block ------------------------------------------------------------------------------
     def block(self) -> Block:
-        inputs = self._inputs()
-        outputs, commands = self._outputs()
-        late = sorted({s for (i, _), s in self.sources.items() if s is not None and s[0] >= i})
-        memory = [replace(v, name=f"{b.name}.{v.name}") for b in self.blocks for v in b.memory] + [
-            self._late(*s) for s in late
-        ]
-        parameters = [
-            replace(v, name=f"{b.name}.{v.name}") for b in self.blocks for v in b.parameters
-        ]
-        return Block(
-            name=self.name,
-            sample_time=self.blocks[0].sample_time,
-            inputs=tuple(inputs.values()),
-            outputs=tuple(outputs),
-            parameters=tuple(parameters),
-            memory=tuple(memory),
-            step=self._step(list(inputs), late),
-            description=self.description,
-            commands=tuple(commands),
-            missing=self._missing(inputs),
-            loops={f"{b.name}: {k}": n for b in self.blocks for k, n in b.loops.items()},
-            matrices={f"{b.name}.{k}": n for b in self.blocks for k, n in b.matrices.items()},
-        )
-
-    def _late(self, i: int, k: int) -> Variable:
-        b = self.blocks[i]
-        v = b.outputs[k]
-        words = about(v, f"{v.name} of the last step")
-        return Variable(f"{b.name}.last.{v.name}", "state", start=v.start or 0.0, **words)
-
-    def _outputs(self) -> tuple[list[Variable], list[str]]:
-        names = [v.name for b in self.blocks for v in b.outputs]
-        names += [v.name for v in self._inputs().values()]
-        taken = {s for s in self.sources.values() if s is not None}
-        variables, commands = [], []
-        for i, b in enumerate(self.blocks):
-            for k, v in enumerate(b.outputs):
-                name = f"{b.name}.{v.name}" if names.count(v.name) > 1 else v.name
-                variables.append(replace(v, name=name))
-                if v.name in b.commands and (i, k) not in taken:
-                    commands.append(name)
-        return variables, commands
-
-    def _step(self, inputs: list[str], late: list[tuple[int, int]]) -> ca.Function:
-        plain = all(b.step.is_a("SXFunction") for b in self.blocks)
-        kind: Any = ca.SX if plain else ca.MX
-        sizes = [
-            sum(len(b.memory) for b in self.blocks) + len(late),
-            len(inputs),
-            sum(len(b.parameters) for b in self.blocks),
-        ]
-        columns = [kind.sym(n, size) for n, size in zip(_ENDS[0], sizes, strict=True)]
-        memory = _parted(columns[0], [*(len(b.memory) for b in self.blocks), len(late)])
-        gains = _parted(columns[2], [len(b.parameters) for b in self.blocks])
-        outside = dict(zip(inputs, _entries(columns[1]), strict=True))
-        before = dict(zip(late, _entries(memory[-1]), strict=True))
-        after: list[Any] = []
-        given: list[Any] = []
+        inputs, kind = self._inputs(), kind_of_step(*self.blocks)
+        draft = Draft(self.name, self.blocks[0].sample_time, self.description, kind)
+        outside = {name: draft.column([v]) for name, v in inputs.items()}
+        given: list[Symbol] = []
         for i, b in enumerate(self.blocks):
             seen = []
             for k, v in enumerate(b.inputs):
@@ -249,18 +182,30 @@ class _Chain:
                 elif source[0] < i:
                     seen.append(given[source[0]][source[1]])
                 else:
-                    seen.append(before[source])
-            moved, answer = b.step.call([memory[i], column_of(kind, seen), gains[i]])
-            after.append(moved)
-            given.append(answer)
-        after += [given[i][k] for i, k in late]
-        results = [ca.densify(ca.vertcat(*after)), ca.densify(ca.vertcat(*given))]
-        return ca.Function("step", columns, results, *_ENDS)
+                    seen.append(self._late(draft, *source))
+            given.append(draft.call(b, column_of(kind, seen), f"{b.name}.")[2])
+            for what, count in b.loops.items():
+                draft.repeats(f"{b.name}: {what}", count)
+        for i, k in {s for (i, _), s in self.sources.items() if s is not None and s[0] >= i}:
+            draft.next(f"{self.blocks[i].name}.last.{self.blocks[i].outputs[k].name}", given[i][k])
+        outputs, commands = self._outputs(inputs)
+        draft.outputs(outputs, column_of(kind, given), commands)
+        return replace(draft.block(), missing=self._missing(inputs))
 
+    def _late(self, draft: Draft, i: int, k: int) -> Symbol:
+        """An output as the step before gave it."""
+        v, name = self.blocks[i].outputs[k], self.blocks[i].name
+        words = about(v, f"{v.name} of the last step")
+        return draft.memory(f"{name}.last.{v.name}", v.start or 0.0, **words)
 
-def _parted(column: Any, sizes: Sequence[int]) -> list[Any]:
-    return list(ca.vertsplit(column, np.cumsum([0, *sizes]).tolist()))
-
-
-def _entries(column: Any) -> list[Any]:
-    return list(ca.vertsplit(column)) if column.numel() else []
+    def _outputs(self, inputs: Mapping[str, Variable]) -> tuple[list[Variable], list[str]]:
+        names = [*inputs, *(v.name for b in self.blocks for v in b.outputs)]
+        taken = {s for s in self.sources.values() if s is not None}
+        variables, commands = [], []
+        for i, b in enumerate(self.blocks):
+            for k, v in enumerate(b.outputs):
+                name = f"{b.name}.{v.name}" if names.count(v.name) > 1 else v.name
+                variables.append(replace(v, name=name))
+                if v.name in b.commands and (i, k) not in taken:
+                    commands.append(name)
+        return variables, commands

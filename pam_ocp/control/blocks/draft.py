@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core import units
 from ...core.block import Block
@@ -15,11 +15,15 @@ from ...core.errors import InputError
 from ...core.variables import Variable
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant
-from ..kinds import ACTIVE, ESTIMATE, HELD_BACK, LARGEST, LIMITED, SENT
+from ..kinds import ACTIVE, ESTIMATE, HELD_BACK, LARGEST, LIMITED, SENT, Array
 
-Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
 """SX or MX."""
+
+
+def kind_of_step(*laws: Block) -> Any:
+    """SX where the steps of all these blocks are made of it, else MX."""
+    return ca.SX if all(law.step.is_a("SXFunction") for law in laws) else ca.MX
 
 
 class Draft:
@@ -31,31 +35,45 @@ class Draft:
     def __init__(self, name: str, sample_time: float, description: str, kind: Any = ca.SX) -> None:
         self.name, self.sample_time, self.description = name, sample_time, description
         self.kind = kind
-        self._kept: dict[str, dict[str, tuple[Variable, Symbol]]] = {
-            "input": {},
-            "parameter": {},
-            "state": {},
+        self._kept: dict[str, dict[str, tuple[Sequence[Variable], Symbol]]] = {
+            causality: {} for causality in ("state", "input", "parameter")
         }
         self._next: dict[str, Symbol] = {}
-        self._column: tuple[list[Variable], Symbol, Symbol] | None = None
-        self._outputs: list[tuple[Variable, Symbol]] = []
+        self._outputs: list[tuple[Sequence[Variable], Symbol]] = []
         self._commands: list[str] = []
         self._missing: list[str] = []
         self._matrices: dict[str, tuple[int, int]] = {}
         self.loops: dict[str, int] = {}
 
-    def _enter(self, variable: Variable) -> Symbol:
-        entered = self._kept[variable.causality]
-        if variable.name not in entered:
-            entered[variable.name] = variable, self.kind.sym(variable.name)
-        return entered[variable.name][1]
+    def column(self, variables: Sequence[Variable]) -> Symbol:
+        """States, inputs or parameters as one column of symbols, known by the name of the first."""
+        if not variables:
+            return self.kind.zeros(0, 1)
+        name, entered = variables[0].name, self._kept[variables[0].causality]
+        if name not in entered:
+            entered[name] = variables, self.kind.sym(name, len(variables))
+        return entered[name][1]
+
+    def call(self, law: Block, inputs: Symbol, prefix: str = "") -> tuple[Symbol, Symbol, Symbol]:
+        """(memory, the memory after it, outputs) of a step of another block, whose memory and
+        parameters become this block's.
+        """
+        memory, gains = (
+            self.column([replace(v, name=prefix + v.name) for v in part])
+            for part in (law.memory, law.parameters)
+        )
+        after, outputs = law.step.call([memory, inputs, gains])
+        if law.memory:
+            self.next(prefix + law.memory[0].name, after)
+        self._matrices |= {prefix + name: size for name, size in law.matrices.items()}
+        return memory, after, outputs
 
     # ---- variables ----------------------------------------------------------------------------
     def input(self, name: str, start: float = 0.0, missing: bool = False, **about: Any) -> Symbol:
         """A measurement or a reference. missing : NaN is understood by the law itself."""
         if missing:
             self._missing.append(name)
-        return self._enter(Variable(name, "input", start=start, **about))
+        return self.column([Variable(name, "input", start=start, **about)])
 
     def like(self, variable: Variable, prefix: str = "", **more: Any) -> Symbol:
         """The input that measures (or prescribes) a variable of a plant: no range, it may err."""
@@ -67,7 +85,7 @@ class Draft:
         words = f"to be reached: {variable.description}"
         return self.input(f"{first}.{variable.name}", start, **about(variable, words))
 
-    def column(self, variables: Iterable[Variable], prefix: str = "", **more: Any) -> Symbol:
+    def measured(self, variables: Iterable[Variable], prefix: str = "", **more: Any) -> Symbol:
         """Inputs that measure these, as a column."""
         return column_of(self.kind, [self.like(v, prefix, **more) for v in variables])
 
@@ -75,7 +93,19 @@ class Draft:
         """A number that may be tuned."""
         if not np.isfinite(value):
             raise InputError(f"{self.name}: parameter {name} = {value} must be finite")
-        return self._enter(Variable(name, "parameter", start=float(value), tunable=True, **about))
+        start = float(value)
+        return self.column([Variable(name, "parameter", start=start, tunable=True, **about)])
+
+    def parameters(
+        self, name: str, variables: Iterable[Variable], values: Iterable[float], words: str
+    ) -> Symbol:
+        """Values of variables of a plant, each a parameter ``name.VARIABLE``, as a column."""
+        pairs = zip(variables, values, strict=True)
+        entries = [
+            self.parameter(f"{name}.{v.name}", float(value), **about(v, f"{v.name} {words}"))
+            for v, value in pairs
+        ]
+        return column_of(self.kind, entries)
 
     def matrix(
         self,
@@ -109,7 +139,7 @@ class Draft:
 
     def memory(self, name: str, start: float = 0.0, **about: Any) -> Symbol:
         """A number that is carried to the next step; it stays as it is unless ``next`` is told."""
-        return self._enter(Variable(name, "state", start=float(start), **about))
+        return self.column([Variable(name, "state", start=float(start), **about)])
 
     @property
     def started(self) -> Symbol:
@@ -118,29 +148,28 @@ class Draft:
         return self.memory("started", description="1 after the first step")
 
     def next(self, name: str, value: Symbol) -> None:
-        """What the memory ``name`` is in the next step."""
+        """What the memory ``name``, or the column that begins with it, is in the next step."""
         self._next[name] = value
 
-    def memories(self, start: Array, description: str) -> Symbol:
-        """A column that is carried to the next step, its entries named w1, w2, ...; once."""
-        variables = [
-            Variable(f"w{i + 1}", "state", start=float(value), description=description)
-            for i, value in enumerate(start)
-        ]
-        symbol = self.kind.sym("memories", len(variables))
-        self._column = variables, symbol, symbol
-        return symbol
-
-    def next_memories(self, value: Symbol) -> None:
-        """What that column is in the next step."""
-        assert self._column is not None
-        self._column = *self._column[:2], value
+    def memories(self, start: Array, description: str, name: str = "w") -> Symbol:
+        """A column that is carried to the next step, its entries named w1, w2, ..."""
+        return self.column(
+            [
+                Variable(f"{name}{i + 1}", "state", start=float(value), description=description)
+                for i, value in enumerate(start)
+            ]
+        )
 
     def output(self, variable: Variable, value: Symbol, command: bool = False) -> None:
         """An output. command : it drives a plant."""
-        self._outputs.append((variable, value))
-        if command:
-            self._commands.append(variable.name)
+        self.outputs([variable], value, [variable.name] if command else [])
+
+    def outputs(
+        self, variables: Sequence[Variable], values: Symbol, commands: Iterable[str] = ()
+    ) -> None:
+        """A column of outputs. commands : those of them that drive a plant."""
+        self._outputs.append((variables, values))
+        self._commands += commands
 
     def estimate(self, variable: Variable, value: Symbol) -> None:
         """The output ``estimate.NAME`` of a variable of a plant."""
@@ -175,7 +204,7 @@ class Draft:
 
     def sent(self, variables: Iterable[Variable]) -> Symbol:
         """The commands that acted since the last step, as a column."""
-        return self.column(variables, SENT)
+        return self.measured(variables, SENT)
 
     # ---- of plants with valves ---------------------------------------------------------------
     def send(
@@ -209,34 +238,30 @@ class Draft:
 
     def states(self, inversion: Inversion | None, variables: Iterable[Variable]) -> Symbol:
         """Measured states as a column, those of spools as they count in openings."""
-        x = self.column(variables)
+        x = self.measured(variables)
         if inversion is None or inversion.exact:
             return x
         return inversion.entering()(x, inversion.plant.vector("parameter"))
 
     def block(self) -> Block:
         """The block, once all is entered."""
-        inputs, parameters, memory = (
-            list(self._kept[c].values()) for c in ("input", "parameter", "state")
+        kept = [list(entered.values()) for entered in self._kept.values()]
+        memory, inputs, parameters, outputs = (
+            tuple(v for column, _ in part for v in column) for part in (*kept, self._outputs)
         )
-        after = [self._next.get(v.name, s) for v, s in memory]
-        symbols, carried = [s for _, s in memory], [v for v, _ in memory]
-        if self._column is not None:
-            variables, symbol, following = self._column
-            carried, symbols, after = carried + variables, [*symbols, symbol], [*after, following]
+        after = [self._next.get(column[0].name, symbol) for column, symbol in kept[0]]
         results = [
             column_of(self.kind, column)
             for column in (after, [value for _, value in self._outputs])
         ]
-        groups = [symbols, *([s for _, s in part] for part in (inputs, parameters))]
         return Block(
             name=self.name,
             sample_time=self.sample_time,
-            inputs=tuple(v for v, _ in inputs),
-            outputs=tuple(v for v, _ in self._outputs),
-            parameters=tuple(v for v, _ in parameters),
-            memory=tuple(carried),
-            step=self._step(groups, results),
+            inputs=inputs,
+            outputs=outputs,
+            parameters=parameters,
+            memory=memory,
+            step=self._step([[symbol for _, symbol in part] for part in kept], results),
             description=self.description,
             commands=tuple(self._commands),
             missing=tuple(self._missing),
@@ -305,7 +330,7 @@ def beside(inversion: Inversion, draft: Draft) -> tuple[Symbol, Symbol]:
     """
     plant = inversion.plant
     p, x = plant.vector("parameter"), ca.DM([v.start or 0.0 for v in plant.states])
-    return p, draft.column(plant.states) if inversion.by_states else x
+    return p, draft.measured(plant.states) if inversion.by_states else x
 
 
 def opened_by(

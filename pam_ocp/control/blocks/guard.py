@@ -13,20 +13,17 @@ Put once around the law of a block, in the same equations for Python, C and FMU:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_count, require_positive
-from ...core.variables import Causality, Variable
+from ...core.variables import Variable
 from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
-from .draft import column_of, per
-
-Symbols: TypeAlias = "dict[str, ca.SX]"
+from .draft import Draft, Symbol, about, column_of, kind_of_step, per
 
 STATUS = {
     1: "off (enable < 0.5)",
@@ -40,6 +37,8 @@ STATUS = {
 FLAGS = {1: "off", 2: "missing", 4: "lost", 8: "at_range", 16: "at_rate", 32: "no_number"}
 """Their names, where each is a Boolean of its own."""
 
+GIVEN = {"enable", "status", "hold_samples", "fade_time"}
+"""Names that the guard gives."""
 ROUNDING = 1e-9
 """A command so little beyond its range, scaled by nominals, was not limited."""
 NEVER = 1e6
@@ -79,6 +78,8 @@ def guarded(law: Block, guard: Guard | None = None) -> Block:
 
 
 class _Guarded:
+    """The guard of a law, in whole columns: its code stays short however large the law is."""
+
     def __init__(self, law: Block, guard: Guard) -> None:
         self.law, self.guard = law, guard
         require_count("hold", guard.hold, 0)
@@ -88,12 +89,17 @@ class _Guarded:
             for name in getattr(guard, argument):
                 if name not in law.commands:
                     raise UnknownNameError(f"command ({argument})", name, law.commands)
-        told = {ACTIVE, LIMITED, HELD_BACK, *(SENT + v.name for v in self.commands)}
+        clash = {v.name for v in (*law.inputs, *law.memory, *law.parameters, *law.outputs)} & GIVEN
+        if clash:
+            raise InputError(
+                f"{law.name}: {min(clash)} is a name that the guard gives; is it guarded already? "
+                "Then leave it as it is"
+            )
+        told = {ACTIVE, LIMITED, HELD_BACK} if self.commands else set()
+        told |= {SENT + v.name for v in self.commands}
         self.inputs = [v for v in law.inputs if v.name not in told]
-        self.told = [v for v in law.inputs if v.name in told]
         self.ranges = {v.name: self._range(v) for v in self.commands}
-        self._kept: dict[Causality, dict[str, Variable]] = {"state": {}, "parameter": {}}
-        self._declare()
+        self.draft = Draft(law.name, law.sample_time, law.description, kind_of_step(law))
 
     def _range(self, command: Variable) -> tuple[float, float]:
         name = command.name
@@ -114,240 +120,174 @@ class _Guarded:
             )
         return low, high
 
-    # ---- variables ----------------------------------------------------------------------------
-    def _enter(self, name: str, causality: Causality, start: float, **about: Any) -> None:
-        tunable = causality == "parameter"
-        self._kept[causality][name] = Variable(
-            name, causality, start=start, tunable=tunable, **about
+    def _safe(self, v: Variable) -> float:
+        safe, (low, high) = v.number(self.guard.safe[v.name], "safe"), self.ranges[v.name]
+        if not low <= safe <= high:
+            raise InputError(
+                f"safe[{v.name!r}] = {v.exactly(safe)} is outside {v.exactly(low)} .. "
+                f"{v.exactly(high)}; give a command within its range"
+            )
+        return safe
+
+    def _begin(self, v: Variable) -> float:
+        """The command before the first sample."""
+        return float(np.clip(v.start or 0.0, *self.ranges[v.name]))
+
+    def _memories(
+        self, name: str, variables: Sequence[Variable], starts: Iterable[float], words: str
+    ) -> Symbol:
+        """A column of memories ``name.VARIABLE``."""
+        pairs = zip(variables, starts, strict=True)
+        return self.draft.column(
+            [
+                Variable(f"{name}.{v.name}", "state", start=start, **about(v, words))
+                for v, start in pairs
+            ]
         )
-
-    def _declare(self) -> None:
-        for v in self.inputs:
-            about = {"unit": v.unit, "nominal": v.nominal}
-            last = f"last good value of {v.name}"
-            self._enter(f"held.{v.name}", "state", v.start or 0.0, description=last, **about)
-            self._enter(f"age.{v.name}", "state", NEVER, description="samples since then")
-        if self.inputs:
-            self._enter(
-                "hold_samples",
-                "parameter",
-                float(self.guard.hold),
-                min=0.0,
-                max=NEVER - 1,
-                description="samples for which the last good measurement stands in",
-            )
-        for v in self.commands:
-            self._declare_command(v)
-        if self.commands:
-            self._enter(
-                "fade_time",
-                "parameter",
-                self.guard.fade_time,
-                min=0.0,
-                unit="s",
-                description="of the step that is left at switching on",
-            )
-            self._enter("was_active", "state", 1.0, description="the law's commands acted")
-            self._enter("was_limited", "state", 0.0, description="a limit acted on a command")
-            self._enter("was_held_back", "state", 0.0, description="one that the law cannot know")
-
-    def _declare_command(self, v: Variable) -> None:
-        low, high = self.ranges[v.name]
-        about = {"unit": v.unit, "nominal": v.nominal}
-        begin = float(np.clip(v.start or 0.0, low, high))
-        self._enter(f"sent.{v.name}", "state", begin, description="as last sent", **about)
-        self._enter(f"fade.{v.name}", "state", 0.0, description="added after a switch", **about)
-        self._enter(f"min.{v.name}", "parameter", low, description="lowest command", **about)
-        self._enter(f"max.{v.name}", "parameter", high, description="highest command", **about)
-        if v.name in self.guard.rates:
-            unit = per(v.unit, "s")
-            rate = require_positive(f"rates[{v.name!r}]", self.guard.rates[v.name], unit)
-            self._enter(
-                f"rate.{v.name}", "parameter", rate, min=0.0, unit=unit, description="largest rate"
-            )
-        if v.name in self.guard.safe:
-            safe = v.number(self.guard.safe[v.name], "safe")
-            if not low <= safe <= high:
-                raise InputError(
-                    f"safe[{v.name!r}] = {v.exactly(safe)} is outside {v.exactly(low)} .. "
-                    f"{v.exactly(high)}; give a command within its range"
-                )
-            self._enter(
-                f"safe.{v.name}", "parameter", safe, description="while off or blind", **about
-            )
 
     # ---- equations ----------------------------------------------------------------------------
-    def _columns(self) -> tuple[list[ca.SX], Symbols]:
-        """Columns (guard's memory, inputs, enable, guard's parameters), and their entries."""
-        memory, parameters = (list(self._kept[c]) for c in ("state", "parameter"))
-        inputs = [v.name for v in self.inputs]
-        columns = [
-            ca.SX.sym(kind, len(names))
-            for kind, names in (("m", memory), ("i", inputs), ("on", ["enable"]), ("p", parameters))
-        ]
-        named = {}
-        for names, column in zip((memory, inputs, ["enable"], parameters), columns, strict=True):
-            named.update({n: column[i] for i, n in enumerate(names)})
-        return columns, named
-
-    def _watch(self) -> ca.Function:
-        """(memory, inputs, enable, parameters) -> (inputs of the law, held, ages, flags).
-
-        flags : on, some measurement missing, one missing for too long.
-        """
-        columns, s = self._columns()
-        seen, held, ages = {}, [], []
-        missing, lost = ca.SX(0), ca.SX(0)
-        for v in self.inputs:
-            good = ca.fabs(s[v.name]) <= LARGEST
-            value = ca.if_else(good, s[v.name], s[f"held.{v.name}"])
-            age = ca.if_else(good, 0, ca.fmin(s[f"age.{v.name}"] + 1, NEVER))
-            by_the_law = v.name in self.law.missing
-            seen[v.name] = ca.if_else(good, s[v.name], ca.SX.nan()) if by_the_law else value
-            held.append(value)
-            ages.append(age)
-            missing = ca.fmax(missing, ca.logic_not(good))
-            lost = ca.fmax(lost, age > s["hold_samples"])
-        for v in self.told:
-            names = {ACTIVE: "was_active", LIMITED: "was_limited", HELD_BACK: "was_held_back"}
-            seen[v.name] = s[names.get(v.name, v.name)]
-        inner = [seen[v.name] for v in self.law.inputs]
-        flags = ca.vertcat(s["enable"] >= 0.5, missing, lost)
-        return ca.Function(
-            "watch", columns, [_cat(inner), _cat(held), _cat(ages), flags], {"cse": True}
-        )
-
-    def _act(self) -> ca.Function:
-        """(memory, inputs, enable, parameters, flags, law's memory is sound, law's outputs)
-        -> (law gave numbers, sent, fade, was active, limited and held back, outputs)."""
-        columns, s = self._columns()
-        flags, sound = ca.SX.sym("flags", 3), ca.SX.sym("sound")
-        outputs = ca.SX.sym("outputs", len(self.law.outputs))
-        names = [v.name for v in self.law.outputs]
-        asked = {v.name: outputs[names.index(v.name)] for v in self.commands}
-        whole = sound
-        for entry in asked.values():
-            whole = ca.logic_and(whole, ca.fabs(entry) <= LARGEST)
-        awake = ca.logic_and(flags[0], ca.logic_not(flags[2]))
-        status = ca.logic_not(flags[0]) + 2 * flags[1] + 4 * flags[2] + 32 * ca.logic_not(whole)
-        sent, fade, at_range, narrowed, at_rate = [], [], ca.SX(0), ca.SX(0), ca.SX(0)
-        given = [outputs[i] for i in range(len(names))]
-        for v in self.commands:
-            value, left, ranged, rated = self._sent(v, s, asked[v.name], awake, whole)
-            sent.append(value)
-            fade.append(left)
-            at_range, at_rate = ca.fmax(at_range, ranged), ca.fmax(at_rate, rated)
-            if self.ranges[v.name] != (v.min, v.max):
-                narrowed = ca.fmax(narrowed, ranged)
-            given[names.index(v.name)] = value
-        for i, v in enumerate(self.law.outputs):
-            if v.name not in asked:  # an estimate or a status that is no number is not told either
-                good = ca.fabs(outputs[i]) <= LARGEST
-                given[i] = ca.if_else(good, outputs[i], v.start or 0.0)
-        status += 8 * at_range + 16 * at_rate
-        limited = [ca.fmax(at_range, at_rate), ca.fmax(narrowed, at_rate)]
-        done = [ca.logic_and(awake, whole), *limited] if self.commands else []
-        results = [whole, _cat(sent), _cat(fade), _cat(done), _cat([*given, status])]
-        return ca.Function("act", [*columns, flags, sound, outputs], results, {"cse": True})
-
-    def _sent(
-        self, v: Variable, s: Symbols, asked: ca.SX, awake: ca.SX, whole: ca.SX
-    ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """(command sent, fade, at an end of its range, at its largest rate)."""
-        time, last = self.law.sample_time, s[f"sent.{v.name}"]
-        back = ca.logic_not(s["was_active"])  # the first sample in action again
-        left = s[f"fade.{v.name}"] * (s["fade_time"] / (s["fade_time"] + time))
-        fade = ca.if_else(back, last - asked, left)
-        good = ca.logic_and(awake, whole)
-        fade = ca.if_else(good, fade, 0)
-        safe = ca.if_else(awake, last, s.get(f"safe.{v.name}", last))
-        wanted = ca.if_else(good, asked + fade, safe)
-        rated, value = ca.SX(0), wanted
-        if f"rate.{v.name}" in s:
-            step = s[f"rate.{v.name}"] * time
-            value = ca.fmin(ca.fmax(wanted, last - step), last + step)
-            rated = ca.fabs(wanted - value) > ROUNDING * v.nominal
-        within = ca.fmin(ca.fmax(value, s[f"min.{v.name}"]), s[f"max.{v.name}"])
-        return within, fade, ca.fabs(within - value) > ROUNDING * v.nominal, rated
-
-    # ---- the block ------------------------------------------------------------------------------
     def block(self) -> Block:
-        law = self.law
-        clash = {v.name for v in (*self.inputs, *law.memory, *law.parameters, *law.outputs)} & {
-            *(n for kept in self._kept.values() for n in kept),
-            "enable",
-            "status",
-        }
-        if clash:
-            raise InputError(
-                f"{law.name}: {min(clash)} is a name that the guard gives; is it guarded already? "
-                "Then leave it as it is"
-            )
+        law, draft = self.law, self.draft
+        draft.column(law.memory)
+        draft.column(law.parameters)
+        seen, missing, lost = self._watched()
         enable = Variable("enable", "input", start=1.0, min=0.0, max=1.0, description="1 on, 0 off")
-        words = "; ".join(f"{bit} {word}" for bit, word in STATUS.items())
-        status = Variable(
-            "status", "output", start=0.0, min=0.0, max=63.0, description=f"sum of: {words}"
-        )
-        outputs = [self._output(v) for v in law.outputs]
-        return Block(
-            name=law.name,
-            sample_time=law.sample_time,
-            inputs=(*self.inputs, enable),
-            outputs=(*outputs, status),
-            parameters=(*law.parameters, *self._kept["parameter"].values()),
-            memory=(*law.memory, *self._kept["state"].values()),
-            step=self._step(),
-            description=law.description,
-            commands=law.commands,
+        on = draft.column([enable]) >= 0.5
+        known = seen | self._told()
+        entries = [known[v.name] for v in law.inputs]
+        before, after, outputs = draft.call(law, column_of(draft.kind, entries))
+        given = [outputs[i] for i in range(len(law.outputs))]
+        places = [i for i, v in enumerate(law.outputs) if v.name in law.commands]
+        whole = ca.logic_and(_sound(after), _sound(outputs[places]))
+        status = ca.logic_not(on) + 2 * missing + 4 * lost + 32 * ca.logic_not(whole)
+        if places:
+            awake = ca.logic_and(on, ca.logic_not(lost))
+            sent, at_range, at_rate = self._sent(outputs[places], awake, whole)
+            for i, place in enumerate(places):
+                given[place] = sent[i]
+            status += 8 * at_range + 16 * at_rate
+        for i, v in enumerate(law.outputs):
+            if i not in places:  # an estimate or a status that is no number is not told either
+                good = ca.fabs(given[i]) <= LARGEST
+                given[i] = ca.if_else(good, given[i], v.start or 0.0)
+        if law.memory:
+            draft.next(law.memory[0].name, ca.if_else(whole, after, before))
+        draft.outputs(self._outputs(), column_of(draft.kind, [*given, status]), law.commands)
+        return replace(
+            draft.block(),
             missing=tuple(v.name for v in self.inputs),
             loops=law.loops,
             delay=law.delay,
             flags={"enable": {}, "status": FLAGS},
-            matrices=law.matrices,
         )
 
-    def _output(self, v: Variable) -> Variable:
-        if v.name not in self.ranges:
-            return v
-        low, high = self.ranges[v.name]
-        return replace(v, min=low, max=high, start=self._kept["state"][f"sent.{v.name}"].start)
+    def _watched(self) -> tuple[dict[str, Symbol], Symbol, Symbol]:
+        """(inputs of the law by name, whether a measurement is missing, one for too long)."""
+        draft, inputs = self.draft, self.inputs
+        if not inputs:
+            return {}, draft.kind(0), draft.kind(0)
+        x, first = draft.column(inputs), inputs[0].name
+        held = self._memories("held", inputs, [v.start or 0.0 for v in inputs], "last good value")
+        words = "samples since the last good value"
+        age = draft.column(
+            [Variable(f"age.{v.name}", "state", start=NEVER, description=words) for v in inputs]
+        )
+        words = "samples for which the last good measurement stands in"
+        hold = draft.parameter(
+            "hold_samples", self.guard.hold, min=0.0, max=NEVER - 1, description=words
+        )
+        good = ca.fabs(x) <= LARGEST
+        value, now = ca.if_else(good, x, held), ca.if_else(good, 0, ca.fmin(age + 1, NEVER))
+        draft.next(f"held.{first}", value)
+        draft.next(f"age.{first}", now)
+        by_the_law = ca.if_else(good, x, np.nan)
+        seen = {
+            v.name: (by_the_law if v.name in self.law.missing else value)[i]
+            for i, v in enumerate(inputs)
+        }
+        return seen, ca.mmax(ca.logic_not(good)), ca.mmax(now > hold)
 
-    def _step(self) -> ca.Function:
-        law, kept = self.law, self._kept
-        sizes = [
-            len(law.memory) + len(kept["state"]),
-            len(self.inputs) + 1,
-            len(law.parameters) + len(kept["parameter"]),
-        ]
-        kind = ca.SX if law.step.is_a("SXFunction") else ca.MX
-        names = ["memory", "inputs", "parameters"]
-        columns: list[Any] = [kind.sym(n, size) for n, size in zip(names, sizes, strict=True)]
-        of_law, of_guard = _split(columns[0], len(law.memory))
-        inputs, enable = _split(columns[1], len(self.inputs))
-        gains, settings = _split(columns[2], len(law.parameters))
-        known = [of_guard, inputs, enable, settings]
-        seen, held, ages, flags = self._watch().call(known)
-        after, outputs = law.step.call([of_law, seen, gains])
-        # of whole vectors, whose code stays short however much memory a law has
-        sound = ca.sum1(ca.fabs(after) <= LARGEST) == after.numel() if law.memory else kind(1)
-        rest: list[Any] = [*known, flags, sound, outputs]
-        whole, sent, fade, done, given = self._act().call(rest)
-        memory = ca.if_else(whole, after, of_law) if law.memory else after
-        order = [f"held.{v.name}" for v in self.inputs] + [f"age.{v.name}" for v in self.inputs]
-        order += [f"{part}.{v.name}" for part in ("sent", "fade") for v in self.commands]
-        order += ["was_active", "was_limited", "was_held_back"] if self.commands else []
-        parts: Any = ca.vertcat(held, ages, sent, fade, done)
-        places = [order.index(n) for n in kept["state"]]
-        sorted_parts = parts[places] if places else parts
-        ends: list[Any] = [ca.densify(ca.vertcat(memory, sorted_parts)), ca.densify(given)]
-        return ca.Function("step", columns, ends, names, ["memory_next", "outputs"])
+    def _last(self) -> Symbol:
+        """The commands as they were last sent."""
+        starts = map(self._begin, self.commands)
+        return self._memories("sent", self.commands, starts, "as last sent")
+
+    def _told(self) -> dict[str, Symbol]:
+        """What became of the last commands, by the law's name for it."""
+        if not self.commands:
+            return {}
+        last = self._last()
+        told = {SENT + v.name: last[i] for i, v in enumerate(self.commands)}
+        for name, start, words in (
+            (ACTIVE, 1.0, "the law's commands acted"),
+            (LIMITED, 0.0, "a limit acted on a command"),
+            (HELD_BACK, 0.0, "one that the law cannot know"),
+        ):
+            told[name] = self.draft.memory(f"was_{name}", start, description=words)
+        return told
+
+    def _sent(self, asked: Symbol, awake: Symbol, whole: Symbol) -> tuple[Symbol, Symbol, Symbol]:
+        """(commands sent, whether one is at an end of its range, one at its largest rate)."""
+        draft, commands, last = self.draft, self.commands, self._last()
+        first, nominal = commands[0].name, ca.DM([v.nominal for v in commands])
+        words = "of the step that is left at switching on"
+        fade_time = draft.parameter(
+            "fade_time", self.guard.fade_time, min=0.0, unit="s", description=words
+        )
+        fading = self._memories("fade", commands, [0.0] * len(commands), "added after a switch")
+        back = ca.logic_not(draft.memory(f"was_{ACTIVE}"))  # the first sample in action again
+        left = fading * (fade_time / (fade_time + self.law.sample_time))
+        good = ca.logic_and(awake, whole)
+        fade = ca.if_else(good, ca.if_else(back, last - asked, left), 0)
+        safe = ca.if_else(awake, last, self._safe_commands(last))
+        wanted = ca.if_else(good, asked + fade, safe)
+        value = ca.vertcat(*(self._slewed(v, wanted[i], last[i]) for i, v in enumerate(commands)))
+        low, high = zip(*(self.ranges[v.name] for v in commands), strict=True)
+        least = draft.parameters("min", commands, low, "at least")
+        sent = ca.fmin(ca.fmax(value, least), draft.parameters("max", commands, high, "at most"))
+        at_range = ca.fabs(sent - value) > ROUNDING * nominal
+        at_rate = ca.mmax(ca.fabs(wanted - value) > ROUNDING * nominal)
+        narrow = ca.DM([self.ranges[v.name] != (v.min, v.max) for v in commands])
+        draft.next(f"sent.{first}", sent)
+        draft.next(f"fade.{first}", fade)
+        draft.next(f"was_{ACTIVE}", good)
+        draft.next(f"was_{LIMITED}", ca.fmax(ca.mmax(at_range), at_rate))
+        draft.next(f"was_{HELD_BACK}", ca.fmax(ca.mmax(at_range * narrow), at_rate))
+        return sent, ca.mmax(at_range), at_rate
+
+    def _safe_commands(self, last: Symbol) -> Symbol:
+        """Those to be sent while off or blind; the last ones of what has none."""
+        chosen = [v for v in self.commands if v.name in self.guard.safe]
+        values = self.draft.parameters(
+            "safe", chosen, map(self._safe, chosen), "while off or blind"
+        )
+        named = {v.name: values[i] for i, v in enumerate(chosen)}
+        return ca.vertcat(*(named.get(v.name, last[i]) for i, v in enumerate(self.commands)))
+
+    def _slewed(self, v: Variable, wanted: Symbol, last: Symbol) -> Symbol:
+        """A command within its largest rate."""
+        if v.name not in self.guard.rates:
+            return wanted
+        unit, words = per(v.unit, "s"), "largest rate"
+        rate = require_positive(f"rates[{v.name!r}]", self.guard.rates[v.name], unit)
+        most = self.draft.parameter(f"rate.{v.name}", rate, min=0.0, unit=unit, description=words)
+        step = most * self.law.sample_time
+        return ca.fmin(ca.fmax(wanted, last - step), last + step)
+
+    def _outputs(self) -> list[Variable]:
+        words = "; ".join(f"{bit} {word}" for bit, word in STATUS.items())
+        status = Variable(
+            "status", "output", start=0.0, min=0.0, max=63.0, description=f"sum of: {words}"
+        )
+        outputs = []
+        for v in self.law.outputs:
+            if v.name in self.ranges:
+                low, high = self.ranges[v.name]
+                v = replace(v, min=low, max=high, start=self._begin(v))
+            outputs.append(v)
+        return [*outputs, status]
 
 
-def _split(column: Any, first: int) -> tuple[Any, Any]:
-    """The first entries, and the others (not slices: of a scalar they would be rows)."""
-    first_part, second = ca.vertsplit(column, [0, first, column.numel()])
-    return first_part, second
-
-
-def _cat(entries: list[ca.SX]) -> Any:
-    return column_of(ca.SX, entries)
+def _sound(column: Symbol) -> Symbol:
+    """Whether all entries are numbers."""
+    return ca.sum1(ca.fabs(column) <= LARGEST) == column.numel()

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import InputError, require_count, require_positive, require_tolerance
@@ -17,10 +16,9 @@ from ...plants.plant import Given, Plant, require_plant
 from ...simulation.sampled import SampledPlant, stepped
 from ..kinds import BEFORE
 from ..sides import start_values
-from .draft import Draft, about
+from .draft import Draft, about, column_of
 from .running import block as block_of
 
-Array: TypeAlias = NDArray[np.float64]
 MOST = 1024
 """Substeps in a sample."""
 STATE, HELD = "state.", "held."
@@ -146,8 +144,11 @@ class _Sampled:
         words = f"{law.name} drives {alone}" if law else alone
         draft = Draft(name, self.length, words, ca.MX)
         draft.repeats("steps of the plant", self.substeps)
-        p = [self._parameter(draft, v, v.name) for v in plant.parameters]
-        held = self._held(draft)
+        p = [draft.parameter(v.name, v.start or 0.0, **_range(v)) for v in plant.parameters]
+        held = {  # what acted since the last sample
+            v.name: draft.memory(HELD + v.name, v.start or 0.0, **about(v, "acts until now"))
+            for v in plant.inputs
+        }
         x, y = self._moved(draft, ca.vertcat(*held.values()), ca.vertcat(*p))
         seen = {v.name: y[i] for i, v in enumerate((*plant.states, *plant.outputs))}
         for v in (*plant.states, *plant.outputs):
@@ -160,24 +161,9 @@ class _Sampled:
                 acting[v.name] = draft.input(v.name, v.start or 0.0, **_range(v))
             self._wait(draft, v, acting[v.name])
         made = draft.block()
-        if law is None:
-            return made
         shown = {v.name for v in (*made.inputs, *made.outputs)}
-        return replace(
-            made,
-            flags={k: v for k, v in law.flags.items() if k in shown},
-            matrices={f"{law.name}.{k}": n for k, n in law.matrices.items()},
-        )
-
-    def _parameter(self, draft: Draft, v: Variable, name: str) -> Any:
-        return draft.parameter(name, v.start or 0.0, **_range(v))
-
-    def _held(self, draft: Draft) -> dict[str, Any]:
-        """What acted since the last sample, by input of the plant."""
-        return {
-            v.name: draft.memory(HELD + v.name, v.start or 0.0, **about(v, "acts until now"))
-            for v in self.plant.inputs
-        }
+        flags = law.flags if law else {}
+        return replace(made, flags={k: v for k, v in flags.items() if k in shown})
 
     def _moved(self, draft: Draft, u: Any, p: Any) -> tuple[list[Any], Any]:
         """The states at this sample, and all that is seen of the plant."""
@@ -201,15 +187,7 @@ class _Sampled:
             else draft.input(v.name, v.start or 0.0, missing=v.name in law.missing, **_range(v))
             for v in law.inputs
         ]
-        gains = [self._parameter(draft, v, f"{law.name}.{v.name}") for v in law.parameters]
-        memory = {
-            f"{law.name}.{v.name}": draft.memory(f"{law.name}.{v.name}", v.start or 0.0, **about(v))
-            for v in law.memory
-        }
-        columns = (ca.vertcat(*c) if c else ca.MX(0, 1) for c in (memory.values(), given, gains))
-        after, answer = law.step(*columns)
-        for i, name in enumerate(memory):
-            draft.next(name, after[i])
+        _, _, answer = draft.call(law, column_of(ca.MX, given), f"{law.name}.")
         for i, v in enumerate(law.outputs):
             taken = v.name in seen or v.name in {w.name for w in law.inputs}
             draft.output(replace(v, name=f"{law.name}.{v.name}" if taken else v.name), answer[i])

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_count
@@ -18,12 +15,10 @@ from ...core.variables import Variable
 from ...numerics.buffered import Buffered
 from ...plants.plant import Plant, require_plant
 from ..controller import Measured
-from ..kinds import BEFORE, SENT, TOLD, law_of, takes
+from ..kinds import BEFORE, SENT, TOLD, Array, law_of, takes
 from ..references import Source
 from .chain import with_delay
 from .guard import Guard, guarded
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 class Running:

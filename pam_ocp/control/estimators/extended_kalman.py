@@ -11,11 +11,10 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
@@ -27,10 +26,9 @@ from ...plants.plant import Plant, Values, require_plant
 from ...simulation.sampled import StepMethod
 from ..blocks.draft import Draft, Symbol, clipped
 from ..controller import Estimate
-from ..kinds import BLOCKS, ESTIMATORS, LARGEST
+from ..kinds import BLOCKS, ESTIMATORS, LARGEST, Array
 from ..step import Givens, Step
-
-Array: TypeAlias = NDArray[np.float64]
+from .stationary import deviations, measurements
 
 PROCESS = 1e-2
 """Default process noise of a state, scaled by nominals, per square root of a second."""
@@ -66,17 +64,7 @@ class Estimator(ABC):
         self._at_rest = plant.vector("input")
         names = [v.name for v in plant.inputs]
         self._control_places = [names.index(n) for n in self._control_names]
-        if not measured:
-            raise InputError("measured is empty: name at least one state or output and its noise")
-        self.measured = [plant.variable(n) for n in measured]
-        for variable in self.measured:
-            if variable.causality not in ("state", "output"):
-                raise InputError(
-                    f"measured: {variable.name} is {variable.kind}; give states or outputs"
-                )
-        self.noise = np.array(
-            [require_positive(f"measured[{n!r}]", s) for n, s in measured.items()]
-        )
+        self.measured, self.noise = measurements(plant, measured)
         self._noise: Array = self.noise / np.array([v.nominal for v in self.measured])
         self._measured_at = {v.name: i for i, v in enumerate(self.measured)}
         self.unknown = [self.given.name(n) for n in unknown or {}]
@@ -88,9 +76,9 @@ class Estimator(ABC):
         self.names = (*(v.name for v in plant.states), *self.unknown)
         pairs = [_pair(n, v) for n, v in (unknown or {}).items()]
         spread = {v.name: v.nominal for v in plant.states}
-        spread |= _deviations(plant, uncertainty, "uncertainty")
+        spread |= deviations(plant, uncertainty or {}, "uncertainty")
         drift = {v.name: PROCESS * v.nominal for v in plant.states}
-        drift |= dict.fromkeys(plant.positions, 0.0) | _deviations(plant, process, "process")
+        drift |= dict.fromkeys(plant.positions, 0.0) | deviations(plant, process or {}, "process")
         first = np.array([*(spread[v.name] for v in plant.states), *(a for a, _ in pairs)])
         density = np.array([*(drift[v.name] for v in plant.states), *(b for _, b in pairs)])
         self._density = np.diag((density / self._scale) ** 2)
@@ -324,16 +312,6 @@ def _pair(name: str, value: Any) -> tuple[float, float]:
     return require_positive(label, first, zero=True), require_positive(label, drift, zero=True)
 
 
-def _deviations(plant: Plant, given: Mapping[str, float] | None, argument: str) -> dict[str, float]:
-    found = {}
-    for name, value in (given or {}).items():
-        variable = plant.variable(name)
-        if variable.causality != "state":
-            raise InputError(f"{argument}: {variable.name} is {variable.kind}; give states")
-        found[variable.name] = require_positive(f"{argument}[{name!r}]", value, zero=True)
-    return found
-
-
 def mirrored(matrix: Symbol) -> Any:
     """A symmetric matrix, its upper half from the lower one: symmetric to the last digit, too."""
     return ca.tril2symm(ca.tril(matrix))
@@ -380,28 +358,22 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
     draft = Draft(name, filter.sample_time, "extended Kalman filter")
     estimated, n = estimated_variables(filter), len(filter.names)
     start_z, start_p = filter._first
-    begin = zip(estimated, start_z, strict=True)
-    z = ca.vertcat(*(draft.memory(f"scaled.{v.name}", float(s)) for v, s in begin))
-    rows = [
-        [draft.memory(f"covariance.c{i}_{j}", float(start_p[i, j])) for j in range(n)]
-        for i in range(n)
-    ]
-    p = ca.vertcat(*(ca.horzcat(*row) for row in rows))
+    z = draft.memories(start_z, "of the estimate", "scaled.z")
+    p = ca.reshape(draft.memories(start_p.ravel(), "of the estimate", "covariance.c"), n, n)
     started = draft.started
     sent = draft.sent(filter.given.controls)
     q = ca.DM(filter.given.vector())
     moved, p_moved, _ = filter.going(z, sent, q, p)
     z, p = ca.if_else(started, moved, z), ca.if_else(started, p_moved, p)
-    y = draft.column(filter.measured, missing=True)
+    y = draft.measured(filter.measured, missing=True)
     good = ca.fabs(y) <= LARGEST
     scaled = ca.if_else(good, y, 0) / ca.DM([v.nominal for v in filter.measured])
     mean, p = filter.taking(z, sent, q, z, p, scaled, good)
     z = clipped(mean, filter._low, filter._high)
+    draft.next("scaled.z1", z)
+    draft.next("covariance.c1", ca.vec(p))
     for i, v in enumerate(estimated):
-        draft.next(f"scaled.{v.name}", z[i])
         draft.estimate(v, z[i] * float(filter._scale[i]))
-        for j in range(n):
-            draft.next(f"covariance.c{i}_{j}", p[i, j])
     for i, v in enumerate(estimated):
         draft.deviation(v, ca.sqrt(ca.fmax(p[i, i], 0)) * float(filter._scale[i]))
     return draft.block()

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import (
     InputError,
     UnknownNameError,
     require_count,
+    require_ends,
     require_positive,
 )
 from ...core.stop import locked
@@ -33,12 +33,9 @@ from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
 from ..blocks.draft import Draft
 from ..controller import Estimate
-from ..kinds import BLOCKS, ESTIMATORS, LARGEST
-from ..step import open_range
+from ..kinds import BLOCKS, ESTIMATORS, LARGEST, Array
 from .extended_kalman import Estimator, estimated_variables
 from .smoother import PASSES, Smoother
-
-Array: TypeAlias = NDArray[np.float64]
 
 LEAST = 1e-12
 """Variance of an unknown that a reset keeps, in squares of nominal, at least: it can go on to move.
@@ -166,7 +163,7 @@ class MovingHorizonEstimator(Estimator):
         self._high[:nx] = [v.max for v in states] / self._scale[:nx]
         for name, value in bounds.items():
             i = self.names.index(self._estimated(name))
-            low, high = open_range(f"bounds[{name!r}]", value)
+            low, high = require_ends(f"bounds[{name!r}]", value, open_ends=True)
             self._low[i] = max(self._low[i], low / self._scale[i])
             self._high[i] = min(self._high[i], high / self._scale[i])
             if self._low[i] > self._high[i]:
@@ -245,30 +242,27 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
         filter.iterations,
         given,
     )
-    n, m, nodes = window.n, window.m, window.nodes
-    controls = filter.given.controls
-    sizes = {
-        "nodes": n * nodes,
-        "values": m * nodes,
-        "present": m * nodes,
-        "controls": len(controls) * nodes,
-        "prior": n,
-        "covariance": n * n,
-        "counts": 2,
-    }
-    draft = Draft(
-        name, filter.sample_time, f"moving-horizon estimator, {filter.horizon} steps", ca.MX
-    )
-    measured = draft.column(filter.measured, missing=True)
+    n, m, nodes, controls = window.n, window.m, window.nodes, filter.given.controls
+    words = f"moving-horizon estimator, {filter.horizon} steps"
+    draft = Draft(name, filter.sample_time, words, ca.MX)
+    measured = draft.measured(filter.measured, missing=True)
     sent = draft.sent(controls)
-    memory = draft.memories(_start(filter, sizes), "of the window")
-    ends = np.cumsum([0, *sizes.values()]).tolist()
-    part = dict(zip(sizes, ca.vertsplit(memory, ends), strict=True))
-    z, y, has, u = (
-        ca.reshape(part[key], -1, nodes) for key in ("nodes", "values", "present", "controls")
+    first_z, first_p = filter._first
+    starts = {
+        "nodes": np.tile(first_z, nodes),
+        "values": np.zeros(m * nodes),
+        "present": np.zeros(m * nodes),
+        "controls": np.zeros(len(controls) * nodes),
+        "prior": first_z,
+        "covariance": first_p.ravel(),
+        "counts": np.zeros(2),
+    }
+    *rows, prior, p, counts = (
+        draft.memories(start, f"{part} of the window", f"{part}.w")
+        for part, start in starts.items()
     )
-    prior, p = part["prior"], part["covariance"]
-    started, count = part["counts"][0], part["counts"][1]
+    z, y, has, u = (ca.reshape(e, -1, nodes) for e in rows)
+    started, count = ca.vertsplit(counts)
     good = ca.fabs(measured) <= LARGEST
     value = ca.if_else(good, measured, 0) / ca.DM([v.nominal for v in filter.measured])
 
@@ -294,8 +288,9 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
     scale = ca.DM(filter._scale)
     square = ca.diag(ca.reshape(covariance, n, n))
     deviation = ca.sqrt(ca.fmax(square, 0)) * scale
-    rest = [ca.vec(e) for e in (z, y, has, u)] + [prior, p, ca.MX(1), count]
-    draft.next_memories(ca.densify(ca.vertcat(*rest)))
+    kept = [ca.vec(e) for e in (z, y, has, u)] + [prior, p, ca.vertcat(1, count)]
+    for part, value in zip(starts, kept, strict=True):
+        draft.next(f"{part}.w1", ca.densify(value))
     for i, v in enumerate(estimated_variables(filter)):
         draft.estimate(v, z[i, nodes - 1] * scale[i])
     for i, v in enumerate(estimated_variables(filter)):
@@ -304,12 +299,3 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
     if window.sides:
         draft.repeats("passes of the smoother", filter.iterations * (PASSES + 1))
     return draft.block()
-
-
-def _start(filter: MovingHorizonEstimator, sizes: dict[str, int]) -> Array:
-    """The block's memory before the first step."""
-    start_z, start_p = filter._first
-    parts: dict[str, Array] = {n: np.zeros(size) for n, size in sizes.items()}
-    parts |= {"nodes": np.tile(start_z, filter.horizon + 1), "prior": start_z}
-    parts |= {"covariance": start_p.ravel()}
-    return np.concatenate([*parts.values()])

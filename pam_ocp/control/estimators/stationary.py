@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.block import Block
 from ...core.errors import InputError, require_count, require_instance, require_positive
@@ -22,12 +21,10 @@ from ...operating.resting_point import OperatingPoint
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
 from ..blocks.chain import chain
-from ..blocks.draft import Draft, clipped, opened_by
+from ..blocks.draft import Draft, about, clipped, opened_by
 from ..blocks.running import Running
 from ..controller import Controller, Estimate, Measured
-from ..kinds import BLOCKS, LARGEST, law_of
-
-Array: TypeAlias = NDArray[np.float64]
+from ..kinds import BLOCKS, LARGEST, Array, law_of
 
 
 @dataclass
@@ -208,12 +205,8 @@ def kalman(
     inversion, at = inside(plant, at)
     plant = at.plant
     sample_time = require_positive("sample_time", sample_time, "s")
-    require_instance("measured", measured, Mapping, "give {state or output: deviation}")
-    if not measured:
-        raise InputError("measured is empty: give {state or output: deviation of its noise}")
-    names = [plant.variable(n).name for n in measured]
-    noise = np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
-    unknown = inversion.names(disturbances or {})
+    seen, noise = measurements(plant, measured)
+    names, unknown = [v.name for v in seen], inversion.names(disturbances or {})
     # held memories stick to the motion about the point: estimated from it, as no pole tells of them
     follow, known = at.stuck, plant.vector("state", attribute="nominal")
     linear = linearize(plant, at, outputs=names, dt=sample_time, stuck=True)
@@ -221,10 +214,7 @@ def kalman(
     system = _with_disturbances(plant, linear, list(unknown), states)
     sizes = [plant.variable(n).nominal for n in unknown]
     if isinstance(process, Mapping):
-        given = {
-            plant.variable(n).name: require_positive(f"process[{n!r}]", v, zero=True)
-            for n, v in process.items()
-        }
+        given = deviations(plant, process, "process")
         drive = np.array([given.get(plant.states[i].name, 0.0) for i in follow.kept])
     else:
         drive = np.full(len(states), require_positive("process", process))
@@ -249,6 +239,29 @@ def kalman(
         noise,
         lift @ covariance @ lift.T,
     )
+
+
+def measurements(plant: Plant, measured: Mapping[str, float]) -> tuple[list[Variable], Array]:
+    """The states and outputs that are measured, and the deviations of their noise [SI]."""
+    require_instance("measured", measured, Mapping, "give {state or output: deviation}")
+    if not measured:
+        raise InputError("measured is empty: give {state or output: deviation of its noise}")
+    found = [plant.variable(n) for n in measured]
+    for v in found:
+        if v.causality not in ("state", "output"):
+            raise InputError(f"measured: {v.name} is {v.kind}; give states or outputs")
+    return found, np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
+
+
+def deviations(plant: Plant, given: Mapping[str, float], argument: str) -> dict[str, float]:
+    """{state: standard deviation}, checked."""
+    found = {}
+    for name, value in given.items():
+        variable = plant.variable(name)
+        if variable.causality != "state":
+            raise InputError(f"{argument}: {variable.name} is {variable.kind}; give states")
+        found[variable.name] = require_positive(f"{argument}[{name!r}]", value, zero=True)
+    return found
 
 
 def _of_all_states(plant: Plant, system: Any, follow: Stuck) -> Any:
@@ -342,23 +355,15 @@ def _stationary(
             f"kalman: the states cannot be told from {', '.join(names)} ({error}); measure more, "
             "or add process noise"
         ) from None
-    # dlqe's gain corrects the prediction for the next sample; this one corrects the present one
-    present, left = corrected(np.asarray(covariance), c, np.ones(len(noise)))
     if not np.all(np.isfinite(gain)):
         raise InputError(f"kalman: no stationary filter exists for {', '.join(names)}")
+    # dlqe's gain corrects the prediction for the next sample; this one corrects the present one,
+    # and leaves a covariance in Joseph's form, which rounding leaves symmetric and positive
+    p = np.asarray(covariance)
+    present = np.linalg.solve(c @ p @ c.T + np.eye(len(noise)), c @ p).T
+    keep = np.eye(len(p)) - present @ c
+    left = keep @ p @ keep.T + present @ present.T
     return present * nominal[:, None] / noise, left * nominal * nominal[:, None]
-
-
-def corrected(covariance: Array, c: Array, noise: Array) -> tuple[Array, Array]:
-    """Gain (n, measured) and covariance (n, n) after a measurement y = c x + noise.
-
-    noise : variances. The covariance in Joseph's form, which rounding leaves symmetric and positive
-    (R. S. Bucy and P. D. Joseph, Filtering for Stochastic Processes, 1968).
-    """
-    r = np.diag(noise)
-    gain = np.linalg.solve(c @ covariance @ c.T + r, c @ covariance).T
-    keep = np.eye(len(covariance)) - gain @ c
-    return gain, keep @ covariance @ keep.T + gain @ r @ gain.T
 
 
 @dataclass
@@ -428,19 +433,17 @@ def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
     whole = filter.inversion.plant if filter.inversion else plant
     names = [v.name for v in plant.states]
     estimated = [plant.variable(n) for n in (*names, *filter.disturbances)]
-    deviation = ca.vertcat(
-        *(
-            draft.memory(
-                f"deviation.{v.name}", unit=v.unit, nominal=v.nominal, description="x - x0"
-            )
+    deviation = draft.column(
+        [
+            Variable(f"deviation.{v.name}", "state", start=0.0, **about(v, "x - x0"))
             for v in estimated
-        )
+        ]
     )
     started = draft.started
     acted = opened_by(filter.inversion, whole, draft)
     u = ca.vertcat(*(acted.get(v.name, v.start or 0.0) for v in plant.inputs))
     predicted, moved = filter.prediction()(deviation, u)
-    y = draft.column([plant.variable(n) for n in filter.measured], missing=True)
+    y = draft.measured([plant.variable(n) for n in filter.measured], missing=True)
     expected = ca.if_else(started, predicted, deviation)
     after = filter.correction()(expected, ca.if_else(started, moved, 0), y)
     estimate = ca.DM([point[v.name] for v in estimated]) + after
@@ -448,8 +451,8 @@ def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
         x = estimate[: len(names)]
         back = filter.inversion.entering(False)(x, whole.vector("parameter"))
         estimate = ca.vertcat(back, estimate[len(names) :])
+    draft.next(f"deviation.{estimated[0].name}", after)
     for i, v in enumerate(estimated):
-        draft.next(f"deviation.{v.name}", after[i])
         draft.estimate(v, estimate[i])
     return draft.block()
 

@@ -19,6 +19,7 @@ from ...core.errors import (
     InputError,
     UnknownNameError,
     require_count,
+    require_ends,
     require_instance,
     require_positive,
 )
@@ -33,10 +34,10 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
 from ...simulation.simulator import evaluated
-from ..kinds import CONTROLLERS
+from ..kinds import CONTROLLERS, Array
 from ..mpc_statistics import Calls, MpcStatistics
 from ..references import Source
-from ..step import Givens, Step, open_range
+from ..step import Givens, Step
 from .real_time import PATIENCE, RealTimeCalls, RealTimeIteration
 from .shooting import NodeLimit, Penalty, TrackingProgram
 from .sqp import QpSolver, Sqp, SqpOutcome, TrackingIpopt
@@ -44,7 +45,6 @@ from .sqp import QpSolver, Sqp, SqpOutcome, TrackingIpopt
 if TYPE_CHECKING:
     from ...courtesy import ClosedLoop
 
-Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 
 FIRST_ITERATIONS = 30
@@ -150,11 +150,9 @@ class Mpc:
         tolerance: float = 1e-3,
         compiled: bool | None = False,
     ) -> None:
-        counts = [("horizon", horizon, 1), ("iterations", iterations, 1)]
-        if work is not None:
-            counts.append(("work", work, 1))
-        for argument, value, least in counts:
-            require_count(argument, value, least)
+        require_count("horizon", horizon)
+        require_count("iterations", iterations)
+        require_count("work", 1 if work is None else work)
         if delay not in (0, 1):
             raise InputError(f"delay = {delay!r}: give 0 (at once) or 1 (one step later)")
         require_positive("penalty", penalty)
@@ -309,7 +307,9 @@ class Mpc:
             outcome = self._calls(point, now, self._applied * self.program.u_nominal)
             fallback, failed = False, not outcome.usable
         self._warm = not failed
-        before, self._applied = self._applied, self._first_inputs()
+        at, low, high = self.program.first_inputs, self.program.w_low, self.program.w_high
+        first = np.clip(point.w[at], low[at], high[at])  # held to their bounds against rounding
+        before, self._applied = self._applied, first
         self._sample = now / self.program.x_nominal, before if self.delay else self._applied, q
         self._done.record(
             perf_counter() - begin,
@@ -378,8 +378,10 @@ class Mpc:
         states = np.column_stack([nodes[: p.nx], unknowns[p.at_last][: p.nx]])
         return states, nodes[begin : begin + p.nu]
 
-    def _expected(self) -> dict[str, float]:
-        """By the model's own step, whatever the SQP has left of defects."""
+    def expected(self) -> dict[str, float]:
+        """Velocities (of plants without positions, tracked states) at the end of the sample of the
+        last call, by the model's own step, whatever the SQP has left of defects.
+        """
         x, u, q = self._sample
         after = self._going(x, u, q)[0][:, 0] * self.program.x_nominal
         return {n: float(after[i]) for n, i in self._telling.items()}
@@ -468,8 +470,7 @@ class Mpc:
             )
 
     def _by_ipopt(self) -> SqpOutcome:
-        if self._ipopt is None:
-            self._ipopt = TrackingIpopt(self.program)
+        self._ipopt = self._ipopt or TrackingIpopt(self.program)
         return self._ipopt.solve(self._sqp.point)
 
     def _state(self, state: Values | Sequence[float] | Array) -> Array:
@@ -523,13 +524,6 @@ class Mpc:
             point.unknowns[p.at_last[: p.nx]] = x
         point.start[: p.nx], point.start[p.nx :] = x, self._applied[p.rated]
 
-    def _first_inputs(self) -> Array:
-        """The first inputs of the solution, held to their bounds against rounding."""
-        p = self.program
-        at = p.first_inputs
-        inputs: Array = np.clip(self._sqp.point.w[at], p.w_low[at], p.w_high[at])
-        return inputs
-
 
 @dataclass
 class _Patience:
@@ -548,6 +542,9 @@ class _Patience:
         """What came of it."""
         self.wait = 1 if usable else 2 * self.wait
         self.again = call + self.wait
+
+
+_ASKED = ("statistics", "prediction_error", "expected", "inversion", "limits", "idle")
 
 
 @dataclass
@@ -573,13 +570,11 @@ class TrackingMpc:
         """What is to be reached at a time [s]."""
         return {n: at(t) for n, at in self.reference.items()}
 
-    @property
-    def statistics(self) -> MpcStatistics:
-        return self.mpc.statistics
-
-    def prediction_error(self) -> float:
-        """See :meth:`Mpc.prediction_error`."""
-        return self.mpc.prediction_error()
+    def __getattr__(self, name: str) -> Any:
+        """What a loop asks that the Mpc knows."""
+        if name not in _ASKED:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self.mpc, name)
 
     def aims(self, t: float) -> dict[str, float]:
         """Of what is wanted states and outputs that have ``REGULATED`` of the largest weight."""
@@ -589,27 +584,6 @@ class TrackingMpc:
         known = {n: self.mpc.plant.variable(n).name for n in self.reference if n not in weights}
         named = {known.get(n, n): v for n, v in self.wanted(t).items()}
         return {n: v for n, v in named.items() if n in kinds and weights.get(n, 0.0) >= least}
-
-    def expected(self) -> dict[str, float]:
-        """Velocities (of plants without positions, tracked states) at the end of this sample, by
-        the model.
-        """
-        return self.mpc._expected()
-
-    @property
-    def inversion(self) -> Inversion:
-        """Of the dead zones of its commands."""
-        return self.mpc.inversion
-
-    @property
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """Of states and outputs, as the Mpc was told."""
-        return self.mpc.limits
-
-    @property
-    def idle(self) -> tuple[str, ...]:
-        """Inputs that had no influence on what is tracked where the run began."""
-        return self.mpc.idle
 
     def __call__(self, t: float, measured: Mapping[str, float]) -> dict[str, float]:
         """See :class:`Controller`."""
@@ -705,5 +679,6 @@ def _pairs(plant: Plant, bounds: Mapping[str, Any] | None) -> dict[str, tuple[fl
     for name, value in (bounds or {}).items():
         opening = Inversion(plant).opening_of(name)
         variable = inner.variable(opening) if opening else plant.variable(name)
-        found[variable.name] = open_range(f"bounds[{variable.name!r}]", value, variable.unit)
+        label = f"bounds[{variable.name!r}]"
+        found[variable.name] = require_ends(label, value, variable.unit, open_ends=True)
     return found

@@ -87,7 +87,7 @@ def mpc_block(
     )
     words = f"model predictive control of {plant.name}, horizon {mpc.horizon}"
     draft = Draft(name, mpc.sample_time, words, ca.MX)
-    x = draft.column(plant.states, missing=True)
+    x = draft.measured(plant.states, missing=True)
     draft.sent(v for v in plant.inputs if not v.disturbance)
     steps = mpc.horizon if preview else 0
     rows = [_wanted(draft, e.variable, steps, mpc.horizon) for e in mpc.program.penalties]
@@ -105,7 +105,7 @@ def mpc_block(
         _bounds(draft, core),
         _fallback(draft, mpc),
     )
-    draft.next_memories(after)
+    draft.next("w1", after)
     draft.send(inversion, given.controls, chosen, (p, x))
     for i, fact in enumerate(FACTS):
         codes = _CODES if fact == "status" else ""
@@ -153,8 +153,6 @@ def _fallback(draft: Draft, mpc: Mpc) -> Symbol:
     """Inputs where programs fail for too long, each a parameter; by default those at the start."""
     rest = mpc.inversion.rows(mpc.plant.vector("input")[None, :])[0]
     starts = dict(zip((v.name for v in mpc.model.inputs), rest, strict=True))
-    inputs = []
-    for v in mpc.given.controls:
-        words = about(v, f"{v.name} where programs fail for too long")
-        inputs.append(draft.parameter(f"fallback.{v.name}", float(starts[v.name]), **words))
-    return ca.vertcat(*inputs)
+    controls = mpc.given.controls
+    values = [starts[v.name] for v in controls]
+    return draft.parameters("fallback", controls, values, "where programs fail for too long")

@@ -12,17 +12,15 @@ from time import perf_counter
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...export.machine import quick
 from ...numerics.bounded_loop import inlined, repeated
 from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
+from ..kinds import Array
 from .riccati import ITERATIONS, RiccatiQp
 from .shooting import TrackingPoint, TrackingProgram, bounds_of, sides_of
 from .sqp import DAMPING, MISS, PROXIMAL, SqpOutcome
-
-Array = NDArray[np.float64]
 
 LARGEST = 1e300
 """What is not below it is no number."""

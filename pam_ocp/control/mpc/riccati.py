@@ -156,10 +156,8 @@ class _Stage:
         self.scale = _function("scale", [self.t, self.lam], [column])
 
     def _gap(self, y: ca.SX, s: ca.SX) -> ca.SX:
-        return ca.densify(self.c @ y) + self._slack(s)
-
-    def _slack(self, s: ca.SX) -> ca.SX:
-        return ca.SX(self.e) * s if self.ns else ca.SX.zeros(self.m)
+        slack = ca.SX(self.e) * s if self.ns else ca.SX.zeros(self.m)
+        return ca.densify(self.c @ y) + slack
 
     @property
     def _miss(self) -> ca.SX:
@@ -245,7 +243,8 @@ class _Stage:
     ) -> None:
         nz, nu = self.nz, self.nu
         value = ca.SX.sym("value", nz * (nz + 1) // 2 + nz)
-        cost, slope = _symmetric(value[: -nz or None], nz), value[value.numel() - nz :]
+        cost = ca.tril2symm(_triangle(value[: -nz or None], nz))
+        slope = value[value.numel() - nz :]
         matrix = self._matrix()
         ab = ca.horzcat(self.a, self.b)
         carried = cost @ ab
@@ -505,10 +504,6 @@ def _triangle(column: ca.SX, size: int) -> ca.SX:
             found[i, j] = column[at]
             at += 1
     return found
-
-
-def _symmetric(column: ca.SX, size: int) -> ca.SX:
-    return ca.SX(ca.tril2symm(_triangle(column, size)))
 
 
 def _cholesky(matrix: ca.SX) -> ca.SX:

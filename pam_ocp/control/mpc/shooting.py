@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ...core.variables import Variable
 from ...export.machine import quick
+from ..kinds import Array
 from ..step import Givens, Step
 
-Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 
 UNBOUNDED = 1e6
@@ -143,10 +143,6 @@ class TrackingProgram:
                     high.append(b)
         return rows, low, high
 
-    def _slack_cost(self) -> ca.SX:
-        linear, square = self.price
-        return ca.SX(linear * ca.sum1(self.s) + square / 2 * ca.sumsqr(self.s))
-
     def _inner_node(self) -> _Node:
         early, late = self._rows(True), self._rows(False)
         self.early = len(early[0])
@@ -185,7 +181,8 @@ class TrackingProgram:
         """step : the node after, and its Jacobian over y."""
         following, to_next = step
         row, error = ca.SX(ca.vertcat(*rows)), ca.SX(ca.vertcat(*errors))
-        slack = self._slack_cost()
+        linear, square = self.price
+        slack = linear * ca.sum1(self.s) + square / 2 * ca.sumsqr(self.s)
         cost = ca.sumsqr(error) / 2 + slack
         to_row, to_error = (ca.jacobian(e, y) for e in (row, error))
         hessian = to_error.T @ to_error + ca.hessian(slack, y)[0]

@@ -10,7 +10,6 @@ from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_flag
 from ...core.registry import Registry
@@ -18,11 +17,11 @@ from ...export.machine import machine_function
 from ...numerics.buffered import Buffered
 from ...numerics.solvers import conic as qp_solver
 from ...numerics.solvers import nlpsol, quiet_ipopt
+from ..kinds import Array
 from .riccati import ITERATIONS, RiccatiQp
 from .shooting import UNBOUNDED, TrackingPoint, TrackingProgram, bounds_of, sides_of
 from .stage_qp import StageQp, available
 
-Array: TypeAlias = NDArray[np.float64]
 QpSolver: TypeAlias = 'Literal["hpipm", "piqp"] | str'
 """Of those in ``QP_SOLVERS``; these two come with the library."""
 

@@ -19,9 +19,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kinds import Array
 from .shooting import UNBOUNDED, TrackingPoint
 
-Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
 
 SPEED_ABS = 0
