@@ -335,8 +335,8 @@ def table(heads: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
         text = f"{value:.3g}" if isinstance(value, float) else str(value)
         return " ".join(text.replace("|", "\\|").split())
 
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(cell(c) for c in line) + " |" for line in lines)
+    head, *lines = ("| " + " | ".join(cell(c) for c in line) + " |" for line in (heads, *rows))
+    return "\n".join([head, "|" + "---|" * len(heads), *lines])
 
 
 def share(parts: Iterable[bool]) -> float:

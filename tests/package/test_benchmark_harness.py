@@ -108,4 +108,4 @@ def test_a_part_of_a_name_chooses_a_case(harness):
 
 def test_a_table_in_markdown(harness):
     text = harness.table(("tool", "seconds"), [("a | b", 0.12345), ("c", 3)])
-    assert text == "| tool | seconds |\n| --- | --- |\n| a \\| b | 0.123 |\n| c | 3 |"
+    assert text == "| tool | seconds |\n|---|---|\n| a \\| b | 0.123 |\n| c | 3 |"
