@@ -8,11 +8,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pam_ocp.core.block import Block
@@ -62,6 +63,14 @@ def run(*command: Any, cwd: Path | None = None) -> str:
     assert done.returncode == 0, done.stdout + done.stderr
     assert not done.stderr, done.stderr  # warnings
     return done.stdout
+
+
+def printed_by(text: str, folder: Path, *more: str, given: Sequence[Any] = ()) -> list[str]:
+    """The words that a program prints, compiled with these further files and flags."""
+    (folder / "program.c").write_text(text)
+    flags = ("-std=c99", "-O2", "-ffp-contract=off")
+    run(COMPILER, *flags, "program.c", *more, "-o", "program", "-lm", cwd=folder)
+    return run(folder / "program", *given).split()
 
 
 def selftest(folder: Path, name: str, *flags: str, compiler: Any = None) -> str:
@@ -154,3 +163,22 @@ class Program:
     def __call__(self, t: float, measured: Mapping[str, float]) -> dict[str, float]:
         found = self.step({**measured, **(self.told(t) if self.told else {})})
         return {n: found[n] for n in self.block.commands}
+
+
+def with_gaps(
+    made: Block, program: Program, samples: int, seed: int, blind: Collection[int] = ()
+) -> Iterator[tuple[Any, Any]]:
+    """(outputs in C, in Python) of samples about the start, a fifth of whose measurements is no
+    number; in the ``blind`` ones all of them.
+    """
+    rng, names = np.random.default_rng(seed), [v.name for v in made.inputs]
+    memory, p, start = made.start("memory"), made.start("parameters"), made.start("inputs")
+    nominal = np.array([v.nominal for v in made.inputs])
+    for k in range(samples):
+        values = start + 0.02 * nominal * rng.standard_normal(len(start))
+        values[rng.random(len(start)) < 0.2] = rng.choice([np.nan, np.inf, -np.inf])
+        if k in blind:
+            values[:] = np.nan
+        found = program.step(dict(zip(names, values, strict=True)))
+        memory, outputs = (np.asarray(m).ravel() for m in made.step(memory, values, p))
+        yield np.array([*found.values()]), outputs

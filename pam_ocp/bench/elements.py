@@ -494,17 +494,21 @@ def _cell(cell: Any, pressed: Any) -> None:
 def upload(
     label: str,
     act: Callable[[Any], Any],
-    refused: Callable[[], Any],
+    say: Callable[[str, str], Any],
     *,
+    most: int,
     accept: str = "",
-    **more: Any,
+    count: int = 1,
 ) -> None:
-    """A place to drop files, or to choose them; what became of a file ``act`` and ``refused`` say.
+    """A place to drop files, or to choose them; what became of a file ``act`` and ``say`` tell.
 
     The framework's own list, whose ticks tell that a file has arrived, not that it was understood,
     is not shown, and its button, an input within a link, is none to a keyboard.
-    accept : endings, as ".toml,.json".
+    most : bytes of each. accept : endings, as ".toml,.json". count : at once.
     """
+    words = [*([" or ".join(accept.split(","))] if accept else []), f"at most {most / 2**20:g} MiB"]
+    words += [f"{count} at once"] if count > 1 else []
+    refusal = f"a file was refused: {', '.join(words)}"
 
     async def arrived(event: Any) -> None:
         try:
@@ -512,7 +516,14 @@ def upload(
         finally:
             made.run_method("removeUploadedFiles")
 
-    made = ui.upload(auto_upload=True, on_upload=arrived, on_rejected=refused, **more)
+    made = ui.upload(
+        multiple=count > 1,
+        max_file_size=most,
+        max_files=count if count > 1 else None,
+        on_upload=arrived,
+        on_rejected=lambda: say(refusal, "error"),
+        auto_upload=True,
+    )
     made.props("flat bordered" + (f" accept='{accept}'" if accept else ""))
     made.add_slot("header", _UPLOAD.replace("LABEL", label))
     made.add_slot("list", "<span></span>")

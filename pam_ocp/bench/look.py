@@ -46,10 +46,7 @@ def figure(
 
     keep : while it stays the same, zoom and hidden curves do, too. layout : further, of Plotly's.
     """
-    axes: dict[str, Any] = {
-        "xaxis": {**_AXIS, "title": {"text": x, "standoff": 6}, **layout.pop("xaxis", {})},
-        "yaxis": {**_AXIS, "title": {"text": y, "standoff": 6}, **layout.pop("yaxis", {})},
-    }
+    axes = {n: {**axis(w), **layout.pop(n, {})} for n, w in (("xaxis", x), ("yaxis", y))}
     return {
         "data": list(data),
         "layout": {

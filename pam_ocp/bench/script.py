@@ -73,6 +73,13 @@ def figures_said(printed: str) -> dict[str, float]:
     return found
 
 
+class _Code(str):
+    """Code that stands as it is among values."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
 def call(function: str, *args: str, **keywords: Any) -> str:
     """``pam.verb(table, name=value)``; arguments are code, keywords values. None is left out."""
     said = [*args, *(f"{k}={v!r}" for k, v in keywords.items() if v is not None)]
@@ -112,19 +119,16 @@ def data_lines(state: Mapping[str, Any]) -> list[str]:
     for item in data:
         source = item["bundled"] if "bundled" in item else f"files/{item['file']}"
         said = {k: v for k, v in item["said"].items() if k != "kind"}
+        lines.append(f"# {_comment(item['name'])}")
         if item.get("is") == "record":
+            lines.append(f"{item['id']} = {call('pam.read_records', repr(source), **said)}")
+            continue
+        lines.append(f"table = {call('pam.read_table', repr(source), **said)}")
+        if item.get("off"):
             lines += [
-                f"# {_comment(item['name'])}",
-                f"{item['id']} = {call('pam.read_records', repr(source), **said)}",
+                f"off = {sorted(item['off'])!r}  # cells that are switched off",
+                "table = table.subset([i not in off for i in range(len(table))])",
             ]
-        else:
-            lines += [f"# {_comment(item['name'])}"]
-            lines += [f"table = {call('pam.read_table', repr(source), **said)}"]
-            if item.get("off"):
-                lines += [
-                    f"off = {sorted(item['off'])!r}  # cells that are switched off",
-                    "table = table.subset([i not in off for i in range(len(table))])",
-                ]
     return lines
 
 
@@ -279,22 +283,14 @@ def motion_lines(state: Mapping[str, Any]) -> list[str]:
     if state["muscle"] is None:
         return lines
     for motion in state["motions"]:
-        said = arguments(motion)
-        stops = ", ".join(repr(s) if isinstance(s, dict) else _stop_code(s) for s in said["stops"])
-        method = METHODS[motion["method"]][1]
-        shown = {k: v for k, v in said.items() if k != "stops"}
-        code = call("pam.plan", "plant", f"[{stops}]", **shown, time_limit=TIME_LIMIT)
-        if method is not None:
-            code = f"{code[:-1]}, method=pam.planning.{method!r})"
-        id = motion["id"]
-        lines += [f"{id} = {code}", f"print({id})"]
+        said, id, mesh = arguments(motion), motion["id"], METHODS[motion["method"]][1]
+        stops = ", ".join(map(_stop_code, said.pop("stops")))
+        method = None if mesh is None else _Code(f"pam.planning.{mesh!r}")
+        known = {"time_limit": TIME_LIMIT, "method": method}
+        lines += [f"{id} = {call('pam.plan', 'plant', f'[{stops}]', **said, **known)}"]
+        lines += [f"print({id})"]
         lines += figure_lines(
-            id,
-            {
-                "duration": f"{id}.duration",
-                "objective": f"{id}.objective",
-                "replay_error": f"{id}.replay_error",
-            },
+            id, {n: f"{id}.{n}" for n in ("duration", "objective", "replay_error")}
         )
         lines += [
             "for v in (*plant.states, *plant.inputs):",
@@ -303,9 +299,10 @@ def motion_lines(state: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _stop_code(stop: Any) -> str:
-    said = call("pam.Stop", repr(dict(stop.values)), rest=stop.rest)
-    return f"{said[:-1]}, dwell={stop.dwell!r})" if stop.dwell else said
+def _stop_code(stop: dict[str, float] | Stop) -> str:
+    if not isinstance(stop, Stop):
+        return repr(stop)
+    return call("pam.Stop", repr(dict(stop.values)), rest=stop.rest, dwell=stop.dwell or None)
 
 
 # ---- controllers ---------------------------------------------------------------------------------
@@ -325,13 +322,6 @@ def pushed(plant: Mapping[str, Any]) -> dict[str, Any]:
 def is_followed(said: Mapping[str, Any]) -> bool:
     """Whether the reference of the study reaches a controller: an LQR without integral has none."""
     return said["kind"] != "lqr" or bool(said["gains"]["integral"])
-
-
-class _Code(str):
-    """Code that stands as it is among values."""
-
-    def __repr__(self) -> str:
-        return str(self)
 
 
 def law_keywords(

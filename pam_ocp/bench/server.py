@@ -6,7 +6,6 @@ import importlib.util
 import os
 import shlex
 import socket
-import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from ..core.errors import InputError, require_count
 from ..core.files import make_folder, read_toml
-from ..export.cache import home_folder
+from ..export.cache import user_folder
 
 NEEDED = "nicegui"
 """It brings Plotly's JavaScript; Python's package of that name is not needed."""
@@ -34,12 +33,7 @@ def require_framework() -> None:
 
 def sessions_folder() -> Path:
     """Where sessions are kept unless told: ``pam_ocp/bench`` in the user's state folder."""
-    local = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
-    base = Path(local or os.environ.get("XDG_STATE_HOME") or "")
-    if base.is_absolute():
-        return base / "pam_ocp" / "bench"
-    home = home_folder()
-    return (home / ".local" / "state" if home else Path.cwd()) / "pam_ocp" / "bench"
+    return (user_folder("XDG_STATE_HOME", ".local/state") or Path.cwd() / "pam_ocp") / "bench"
 
 
 def serve(

@@ -264,10 +264,6 @@ class Session:
         self.names[kept] = name
         return kept
 
-    def path(self, file: str) -> Path:
-        """Where a stored file lies. Raises InputError for a name that leads elsewhere."""
-        return stored_file(self.folder, file)
-
     # ---- the disk ------------------------------------------------------------------------------
     def save(self) -> None:
         """Write ``session.json``: as a whole, or not at all."""

@@ -86,16 +86,13 @@ def _run(world: World, plant: Plant, said: State, against: str) -> dict[str, Any
 def _exported(said: State, state: State) -> Steps:
     """An export, with its check where there is one."""
     id, kind, motion = said["id"], said["kind"], said["motion"]
-    chosen = platforms_of(said)
-    unit = {"plant": "plant", **({"platforms": chosen} if chosen else {})}
     if kind == "c":
         return {id: {"kind": "export-c", "controller": f"{said['controller']}-law"}}
-    unit |= {"fmi": said["fmi"], "step_size": said["step_size"]} if kind == "fmu" else {}
+    chosen, size = platforms_of(said), {"step_size": said["step_size"]}
+    unit = {"plant": "plant", **({"platforms": chosen} if chosen else {})}
     if kind == "ssp":
-        return {
-            id: {"kind": "export-ssp", **unit, "motion": motion, "step_size": said["step_size"]}
-        }
-    steps: Steps = {id: {"kind": "export", **unit}}
+        return {id: {"kind": "export-ssp", **unit, "motion": motion, **size}}
+    steps: Steps = {id: {"kind": "export", **unit, "fmi": said["fmi"], **size}}
     check = {"kind": "check", "fmu": id, "tolerance": TOLERANCE}
     if motion:
         check["against"] = motion

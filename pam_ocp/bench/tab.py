@@ -1,5 +1,5 @@
 """What a tab of the page is, and what it sees of the page; each stands in a file of ``tabs/`` and
-is listed in frame.py.
+is listed in app.py.
 
 A tab draws itself once (when it is first opened) and again draws what a change of the session
 concerns. It computes nothing itself: quick looks (some ms) by made.py here, all else by functions
@@ -49,7 +49,7 @@ log = logging.getLogger(__name__)
 
 
 class Page:
-    """What a tab sees of the page in one browser; frame.py draws it.
+    """What a tab sees of the page in one browser; app.py draws it.
 
     session : state, undo, files. allow_code : whether files may name code to be run (as the start
     of the page said). room : the rig that the page was started with.

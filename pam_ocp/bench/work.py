@@ -32,7 +32,6 @@ import multiprocessing
 import os
 import signal
 import threading
-import time
 import traceback
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -101,7 +100,7 @@ class Job:
     """A piece of work on its way. ``await`` it for its result.
 
     title : in the page's words. state : "waiting", "running", "done", "failed" or "stopped".
-    fraction : done of it, or None. said : its last words. seconds : that it runs, or ran.
+    fraction : done of it, or None. said : its last words.
     """
 
     def __init__(self, owner: str, title: str, call: tuple[Any, ...], limit: float | None) -> None:
@@ -113,16 +112,10 @@ class Job:
         self.future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self.future.add_done_callback(_looked_at)
         self.changed: Callable[[Job], None] = lambda job: None
-        self._begin = self._end = 0.0
         self._shop: Workshop | None = None
 
     def __await__(self) -> Generator[Any, None, Any]:
         return self.future.__await__()
-
-    @property
-    def seconds(self) -> float:
-        """For how long it runs, or ran."""
-        return (self._end or time.monotonic()) - self._begin if self._begin else 0.0
 
     @property
     def over(self) -> bool:
@@ -219,7 +212,7 @@ class Workshop:
                 return
             job = min(waiting, key=lambda j: running.count(j.owner))
             worker = self._worker(job.warm)
-            job.state, job._begin = "running", time.monotonic()
+            job.state = "running"
             self._busy[job] = worker
             if job.limit is not None:
                 loop = asyncio.get_running_loop()
@@ -272,7 +265,7 @@ class Workshop:
             self._over(job, "stopped", JobStopped(f"{job.title}: its process ended; try it again"))
 
     def _over(self, job: Job, state: str, result: Any) -> None:
-        job.state, job._end = state, time.monotonic()
+        job.state = state
         with contextlib.suppress(ValueError):
             self.jobs.remove(job)
         if not job.future.done():

@@ -97,7 +97,7 @@ class StateFeedback(SampledLaw):
         self._law.parameters[: len(gains)] = gains  # they may have been changed since
         return super().__call__(t, measured)
 
-    def _augmented(self) -> tuple[Array, Array, Array]:
+    def augmented(self) -> tuple[Array, Array, Array]:
         """A, B with the integrals as last states, and all gains; continuous time, all states."""
         a, b = np.asarray(self.system.A), np.asarray(self.system.B)
         labels = [n.replace(".", "_") for n in self.integrated]
@@ -119,7 +119,7 @@ class StateFeedback(SampledLaw):
         """K (s I - A)^-1 B, in units of the inputs' nominals: the loop broken at the inputs."""
         import control
 
-        a, b, k = self._augmented()
+        a, b, k = self.augmented()
         plant = self.point.plant
         effort = np.array([plant.variable(n).nominal for n in self.inputs])
         states = np.concatenate(
@@ -143,7 +143,7 @@ class StateFeedback(SampledLaw):
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Of the closed loop [1/s], sorted by falling real part."""
-        a, b, k = self._stuck(*self._augmented())
+        a, b, k = self._stuck(*self.augmented())
         poles = np.linalg.eigvals(a - b @ k)
         return np.asarray(poles[np.argsort(-poles.real)], dtype=np.complex128)
 

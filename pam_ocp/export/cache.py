@@ -26,22 +26,28 @@ def home_folder() -> Path | None:
     return home if home.is_absolute() and os.environ.get("HOME") != "" and home.is_dir() else None
 
 
+def user_folder(variable: str, inside: str) -> Path | None:
+    """Folder ``pam_ocp`` in what an XDG variable names, which counts where it is absolute (as XDG
+    asks), or ``inside`` the home; on Windows among the user's data. None where there is no home.
+    """
+    local = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
+    base = Path(local or os.environ.get(variable) or "")
+    home = home_folder()
+    if base.is_absolute():
+        return base / "pam_ocp"
+    return None if home is None else home / inside / "pam_ocp"
+
+
 def cache_folder() -> Path:
     """Where compiled libraries are kept by choice: $PAM_OCP_CACHE, else ``pam_ocp`` in the user's
-    cache folder, else in the temporary folder. A relative XDG_CACHE_HOME does not count (as XDG
-    asks).
+    cache folder, else in the temporary folder.
 
     The folder need not exist; :func:`usable_folder` gives one that can be written and trusted.
     """
     chosen = os.environ.get("PAM_OCP_CACHE")
     if chosen:
         return Path(chosen).absolute()
-    local = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
-    base = Path(local or os.environ.get("XDG_CACHE_HOME") or "")
-    if base.is_absolute():
-        return base / "pam_ocp"
-    home = home_folder()
-    return _of_user() if home is None else home / ".cache" / "pam_ocp"
+    return user_folder("XDG_CACHE_HOME", ".cache") or _of_user()
 
 
 def usable_folder(part: str) -> Path:

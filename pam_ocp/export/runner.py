@@ -262,15 +262,12 @@ class Runner:
             if inputs is not None:
                 self.set(inputs(t))
 
-        def set_states(x: Any, n: int) -> None:
-            self.inner.setContinuousStates(x, n)
-
         three = self.fmu.fmi == "3.0"
         return CVodeSolver(
             nx=len(self.fmu.states),
             nz=0,
             get_x=self.inner.getContinuousStates,
-            set_x=set_states,
+            set_x=self.inner.setContinuousStates,
             get_dx=self.inner.getContinuousStateDerivatives if three else self.inner.getDerivatives,
             get_z=lambda *_: None,
             get_nominals=self.inner.getNominalsOfContinuousStates,

@@ -164,7 +164,9 @@ class Limb(Plant):
         require_flag("stops", stops)
         body = read_skeleton(model, gravity)
         self.file, self.gravity = str(found_file(model)), tuple(body.gravity.tolist())
-        self.muscles = _as_muscles(muscles)
+        self.muscles: tuple[LimbMuscle, ...] = as_muscles(
+            muscles, LimbMuscle, "give LimbMuscle(name, muscle, path)"
+        )
         self.joints = _with_given(body, damping, friction)
         given = {body.joints[body.index(j)].name: as_loads(v) for j, v in (loads or {}).items()}
         q, w = self._coordinates()
@@ -414,11 +416,15 @@ limb = Limb
 """The short name: ``pam.plants.limb("arm.urdf", muscles)``."""
 
 
-def _as_muscles(muscles: Any) -> tuple[LimbMuscle, ...]:
-    given = (muscles,) if isinstance(muscles, LimbMuscle) else tuple(muscles or ())
+def as_muscles(muscles: Any, kind: type, words: str) -> tuple[Any, ...]:
+    """One or more of a kind, each with a name of its own. words : what to give instead of others.
+
+    Raises InputError.
+    """
+    given = (muscles,) if isinstance(muscles, kind) else tuple(muscles or ())
     for one in given:
-        if not isinstance(one, LimbMuscle):
-            raise InputError(f"muscles holds {kind_of(one)}; give LimbMuscle(name, muscle, path)")
+        if not isinstance(one, kind):
+            raise InputError(f"muscles holds {kind_of(one)}; {words}")
     names = [one.name for one in given]
     if not given or len(set(names)) < len(names):
         raise InputError(f"muscles = {names}: give one or more, each with a name of its own")

@@ -13,7 +13,14 @@ import pytest
 
 from pam_ocp import InputError, UnknownNameError
 from pam_ocp.bench.made import World, own_plants, source_of
-from pam_ocp.bench.session import EMPTY, Session, SessionInUse, safe_name, saved_sessions
+from pam_ocp.bench.session import (
+    EMPTY,
+    Session,
+    SessionInUse,
+    safe_name,
+    saved_sessions,
+    stored_file,
+)
 
 
 @pytest.fixture
@@ -214,7 +221,7 @@ def test_saved_sessions_are_listed_the_newest_first(tmp_path):
 )
 def test_no_name_leads_out_of_the_folder_of_files(session, name):
     kept = session.store(name, b"1,2\n")
-    place = session.path(kept)
+    place = stored_file(session.folder, kept)
     assert place.resolve().parent == (session.folder / "files").resolve()
     assert place.read_bytes() == b"1,2\n"
     assert len(kept) < 120
@@ -223,19 +230,19 @@ def test_no_name_leads_out_of_the_folder_of_files(session, name):
 @pytest.mark.parametrize("name", ["../session.json", "a/b", "..", "a\0"])
 def test_a_path_is_no_name_of_a_stored_file(session, name):
     with pytest.raises(InputError, match="no name of a file"):
-        session.path(name)
+        stored_file(session.folder, name)
 
 
 def test_half_a_file_that_a_full_disk_left_is_not_believed(session):
     kept = session.store("a.csv", b"p,kappa\n1,2\n")
-    place = session.path(kept)
+    place = stored_file(session.folder, kept)
     place.write_bytes(b"p,kap")
     with pytest.raises(InputError, match="not what was dropped on the page; drop the file again"):
-        session.path(kept)
+        stored_file(session.folder, kept)
     with pytest.raises(InputError, match="drop the file again"):
         source_of(World(session.folder), {"file": kept})
     assert session.store("a.csv", b"p,kappa\n1,2\n") == kept
-    assert session.path(kept).read_bytes() == b"p,kappa\n1,2\n"
+    assert stored_file(session.folder, kept).read_bytes() == b"p,kappa\n1,2\n"
 
 
 def test_a_disk_that_is_full_leaves_nothing_of_a_file(session, monkeypatch):

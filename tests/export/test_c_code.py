@@ -22,9 +22,11 @@ from c_program import (
     needs_compiler,
     on_aarch64,
     on_cortex_m7,
+    printed_by,
     require_works,
     run,
     selftest,
+    with_gaps,
 )
 
 import pam_ocp as pam
@@ -44,7 +46,7 @@ from pam_ocp.control.references import sine
 from pam_ocp.core.block import Block
 from pam_ocp.core.errors import InputError
 from pam_ocp.core.exceptions import WriteError
-from pam_ocp.export.c_code import vectors
+from pam_ocp.export.c_code import package
 
 MUSCLE = pam.muscle("DMSP-20-300")
 REST = {"x": 0.002, "stiffness": 2.2e4}
@@ -250,27 +252,17 @@ int main(void) {
 def test_an_integral_is_exact_after_a_day(steps, precision, exported):
     """86.4 million steps at 1 ms: the sum of as many small numbers, to the last digits."""
     folder = exported("pid", precision)
-    (folder / "day.c").write_text(DAY)
-    flags = ("-std=c99", "-O2", "-ffp-contract=off", f"-DSTEPS={steps}L")
-    run(COMPILER, *flags, "day.c", "pid.c", "-o", "day", "-lm", cwd=folder)
-    command, status = map(float, run(folder / "day").split())
+    command, status = map(float, printed_by(DAY, folder, "pid.c", f"-DSTEPS={steps}L"))
     assert status == 0
     assert command == pytest.approx(steps * 1e-9, rel=1e-14 if precision == "double" else 3e-7)
 
 
 @needs_compiler
 def test_missing_measurements_give_in_c_what_they_give_in_python(estimating, exported):
-    rng, program = np.random.default_rng(12), Program(exported("estimating"), "chain", estimating)
-    memory, p = estimating.start("memory"), estimating.start("parameters")
-    start = estimating.start("inputs")
-    nominal = np.array([v.nominal for v in estimating.inputs])
-    for _ in range(300):
-        values = start + 0.02 * nominal * rng.standard_normal(len(start))
-        values[rng.random(len(start)) < 0.2] = rng.choice([np.nan, np.inf, -np.inf])
-        found = program.step(dict(zip((v.name for v in estimating.inputs), values, strict=True)))
-        memory, outputs = (np.asarray(m).ravel() for m in estimating.step(memory, values, p))
-        size = np.array([v.nominal for v in estimating.outputs]) + np.abs(outputs)
-        assert np.all(np.abs(np.array([*found.values()]) - outputs) <= 1e-9 * size)
+    program = Program(exported("estimating"), "chain", estimating)
+    nominal = np.array([v.nominal for v in estimating.outputs])
+    for found, outputs in with_gaps(estimating, program, samples=300, seed=12):
+        assert np.all(np.abs(found - outputs) <= 1e-9 * (nominal + np.abs(outputs)))
 
 
 # ---- the folder ---------------------------------------------------------------------------------
@@ -301,9 +293,7 @@ def test_the_readme_tells_the_bytes_that_the_compiler_takes(exported):
     names = ["state", "inputs", "parameters", "outputs"]
     prints = "".join(f'printf("%u ", (unsigned)sizeof(chain_{n}));' for n in names)
     text = f'#include "chain.h"\n#include <stdio.h>\nint main(void) {{ {prints} return 0; }}\n'
-    (folder / "sizes.c").write_text(text)
-    run(COMPILER, "-std=c99", "sizes.c", "-o", "sizes", cwd=folder)
-    assert run(folder / "sizes").split() == [said[n] for n in names]
+    assert printed_by(text, folder) == [said[n] for n in names]
 
 
 def test_an_export_is_replaced_and_anything_else_is_left_alone(tmp_path):
@@ -384,20 +374,20 @@ def test_what_rounding_may_turn_over_is_not_compared_in_single_precision():
         ca.Function("step", [memory, x, none], [memory, ca.vertcat(passes, sure)]),
     )
     given = np.linspace(0.2, 1.2, 20)[:, None]
-    expected = vectors.outputs_of(made, given, single=True)
-    told = vectors.sensitivity(made, given, expected, 2.0**-23, single=True)[1]
-    alone = vectors.single_outputs(made, given)[0]  # which shows some of them, not all
+    expected = package.outputs_of(made, given, single=True)
+    told = package.sensitivity(made, given, expected, 2.0**-23, single=True)[1]
+    alone = package.single_outputs(made, given)[0]  # which shows some of them, not all
     assert np.isnan(told[alone[:, 0] == expected[:, 0], 0]).any()
     assert np.array_equal(told[:, 1], expected[:, 1])
 
 
 def test_a_step_beyond_the_budget_is_not_read_instruction_by_instruction(monkeypatch):
     made = pid_block()
-    inputs = vectors.inputs_of(made, 3, 0)
-    assert vectors.single_outputs(made, inputs).shape == (vectors.DRAWS, 3, len(made.outputs))
-    monkeypatch.setattr(vectors, "BUDGET", 10)
-    monkeypatch.setattr(vectors, "steps_of", lambda step: pytest.fail("it was read"))
-    assert vectors.single_outputs(made, inputs) is None
+    inputs = package.inputs_of(made, 3, 0)
+    assert package.single_outputs(made, inputs).shape == (package.DRAWS, 3, len(made.outputs))
+    monkeypatch.setattr(package, "BUDGET", 10)
+    monkeypatch.setattr(package, "steps_of", lambda step: pytest.fail("it was read"))
+    assert package.single_outputs(made, inputs) is None
 
 
 @needs_compiler

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from c_program import (
     BARE,
-    COMPILER,
     SANITIZED,
     WARN,
     ZIG,
@@ -20,9 +19,11 @@ from c_program import (
     needs_compiler,
     on_aarch64,
     on_cortex_m7,
+    printed_by,
     require_works,
     run,
     selftest,
+    with_gaps,
 )
 from fmu_tools import COMMANDS
 from test_c_code import CLANG
@@ -184,20 +185,12 @@ def test_it_compiles_without_a_warning(target, precision, exports):
 def test_missing_measurements_give_in_c_what_they_give_in_python(kind, exports):
     """A fifth of all measurements is no number, and for 30 samples all of them."""
     made, folder = exports(kind)
-    rng, program = np.random.default_rng(8), Program(folder, "mpc", made)
-    memory, p, start = made.start("memory"), made.start("parameters"), made.start("inputs")
-    nominal = np.array([v.nominal for v in made.inputs])
-    names, states = [v.name for v in made.inputs], []
-    for k in range(100):
-        values = start + 0.02 * nominal * rng.standard_normal(len(start))
-        values[rng.random(len(start)) < 0.2] = rng.choice([np.nan, np.inf, -np.inf])
-        if 40 <= k < 70:
-            values[:] = np.nan
-        found = program.step(dict(zip(names, values, strict=True)))
-        memory, outputs = (np.asarray(m).ravel() for m in made.step(memory, values, p))
-        assert np.array_equal(list(found.values()), outputs)
+    program, place = Program(folder, "mpc", made), [v.name for v in made.outputs].index("status")
+    states = []
+    for found, outputs in with_gaps(made, program, samples=100, seed=8, blind=range(40, 70)):
+        assert np.array_equal(found, outputs)
         assert np.all(np.isfinite(outputs))
-        states.append(int(found["status"]))
+        states.append(int(found[place]))
     assert any(s & 2 for s in states)  # a measurement is missing
     assert any(s & 4 for s in states[50:70])  # for too long: the safe commands
 
@@ -256,11 +249,8 @@ def test_ten_thousand_steps_allocate_nothing_and_are_the_same_twice(kind, export
     purpose shows that it is.
     """
     _, folder = exports(kind)
-    (folder / "allocations.c").write_text(ALLOCATIONS)
     hook = "-Wl," + ",".join(f"--wrap={n}" for n in ("malloc", "calloc", "realloc"))
-    flags = ("-std=c99", "-O2", "-ffp-contract=off", hook)
-    run(COMPILER, *flags, "allocations.c", "mpc.c", "-o", "counted", "-lm", cwd=folder)
-    assert run(folder / "counted").split() == ["1", "0", "1"]
+    assert printed_by(ALLOCATIONS, folder, "mpc.c", hook) == ["1", "0", "1"]
 
 
 # ---- a long time --------------------------------------------------------------------------------
@@ -324,11 +314,8 @@ def long_loop(folder: Path, periods: int) -> tuple[float, float, float]:
     mpc = regulated(horizon=10, sample_time=0.02, iterations=1)
     pam.export_c(block(mpc, plant=mpc.plant), folder / "mpc", name="mpc", steps=5, tolerance=1e-9)
     pam.export_c(plant_block(mpc), folder / "slide", name="slide", steps=5, tolerance=1e-9)
-    (folder / "long.c").write_text(LONG)
-    files = ["long.c", "mpc/mpc.c", "slide/slide.c"]
-    flags = ("-std=c99", "-O2", "-ffp-contract=off", "-Impc", "-Islide")
-    run(COMPILER, *flags, *files, "-o", "long", "-lm", cwd=folder)
-    worst, most, work = map(float, run(folder / "long", periods).split())
+    files = ["mpc/mpc.c", "slide/slide.c", "-Impc", "-Islide"]
+    worst, most, work = map(float, printed_by(LONG, folder, *files, given=(periods,)))
     return worst, most, work
 
 

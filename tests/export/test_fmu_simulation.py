@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide, flat, scipy_states
 from fmpy.fmi1 import FMICallException
-from fmu_tools import COMMANDS, KINDS, VERSIONS, bars_every, now, started
+from fmu_tools import COMMANDS, KINDS, VERSIONS, bars_every, now, opened, started
 
 import pam_ocp as pam
 from pam_ocp.export import check_fmu, export_fmu
@@ -164,6 +164,47 @@ def test_an_importer_may_look_between_internal_steps_and_end_a_step_early(fmus):
     with started(fmu, "CoSimulation", {"x": 0.01}) as plain:
         plain.step(0.0, 0.0321)
         assert end[1] == pytest.approx(plain.get(["x"])[0], abs=1e-8)
+
+
+# ---- events --------------------------------------------------------------------------------------
+
+HELD, PARTS = 0.02, 25
+
+
+def test_an_importer_that_restarts_when_asked_is_right_where_inputs_jump(tmp_path):
+    """Model Exchange: its solver begins anew where values of states are said to have changed."""
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"))
+    values = np.random.default_rng(31).uniform(0.5e5, 5.5e5, (PARTS, 2))
+    held = dict(zip(COMMANDS, np.vstack([values, values[-1]]).T, strict=True))
+    t = np.arange(PARTS + 1) * HELD
+    truth = pam.simulate(plant, held, t=t, interpolation="previous", rtol=1e-11)
+    names, unit = [v.name for v in plant.states], opened(plant, tmp_path, "2.0")
+    scale = plant.vector("state", None, "nominal")
+
+    def states(listens: bool) -> Any:
+        begin = dict(zip(COMMANDS, values[0], strict=True))
+        with started(unit, "ModelExchange", begin) as runner:
+            solver, rows = runner.integrator(0.0, 1e-8, None), [runner.get(names)]
+            for k in range(PARTS):
+                if k:
+                    runner.inner.enterEventMode()
+                    runner.set(dict(zip(COMMANDS, values[k], strict=True)))
+                    changed = runner.inner.newDiscreteStates()[3]
+                    runner.inner.enterContinuousTimeMode()
+                    if listens and changed:
+                        solver.reset(k * HELD)
+                solver.step(k * HELD, (k + 1) * HELD)
+                rows.append(runner.get(names))
+            return np.array(rows)
+
+    def error(listens: bool) -> float:
+        try:
+            return float(np.max(np.abs(states(listens) - truth.array(names)) / scale))
+        except RuntimeError:  # CVODE gives up
+            return np.inf
+
+    assert error(True) < 1e-5
+    assert error(False) > 1e-2
 
 
 # ---- saved states --------------------------------------------------------------------------------

@@ -195,13 +195,10 @@ def _loops(made: PointPid | StateFeedback) -> tuple[Any, Any]:
         return made.loop, control.feedback(made.loop, 1)
     if not made.integrated:
         return made.loop, None
-    a, b = np.asarray(made.system.A), np.asarray(made.system.B)
-    at = [n.replace(".", "_") for n in made.integrated]
-    c = np.asarray(made.system.C)[[list(made.system.output_labels).index(n) for n in at]]
-    n, k = len(a), len(c)
-    whole = np.block([[a - b @ made.K, -b @ made.Ki], [c, np.zeros((k, k))]])
-    wanted = np.vstack([np.zeros((n, k)), -np.eye(k)])
-    return made.loop, control.ss(whole, wanted, np.hstack([c, np.zeros((k, k))]), np.zeros((k, k)))
+    a, b, gains = made.augmented()
+    k = len(made.integrated)
+    wanted = np.vstack([np.zeros((len(a) - k, k)), -np.eye(k)])
+    return made.loop, control.ss(a - b @ gains, wanted, a[-k:], np.zeros((k, k)))
 
 
 def _settled(poles: Any) -> float:

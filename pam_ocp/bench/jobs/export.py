@@ -115,14 +115,16 @@ def c_code(say: Say, world: World, said: State) -> dict[str, Any]:
     target = world.exported(f"{said['id']}.zip")
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as temporary:
         whole = Path(export_c(made, Path(temporary) / "c"))
-        with (
-            atomic_path(target) as fresh,
-            zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as packed,
-        ):
-            for file in sorted(whole.rglob("*")):
-                if file.is_file():
-                    packed.write(file, file.relative_to(whole).as_posix())
+        files = (file for file in sorted(whole.rglob("*")) if file.is_file())
+        _pack(target, {file.relative_to(whole).as_posix(): file for file in files})
     return _made(target)
+
+
+def _pack(target: Path, files: Mapping[str, Path]) -> None:
+    """Files by their names in an archive."""
+    with atomic_path(target) as fresh, zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, file in files.items():
+            packed.write(file, name)
 
 
 # ---- the report ----------------------------------------------------------------------------------
@@ -166,9 +168,7 @@ def one_page(say: Say, world: World, item: Mapping[str, Any]) -> dict[str, Any]:
         made = quick(table_of(world, item), place)
         stem = safe_name(Path(item["name"]).stem)
         path = world.exported(f"{stem}.zip")
-        with atomic_path(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-            for file in made.files.values():
-                archive.write(file, f"{stem}/{file.name}")
+        _pack(path, {f"{stem}/{file.name}": file for file in made.files.values()})
         words = made.report().partition("\n\nWritten:")[0]
     return {"file": path.name, "words": words}
 

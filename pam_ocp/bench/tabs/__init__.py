@@ -1,1 +1,1 @@
-"""The tabs of the page, one file each; frame.py lists them."""
+"""The tabs of the page, one file each; app.py lists them."""

@@ -109,16 +109,8 @@ class Data(Tab):
 
     # ---- adding ---------------------------------------------------------------------------------
     def _uploads(self) -> None:
-        el.upload(
-            "Drop files here, or choose them with +",
-            self._dropped,
-            lambda: self.bench.say(
-                f"a file was refused: at most {MOST_UPLOAD / 2**20:g} MiB each, 50 at once", "error"
-            ),
-            multiple=True,
-            max_file_size=MOST_UPLOAD,
-            max_files=50,
-        )
+        words = "Drop files here, or choose them with +"
+        el.upload(words, self._dropped, self.bench.say, most=MOST_UPLOAD, count=50)
         with el.row().style("margin-top: 6px"):
             el.tag("span", "Bundled:", "bench-note")
             for name, length in BUNDLED.items():

@@ -47,12 +47,8 @@ class Motion(Beside):
                 self._bounds_form = el.form("Bounds", "beyond the plant's own")
                 with el.section("Compare and replay"):
                     self._beside_form = el.Form()
-                    el.upload(
-                        "Drop a record of the motion here",
-                        self._dropped,
-                        lambda: self.bench.say("the file was refused: it is too large", "error"),
-                        max_file_size=MOST_UPLOAD,
-                    )
+                    words = "Drop a record of the motion here"
+                    el.upload(words, self._dropped, self.bench.say, most=MOST_UPLOAD)
             with el.plots():
                 with el.section("Position", wide=True) as self._words:
                     self._verdict = el.Verdict()

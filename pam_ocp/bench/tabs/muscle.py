@@ -347,16 +347,9 @@ class MuscleTab(Tab):
         data += _curves(muscle, levels, kappa)
         data += _measured(fit)
         if self._next is not None:
-            more = {"symbol": "star", "size": 11, "line": {"width": 1, "color": "#333333"}}
-            data.append(
-                look.points(
-                    100 * self._next["contraction"],
-                    self._next["force"],
-                    "measure next",
-                    "#e69f00",
-                    marker=more,
-                )
-            )
+            star = {"symbol": "star", "size": 11, "line": {"width": 1, "color": "#333333"}}
+            kappa, force = 100 * self._next["contraction"], self._next["force"]
+            data.append(look.points(kappa, force, "measure next", "#e69f00", marker=star))
         top = max(
             float(np.max(fit["cells"]["force"])), float(np.max(data[2 * len(levels) - 1]["y"]))
         )
@@ -456,13 +449,8 @@ class MuscleTab(Tab):
         names = {"": "choose ..."} | {n: catalogue_summary(n) for n in muscle_names()}
         catalogue = Menu("Catalogue", names), "", self._catalogued
         el.Form().show([catalogue, (LENGTH, None, lambda v: setattr(self, "_length", v))])
-        el.upload(
-            "Muscle file (.toml, .json)",
-            self._dropped,
-            lambda: self.bench.say("the file was refused: a .toml or .json up to 1 MiB", "error"),
-            max_file_size=MOST_FILE,
-            accept=".toml,.json",
-        )
+        words, say = "Muscle file (.toml, .json)", self.bench.say
+        el.upload(words, self._dropped, say, most=MOST_FILE, accept=".toml,.json")
 
     def _catalogued(self, name: str) -> None:
         if name:
@@ -501,12 +489,7 @@ def _shown_unit(unit: str) -> tuple[str, float]:
 
 def _curves(muscle: Muscle, levels: Sequence[float], kappa: Any) -> list[dict[str, Any]]:
     return [
-        look.line(
-            100 * kappa,
-            muscle.force(p, kappa),
-            f"{p / 1e5:.3g} bar",
-            look.colour(i),
-        )
+        look.line(100 * kappa, muscle.force(p, kappa), f"{p / 1e5:.3g} bar", look.colour(i))
         for i, p in enumerate(levels)
     ]
 

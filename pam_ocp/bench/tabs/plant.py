@@ -50,7 +50,9 @@ class PlantTab(Tab):
                 with el.section("Arrangement") as self._words:
                     self._form = el.Form()
                     if self.bench.allow_code:
-                        self._own_upload()
+                        # a Python file that makes plants; a single one in it is chosen at once
+                        words, say = "A plant of your own (.py)", self.bench.say
+                        el.upload(words, self._dropped, say, most=MOST_FILE, accept=".py")
                 with el.section("Operating point") as self._point_words:
                     self._point_form = el.Form()
             with el.plots():
@@ -115,17 +117,6 @@ class PlantTab(Tab):
                 rows.append((Menu("second muscle", second), said.get("muscle2"), act))
         self._words.set_text(PLANTS.words(name) if name in PLANTS else "A plant of your own")
         self._form.show(rows)
-
-    def _own_upload(self) -> None:
-        """For a Python file that makes plants; a single one in it is chosen at once."""
-        words = f"the file was refused: a .py up to {MOST_FILE / 2**20:g} MiB"
-        el.upload(
-            "A plant of your own (.py)",
-            self._dropped,
-            lambda: self.bench.say(words, "error"),
-            max_file_size=MOST_FILE,
-            accept=".py",
-        )
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
         before = own_plants(self.session.folder)
@@ -427,18 +418,8 @@ def _study_figure(cases: Sequence[Mapping[str, float]]) -> dict[str, Any]:
             )
             shown = {"xaxis": f"x{axis}", "yaxis": f"y{axis}", "showlegend": j == 0}
             data.append(one | shown | {"legendgroup": str(mass)})
-        side = {"gridcolor": look.GRID, "automargin": True}
-        layout[f"xaxis{axis}"] = {
-            **side,
-            "domain": [0.55 * column, 0.55 * column + 0.45],
-            "anchor": f"y{axis}",
-            "title": {"text": "pressure [bar]", "font": {"size": 11}, "standoff": 4},
-        }
-        layout[f"yaxis{axis}"] = {
-            **side,
-            "domain": [0.6, 1.0] if row == 0 else [0.0, 0.4],
-            "anchor": f"x{axis}",
-            "title": {"text": title, "font": {"size": 11}},
-        }
-    legend = {"orientation": "h", "y": 1.1, "x": 0.0, "xanchor": "left", "font": {"size": 11}}
-    return look.figure(data, height=430, legend=legend, **layout)
+        across = [0.55 * column, 0.55 * column + 0.45]
+        layout[f"xaxis{axis}"] = look.axis("pressure [bar]", domain=across, anchor=f"y{axis}")
+        up = [0.6, 1.0] if row == 0 else [0.0, 0.4]
+        layout[f"yaxis{axis}"] = look.axis(title, domain=up, anchor=f"x{axis}")
+    return look.figure(data, height=430, **layout, **look.ABOVE)

@@ -25,7 +25,7 @@ from ...plants.plant import Plant, require_plant
 from .instructions import OPERATIONS, Instructions, instructions
 from .registry import ENDINGS, WORLDS
 
-ATOM, POWER, PRODUCT, SUM, LOGIC = 4, 3, 2, 1, 0
+ATOM, POWER, PRODUCT, SUM = 4, 3, 2, 1
 """How firmly a text holds together."""
 LONG = 60
 """Letters, beyond which a part that is used twice gets a name; shorter ones are written again."""

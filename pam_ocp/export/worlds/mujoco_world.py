@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from ...core.atomic import atomic_path
-from ...core.errors import InputError, UnknownNameError, kind_of, require_finite, require_positive
+from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.lazy import library
 from ...core.stop import verb
 from ...muscles.pneumatic_muscle import Muscle
@@ -28,7 +28,7 @@ from ...plants.alone import muscle_alone
 from ...plants.components import as_muscle
 from ...plants.damping import Loss
 from ...plants.feeds import Feed
-from ...plants.limbs import Limb
+from ...plants.limbs import Limb, as_muscles
 from ...plants.plant import Plant
 from .instructions import REACH, quickest
 from .registry import ENDINGS, WORLDS
@@ -196,17 +196,10 @@ ENDINGS[".xml"] = "mujoco"
 
 
 def _muscles(muscles: MujocoMuscle | Sequence[MujocoMuscle]) -> MujocoMuscles:
-    given = (muscles,) if isinstance(muscles, MujocoMuscle) else tuple(muscles)
-    for muscle in given:
-        if not isinstance(muscle, MujocoMuscle):
-            raise InputError(
-                f"muscles holds {kind_of(muscle)}; MuJoCo has the masses and takes muscles "
-                "alone: give MujocoMuscle(name, muscle, way, ...)"
-            )
-    names = [m.name for m in given]
-    if not given or len(set(names)) < len(names):
-        raise InputError(f"muscles = {names}: give one or more, each with a name of its own")
-    return MujocoMuscles(given)
+    words = (
+        "MuJoCo has the masses and takes muscles alone: give MujocoMuscle(name, muscle, way, ...)"
+    )
+    return MujocoMuscles(as_muscles(muscles, MujocoMuscle, words))
 
 
 @dataclass(frozen=True)
