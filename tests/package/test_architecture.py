@@ -213,8 +213,8 @@ def test_an_import_loads_names_only_when_they_are_used(name):
 
 
 def test_a_first_plan_loads_nothing_that_it_does_not_use():
-    """Files, other laws, re-solves, arcs, other processes and NumPy's random numbers are for others;
-    SciPy alone takes as long as a plan; plotting, tables and python-control have no part.
+    """Files, other laws, re-solves, arcs, other processes and random numbers are for others; SciPy
+    alone takes as long as a plan; plotting, tables and python-control have no part.
     """
     code = (
         "import sys, pam_ocp as pam; muscle = pam.muscle('DMSP-20-200N'); "
