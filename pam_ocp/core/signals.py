@@ -266,7 +266,7 @@ def _from_function(
 
 
 def _sampled(
-    variable: Any, function: Callable[[float], float]
+    variable: Any, function: Callable[[Any], Any]
 ) -> Callable[[Array, Array, Array], Array]:
     """(begins, lengths, places in [0, 1]) -> values (pieces, places) of a user's function."""
     try:
