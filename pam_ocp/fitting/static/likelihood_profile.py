@@ -259,7 +259,7 @@ class Sweep:
             at = np.linspace(low, high, POINTS)
             values = nodes[0] + (nodes[-1] - nodes[0]) * (at + 1) / 2
             if smooth:
-                told = chebval(at, through)
+                told = np.asarray(chebval(at, through), float)
             else:
                 told = self._told(self._projected(self.problem, values), free, side, limit)
             reached = self._reached(values, told, free, side, limit)
