@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebfit, chebval
+from numpy.polynomial.chebyshev import chebval, chebvander
 
 from ...core.cases import results_of
 from ...core.errors import FitError
@@ -166,10 +166,14 @@ TRIED = np.concatenate([-np.geomspace(8, 0.05, 24), [0.0], np.geomspace(0.05, 8,
 """Standard errors from the optimum at which the nonlinear coefficient is tried, beside its scan."""
 NODES = -np.cos(np.pi * np.arange(11) / 10)
 """Chebyshev points between two values of q, on whose polynomials an end is sought."""
+THROUGH = np.linalg.inv(chebvander(NODES, NODES.size - 1))
+"""From values at the nodes to the coefficients of the polynomial through them."""
 SMOOTH = 1e-7
 """Of the polynomials' last two coefficients, in parts of the largest: they follow what is told."""
-ZOOMS, POINTS = 5, 41
-"""Times that the bracket of an end is narrowed, and values of q within it."""
+ZOOMS = {True: (3, 201), False: (5, 41)}
+"""Times that the bracket of an end is narrowed, and values of q within it, by whether polynomials
+follow.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,11 +256,12 @@ class Sweep:
         """
         smooth, through = bool(np.isfinite(told).all()), np.empty(0)
         if smooth:
-            through = chebfit(NODES, told.T, NODES.size - 1)
+            through = THROUGH @ told.T
             smooth = bool(np.all(np.abs(through[-2:]) <= SMOOTH * np.abs(through).max(axis=0)))
         low, high, reached = -1.0, 1.0, np.array([-np.inf])
-        for _ in range(ZOOMS):
-            at = np.linspace(low, high, POINTS)
+        zooms, points = ZOOMS[smooth]
+        for _ in range(zooms):
+            at = np.linspace(low, high, points)
             values = nodes[0] + (nodes[-1] - nodes[0]) * (at + 1) / 2
             if smooth:
                 told = np.asarray(chebval(at, through), float)
@@ -264,7 +269,7 @@ class Sweep:
                 told = self._told(self._projected(self.problem, values), free, side, limit)
             reached = self._reached(values, told, free, side, limit)
             j = int(np.argmax(reached))
-            low, high = at[max(j - 1, 0)], at[min(j + 1, POINTS - 1)]
+            low, high = at[max(j - 1, 0)], at[min(j + 1, points - 1)]
         return float(reached.max())
 
     def _open_end(self, free: int, side: float, j: int) -> tuple[float, str] | None:
