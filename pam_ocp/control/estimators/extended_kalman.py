@@ -358,8 +358,14 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
     draft = Draft(name, filter.sample_time, "extended Kalman filter")
     estimated, n = estimated_variables(filter), len(filter.names)
     start_z, start_p = filter._first
-    z = draft.memories(start_z, "of the estimate", "scaled.z")
-    covariance = draft.memories(start_p.ravel(), "of the estimate", "covariance.c")
+    scaled_names = [f"scaled.{v.name}" for v in estimated]
+    entries = [f"covariance.c{i}_{j}" for j in range(n) for i in range(n)]
+    z, covariance = (
+        draft.column(
+            [Variable(k, "state", start=float(v)) for k, v in zip(names, start, strict=True)]
+        )
+        for names, start in ((scaled_names, start_z), (entries, start_p.ravel("F")))
+    )
     p: Symbol = ca.reshape(covariance, n, n)
     started = draft.started
     sent = draft.sent(filter.given.controls)
@@ -371,8 +377,8 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
     scaled = ca.if_else(good, y, 0) / ca.DM([v.nominal for v in filter.measured])
     mean, p = filter.taking(z, sent, q, z, p, scaled, good)
     z = clipped(mean, filter._low, filter._high)
-    draft.next("scaled.z1", z)
-    draft.next("covariance.c1", ca.vec(p))
+    draft.next(scaled_names[0], z)
+    draft.next(entries[0], ca.vec(p))
     for i, v in enumerate(estimated):
         draft.estimate(v, z[i] * float(filter._scale[i]))
     for i, v in enumerate(estimated):
