@@ -46,6 +46,9 @@ def profile_ends(
     fit: Optimum, names: Sequence[str], reach: float, executor: Place = None
 ) -> dict[str, Ends]:
     """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
+
+    A standard error that is larger than that of independent errors widens the interval as much.
+
     executor : where coefficients walk; a sweep takes milliseconds for all, and is done here.
     """
     placed(executor)
