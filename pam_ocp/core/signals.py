@@ -294,7 +294,7 @@ def _sampled(
         """All values by one call, where the function takes arrays and says the same of numbers."""
         try:
             found = function(times.copy())
-        except Exception:  # written for a number; what else is wrong with it shows when one is asked
+        except Exception:  # written for a number; what else is wrong shows for one
             return None
         if not isinstance(found, np.ndarray) or found.dtype != float or found.shape != times.shape:
             return None
