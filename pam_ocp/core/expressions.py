@@ -49,6 +49,16 @@ def scalar_expression(name: str, value: Any) -> ca.SX:
     return expression
 
 
+def polynomial(coefficients: Sequence[Any], x: Any) -> Any:
+    """sum c_j x^j, of expressions or arrays, without a power: CasADi takes x**3 by C's ``pow``,
+    which costs as much as thirty products.
+    """
+    *others, found = coefficients
+    for c in reversed(others):
+        found = c + x * found
+    return found
+
+
 def expression_of(
     name: str, function: Callable[..., Any], *symbols: ca.SX, **named: ca.SX
 ) -> ca.SX:

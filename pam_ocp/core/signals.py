@@ -72,12 +72,15 @@ class PiecewisePolynomial:
         inside = np.clip(np.atleast_1d(np.asarray(t, float)), self.breaks[0], self.breaks[-1])
         piece = np.searchsorted(self.breaks, inside, side=side) - 1
         piece = np.clip(piece, 0, len(self.breaks) - 2)
-        s = inside - self.breaks[piece]
-        powers = s[:, None] ** np.arange(self.degree + 1)
-        return np.asarray(np.einsum("tj,tji->ti", powers, self.coefficients[piece]))
+        s, found = (inside - self.breaks[piece])[:, None], self.coefficients[piece, -1]
+        for j in reversed(range(self.degree)):
+            found = found * s + self.coefficients[piece, j]
+        return np.asarray(found)
 
     def shifted(self, breaks: Array) -> PiecewisePolynomial:
         """The same signals on finer breaks (which must hold the old ones that lie inside)."""
+        if np.array_equal(breaks, self.breaks):
+            return self
         inside = np.clip(breaks[:-1], self.breaks[0], self.breaks[-1])
         piece = np.clip(
             np.searchsorted(self.breaks, inside + 1e-12 * (1 + abs(inside)), side="right") - 1,
@@ -222,6 +225,10 @@ NODES = np.minimum((1 - np.cos(np.pi * np.arange(DEGREE + 1) / DEGREE)) / 2, 1.0
 """Of a polynomial on a piece of length 1; at its end it may jump."""
 PROBES = (NODES[:-1] + NODES[1:]) / 2
 """Where it is compared with the function."""
+ORDERS = np.arange(DEGREE + 1)
+THROUGH = np.linalg.inv(NODES[:, None] ** ORDERS).T
+"""Values at the nodes -> coefficients of the polynomial through them."""
+POWERS = (PROBES[:, None] ** ORDERS).T
 BATCH = 4096
 """So many pieces are fitted at a time."""
 COMPARED = 8
@@ -233,9 +240,6 @@ def _from_function(
 ) -> PiecewisePolynomial:
     """Pieces through Chebyshev points (Lobatto's), halved until they follow the function."""
     sample = _sampled(variable, function)
-    orders = np.arange(DEGREE + 1)
-    inverse = np.linalg.inv(NODES[:, None] ** orders).T
-    powers = (PROBES[:, None] ** orders).T
     enough = FUNCTION_TOLERANCE * variable.nominal
     found: list[tuple[Array, Array]] = []
     left, right = np.asarray(t[:-1], float), np.asarray(t[1:], float)  # what is still to be fitted
@@ -243,10 +247,10 @@ def _from_function(
     while left.size:
         a, b = left[:BATCH], right[:BATCH]
         h = b - a
-        piece = sample(a, h, NODES) @ inverse
-        error = np.abs(sample(a, h, PROBES) - piece @ powers).max(axis=1)
+        piece = sample(a, h, NODES) @ THROUGH
+        error = np.abs(sample(a, h, PROBES) - piece @ POWERS).max(axis=1)
         good = (error <= enough) | (h <= SHORTEST_PIECE)
-        found.append((a[good], piece[good] / h[good, None] ** orders))
+        found.append((a[good], piece[good] / h[good, None] ** ORDERS))
         done += int(good.sum())
         a, b = a[~good], b[~good]
         middle = (a + b) / 2

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.arguments import with_kinds
 from ..core.errors import InputError, require_finite, require_numbers, require_positive
+from ..core.expressions import polynomial
 from ..core.quantities import is_quantity
 from ..core.registry import Registry
 from ..core.stop import turns
@@ -201,7 +202,7 @@ class PolynomialVolume:
         object.__setattr__(self, "coefficients", values)
 
     def filled(self, muscle: Muscle, kappa: ca.SX, declare: Declare) -> ca.SX:
-        terms = [
+        coefficients = [
             declare(
                 f"v{i}",
                 v,
@@ -209,10 +210,9 @@ class PolynomialVolume:
                 nominal=1e-4,
                 description=f"volume, contraction to the power {i}",
             )
-            * kappa**i
             for i, v in enumerate(self.coefficients)
         ]
-        return ca.SX(sum(terms[1:], terms[0]))
+        return ca.SX(polynomial(coefficients, kappa))
 
 
 @with_kinds

@@ -14,7 +14,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, ClassVar, TypeAlias, TypeVar, overload
 
 import casadi as ca
@@ -142,6 +142,7 @@ class ForceLaw(ABC):
 
     # ---- coefficients -------------------------------------------------------------------
     @classmethod
+    @lru_cache(maxsize=128)
     def coefficient_variables(cls, prefix: str = "") -> tuple[Variable, ...]:
         """The coefficients as parameter variables (unit, nominal, range), without values."""
         return tuple(

@@ -296,7 +296,8 @@ class _Way:
         step, x, tolerance = self.method.step, self.method.step.arguments[2], self.tolerance
         made, size = (m.T.ravel() for m in step.results)  # views of its memory
         views: list[Any] = [memoryview(a) for a in (*step.arguments[:2], size)]
-        (time, length, error_of), call, n = views, step.call, len(x)
+        (time, length, error_of), call, new = views, step.call, made[: len(x)]
+        grid, begun, row = self.grid, self.begins.append, self.rows.append
         suggested, shortest, allowed = self.suggested, SHORTEST * (end - t), 1.0
         while True:
             self.tried += 1
@@ -312,7 +313,9 @@ class _Way:
             time[0], length[0] = t, h
             call()
             error = error_of[0] / tolerance
-            if error <= allowed and self._seen(t, t + h):
+            while grid[self.place] <= t:
+                self.place += 1
+            if error <= allowed and grid[self.place] < t + h:  # a time of the grid within the step
                 error = max(error, self._wrong_between(t, h, x, made) / tolerance)
             if not error <= allowed:
                 factor = max(SHRINK, SAFETY * error**-0.2) if error < np.inf else SHRINK
@@ -320,9 +323,9 @@ class _Way:
                 allowed = BEHIND_REJECTED
                 continue
             factor = min(GROW, SAFETY * error**-0.2) if error > LEAST_ERROR else GROW
-            self.begins.append(t)
-            self.rows.append(made.copy())
-            x[:] = made[:n]
+            begun(t)
+            row(made.copy())
+            x[:] = new
             allowed = 1.0
             if not (h < suggested and factor >= 1.0) or factor * h > suggested:
                 suggested = factor * h
@@ -330,12 +333,6 @@ class _Way:
                 self.suggested = suggested
                 return True
             t += h
-
-    def _seen(self, t: float, end: float) -> bool:
-        """Whether a time of the grid lies within the step from t to ``end``."""
-        while self.grid[self.place] <= t:
-            self.place += 1
-        return self.grid[self.place] < end
 
     def _wrong_between(self, t: float, h: float, x: Array, made: Array) -> float:
         between = self.method.between

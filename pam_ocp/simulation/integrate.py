@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_flag
+from ..core.expressions import polynomial
 from ..core.signals import PiecewisePolynomial, merged
 from ..core.stop import native
 from ..numerics.rodas import LEAST, Rodas, written_out
@@ -308,7 +309,7 @@ class Integration:
         scaled = ca.SX.sym("x", len(nominal))
         control = ca.SX.sym("control", 1 + (degree + 1) * len(plant.inputs))
         coefficients = ca.reshape(control[1:], len(plant.inputs), degree + 1)
-        powers = ca.vertcat(*((t - control[0]) ** j for j in range(degree + 1)))
+        u = polynomial(ca.horzsplit(coefficients), t - control[0])
         p = ca.SX.sym("p", len(plant.parameters))
-        xdot = plant.function(scaled * nominal, coefficients @ powers, p)[0]
+        xdot = plant.function(scaled * nominal, u, p)[0]
         return {"t": t, "x": scaled, "u": control, "p": p, "ode": xdot / nominal}

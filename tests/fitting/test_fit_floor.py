@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import pdtrc
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import ForceTable, hysteresis, look
+from pam_ocp.fitting.tables.floor import _poisson
 from pam_ocp.muscles.law import SixParameterLaw
 
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.45, -8.7013, 267.672, -309.603))
@@ -111,6 +113,13 @@ def test_no_floor_is_invented_where_all_cells_pull(seed: int) -> None:
     table = ForceTable(P[chosen], KAPPA[chosen], np.maximum(force, 0.5))
     assert table.floor_found is None
     assert not table.slack.any()
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"), [(3, 1e-9), (3, 0.4), (12, 2.5), (40, 39.0), (5, 0)]
+)
+def test_the_chance_of_so_many_readings_is_that_of_poisson(count: int, expected: float) -> None:
+    assert _poisson(count, expected) == pytest.approx(float(pdtrc(count - 1, expected)), rel=1e-12)
 
 
 def test_repeats_of_the_least_cell_are_no_floor() -> None:

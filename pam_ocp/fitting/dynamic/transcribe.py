@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from ...core.errors import FitError, PamError
+from ...core.expressions import polynomial
 from ...core.signals import PiecewisePolynomial
 from ...core.stop import native
 from ...numerics.collocation import collocation_matrices, collocation_points, lagrange
@@ -338,7 +339,7 @@ def _symbols(plant: Plant, x_nominal: Array, mesh: _Mesh) -> tuple[ca.SX, ca.SX,
 
 def _input(u: ca.SX, since: ca.SX) -> ca.SX:
     """The inputs ``since`` an interval began."""
-    return u @ ca.vertcat(*(since**j for j in range(u.shape[1])))
+    return ca.SX(polynomial(ca.horzsplit(u), since))
 
 
 def _outputs(plant: Plant, names: Sequence[str]) -> ca.Function:

@@ -37,7 +37,7 @@ from .least_squares import LeastSquares, Terms, finite
 from .likelihood_profile import Ends, Sweep, profile_ends
 from .optimum import Optimum
 from .report import force_report, force_warnings
-from .search import NEAR, minimise
+from .search import minimise_near
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -525,7 +525,7 @@ class Bootstrap:
 
 def _refitted(start: Array | None, problem: LeastSquares) -> Array:
     """The fit of a resampled table, from that to the measured one."""
-    coefficients = minimise(problem, start, effort=NEAR).coefficients
+    coefficients = minimise_near(problem, start).coefficients
     return np.asarray(coefficients[list(problem.free)])
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import casadi as ca
@@ -438,6 +438,7 @@ def projected(triangles: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, 
     return np.where(good, np.sum(rest**2, axis=1), np.inf), best, root
 
 
+@lru_cache(maxsize=64)
 def sizes(variable: Variable) -> Array:
     """Values at which a nonlinear coefficient is scanned, the nominal size first."""
     magnitudes = variable.nominal * np.logspace(
@@ -451,7 +452,9 @@ def sizes(variable: Variable) -> Array:
     if not values.size:  # narrow bounds beyond the scan
         values = np.array([variable.min if np.isfinite(variable.min) else variable.max])
     order = np.argsort(np.abs(values - variable.nominal), kind="stable")
-    return np.asarray(values[order])
+    values = np.asarray(values[order])
+    values.setflags(write=False)
+    return values
 
 
 # ---- scales of robust fits -----------------------------------------------------------------------

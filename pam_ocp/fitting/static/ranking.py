@@ -24,7 +24,7 @@ from ...muscles.laws.user_defined import polynomial_law
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, surprise
 from .force_fit import ForceFit
-from .search import NEAR, minimise
+from .search import minimise_near
 from .shared import JointForceFit
 from .static import fit_force, independent, law_class
 
@@ -233,7 +233,7 @@ def _left_out(fit: ForceFit) -> dict[float, float]:
             raise InputError(
                 f"{len(part.cells)} taut cells remain, fewer than the {len(part.free)} coefficients"
             )
-        found = minimise(part, start, effort=NEAR).coefficients
+        found = minimise_near(part, start).coefficients
         there = replace(whole, cells=fit.cells.subset(~kept), weights=np.ones(int(np.sum(~kept))))
         errors[float(there.cells.contraction.mean())] = float(
             np.sqrt(np.mean(there.residuals(found[None])[0] ** 2))

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...core.arguments import with_kinds
 from ...core.errors import InputError, UnknownNameError, require_count
-from ...core.expressions import expression_of
+from ...core.expressions import expression_of, polynomial
 from ...core.stop import turns
 from ..law import LAWS, ForceLaw, clamp, coefficient
 from ..validity import Validity
@@ -77,13 +77,11 @@ def polynomial_law(gain_degree: int = 3, offset_degree: int = 4) -> type[ForceLa
 def _polynomial_law(gain_degree: int, offset_degree: int) -> type[ForceLaw]:
     degrees = {"g": gain_degree, "h": offset_degree}
 
-    def polynomial(law: ForceLaw, letter: str, kappa: Any) -> Any:
-        return sum(getattr(law, f"{letter}{i}") * kappa**i for i in range(degrees[letter] + 1))
+    def of(law: ForceLaw, letter: str) -> list[Any]:
+        return [getattr(law, f"{letter}{i}") for i in range(degrees[letter] + 1)]
 
     def area(law: ForceLaw, kappa: Any) -> Any:
-        return sum(
-            getattr(law, f"g{i}") * kappa ** (i + 1) / (i + 1) for i in range(gain_degree + 1)
-        )
+        return kappa * polynomial([g / (i + 1) for i, g in enumerate(of(law, "g"))], kappa)
 
     def described(letter: str, i: int) -> Any:
         unit, size, words = _TYPICAL[letter]
@@ -93,7 +91,9 @@ def _polynomial_law(gain_degree: int, offset_degree: int) -> type[ForceLaw]:
     return _made_law(
         f"PolynomialLaw{gain_degree}{offset_degree}",
         {f"{c}{i}": described(c, i) for c, degree in degrees.items() for i in range(degree + 1)},
-        formula=lambda law, p, kappa: polynomial(law, "g", kappa) * p + polynomial(law, "h", kappa),
+        formula=lambda law, p, kappa: (
+            polynomial(of(law, "g"), kappa) * p + polynomial(of(law, "h"), kappa)
+        ),
         gain_area=area,
         name=f"polynomial-{gain_degree}-{offset_degree}",
         title=f"Polynomials of degree {gain_degree} (gain) and {offset_degree} (offset)",
