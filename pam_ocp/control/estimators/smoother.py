@@ -290,19 +290,18 @@ class Smoother:
         first = prior - z[:, 0]
         free, covariance = self.free(first, p, *linear, none, none)
         found = free
-        low, high = ca.DM(self.filter._low), ca.DM(self.filter._high)
+        low, high = (
+            ca.repmat(ca.DM(e), 1, nodes) for e in (self.filter._low, self.filter._high)
+        )
         if self.sides:
-            ends = (ca.repmat(e, 1, nodes) - TOLERANCE for e in (low, -high))
-            least, most = ends
-            inside = ca.logic_and(
-                ca.mmin(ca.vec(z + free - least)) >= 0, ca.mmin(ca.vec(-z - free - most)) >= 0
-            )
+            free_z = z + free
+            inside = ca.mmin(ca.vec(ca.fmin(free_z - low, high - free_z))) >= -TOLERANCE
             arguments = [first, p, *linear, z, free]
             symbols = [ca.MX.sym(f"e{k}", e.sparsity()) for k, e in enumerate(arguments)]
             stay = ca.Function("stay", symbols, [symbols[-1]])
             found = ca.Function.if_else("within", stay, self._bounded())(inside, *arguments)
         fitted = z + found
-        fitted = ca.fmax(ca.fmin(fitted, ca.repmat(high, 1, nodes)), ca.repmat(low, 1, nodes))
+        fitted = ca.fmax(ca.fmin(fitted, high), low)
         sound = ca.logic_and(_finite(found), _finite(covariance))
         fitted = ca.if_else(sound, fitted, z)
         covariance = ca.if_else(sound, covariance, square)
