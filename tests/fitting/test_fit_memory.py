@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
+from pam_ocp.core.errors import InputError
+from pam_ocp.simulation.integrate import Integration
 
 MUSCLE = pam.muscle("DMSP-20-200N")
 BODY = replace(
@@ -93,3 +95,24 @@ def test_memories_are_found_back_by_simulation(loss, free):
         if name in truth:
             assert low < truth[name] < high
             assert high - low < 0.2 * truth[name]
+
+
+def test_runs_are_the_same_where_there_is_no_compiler(monkeypatch):
+    plant = pam.HangingLoad("DMSP-20-200N", 10.0, damping=60.0, losses=pam.losses.BoucWen())
+    t = np.arange(0, 0.2, 0.01)
+    command = np.where(t < 0.1, 2e5, 4e5)
+    run = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, rtol=1e-11)
+    given = {"muscle.command": command, "x": run["x"]}
+    record = pam.Trajectory(t, given, [plant.variable(n) for n in given], "previous")
+    beside = plant.with_values(damping=0.8 * plant.variable("damping").start)
+    ask = {"noise": {"x": 1e-5}, "method": "simulation"}
+    fits = [pam.fit_plant(beside, record, ["damping"], **ask)]
+
+    def refused(plant):
+        raise InputError("no compiler here")
+
+    monkeypatch.setattr(Integration, "built", refused)
+    fits.append(pam.fit_plant(beside, record, ["damping"], **ask))
+    one, other = (fit.coefficients["damping"] for fit in fits)
+    assert one.value == pytest.approx(plant.variable("damping").start, rel=1e-4)
+    assert other.value == pytest.approx(one.value, abs=1e-3 * one.stderr)

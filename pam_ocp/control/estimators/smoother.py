@@ -290,9 +290,7 @@ class Smoother:
         first = prior - z[:, 0]
         free, covariance = self.free(first, p, *linear, none, none)
         found = free
-        low, high = (
-            ca.repmat(ca.DM(e), 1, nodes) for e in (self.filter._low, self.filter._high)
-        )
+        low, high = (ca.repmat(ca.DM(e), 1, nodes) for e in (self.filter._low, self.filter._high))
         if self.sides:
             free_z = z + free
             inside = ca.mmin(ca.vec(ca.fmin(free_z - low, high - free_z))) >= -TOLERANCE

@@ -104,8 +104,9 @@ def fit_plant(
         is one unknown: these parameters are to be equal.
     outputs : the measured states and outputs to compare; by default all that the records hold.
     method : "collocation" (Radau points), "multiple-shooting" or "single-shooting" (RK4 between the
-        samples; for plants that are not stiff), or "simulation" (runs of :func:`simulate`, slopes
-        by differences: for kinks and ringing that no polynomial follows between samples). By
+        samples; for plants that are not stiff), or "simulation" (runs of :func:`simulate`,
+        compiled where there is a compiler, slopes by differences: for kinks and ringing that no
+        polynomial follows between samples). By
         default collocation; simulation for plants with held memories (hysteresis) or that ring
         between the samples, and where collocation leads to nothing (neither with process nor with
         input noise).

@@ -20,13 +20,14 @@ from typing import Any, Literal, TypeAlias, get_args
 import casadi as ca
 import numpy as np
 
-from ...core.errors import FitError, PamError
+from ...core.errors import FitError, InputError, PamError
 from ...core.expressions import polynomial
 from ...core.signals import PiecewisePolynomial
 from ...core.stop import native
 from ...numerics.collocation import collocation_matrices, collocation_points, lagrange
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
+from ...simulation.integrate import Integration
 from ...simulation.simulator import simulate
 from ..statistics import Array
 from .experiment import Experiment, ParameterGroup
@@ -444,6 +445,10 @@ class SimulatedProgram:
         self._problem, u = problem, problem.unknowns
         self.guess, self.low, self.high, self.head_scale = u.guess, u.low, u.high, u.scale
         self.head = self.guess.size
+        try:  # hundreds of runs: compiling takes as long as some tens of them
+            self._compiled = Integration.built(problem.plant) is not None
+        except InputError:  # no compiler here
+            self._compiled = False
 
     def errors(self, w: Array) -> tuple[Array, Array]:
         """As those of :class:`FitProgram`; there are no jumps."""
@@ -454,7 +459,7 @@ class SimulatedProgram:
         parts = []
         for e, start in zip(problem.experiments, u.begins(plant, w), strict=True):
             try:
-                modelled = sensed(plant, e, start, late, names, rig, values)
+                modelled = sensed(plant, e, start, late, names, rig, values, self._compiled)
                 parts.append((e.measured - modelled) / problem.nominal)
             except PamError:
                 parts.append(np.full(e.measured.shape, DIVERGED))
@@ -490,6 +495,7 @@ def sensed(
     names: Sequence[str],
     rig: Rig,
     parameters: Mapping[str, float] | None = None,
+    compiled: bool = False,
 ) -> Array:
     """The plant under the measured inputs (K, ny), as its sensors would have shown it."""
     times = experiment.t - delay
@@ -498,7 +504,10 @@ def sensed(
     if times[0] > experiment.mesh[0]:
         grid = np.concatenate([experiment.mesh[:1], times])
     inputs = PiecewisePolynomial(experiment.mesh, experiment.coefficients)
-    run = simulate(plant, inputs, t=grid, start=start, parameters=dict(parameters or {}), rtol=RTOL)
+    given = dict(parameters or {})
+    run = simulate(
+        plant, inputs, t=grid, start=start, parameters=given, rtol=RTOL, compiled=compiled
+    )
     gains = np.array([rig.gains.get(n, 1.0) for n in names])
     offsets = np.array([rig.offsets.get(n, 0.0) for n in names])
     return np.asarray(run.array(names)[len(grid) - len(times) :] * gains + offsets)
