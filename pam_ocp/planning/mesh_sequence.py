@@ -42,8 +42,6 @@ count.
 """
 UNSEEN = 2.0
 """Times as much may be gained as first-order gradients show."""
-MOST_PARTS = 4
-"""Of an interval at a time: its estimate is one of first order."""
 FLOOR = 1e-2
 """Objectives below it (in units of their terms) are judged as if they were this large."""
 
@@ -143,8 +141,7 @@ class MeshSequence:
     def _dear(self, c: Candidate) -> list[tuple[Mesh, str]]:
         if not self.is_dear(c):
             return []
-        allowed = self.wanted * scale(c) / UNSEEN
-        mesh = self.split(c.mesh, c.gains, allowed, self.settings.fall)
+        mesh = self.split(c.mesh, c.gains, self.settings)
         return [(mesh, f"objective may fall by {100 * self.gap(c):.2g} %")]
 
     def gap(self, c: Candidate) -> float:
@@ -183,19 +180,19 @@ class MeshSequence:
         return float(np.fmax(row, ratio**2 * self._extrapolated(c.coarser)))
 
     @staticmethod
-    def split(mesh: Mesh, gained: Array | None, allowed: float, fall: float) -> Mesh:
-        """Intervals split until each keeps back an equal part of what is ``allowed`` of the gain, or
-        of its ``fall``: a part of an interval keeps back the square of its length, along smooth
-        arcs and at switches. All in two where nothing is known of it.
+    def split(mesh: Mesh, gained: Array | None, settings: Settings) -> Mesh:
+        """Those intervals split in two that keep back ``marked`` of what is to be gained; all where
+        nothing is known of it.
         """
         if gained is None or not np.isfinite(gained).all() or not gained.sum() > 0:
             return doubled(mesh)
-        level = max(allowed, gained.sum() / fall) / len(gained)
-        parts = np.clip(np.ceil(np.sqrt(gained / level)), 1, MOST_PARTS).astype(int).tolist()
+        order = np.argsort(gained)[::-1]
+        part = settings.marked * gained.sum()
+        chosen = set(order[: 1 + int(np.searchsorted(np.cumsum(gained[order]), part))].tolist())
         intervals: list[Interval] = []
-        for interval, count in zip(mesh.intervals, parts, strict=True):
+        for k, interval in enumerate(mesh.intervals):
             own = replace(interval, watched=())
-            intervals += own.split(count, interval.degree)
+            intervals += own.split(2, interval.degree) if k in chosen else [own]
         return Mesh(tuple(intervals), mesh.form)
 
     def _miscounted(self, c: Candidate) -> bool:

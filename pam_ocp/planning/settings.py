@@ -50,9 +50,9 @@ class Settings:
     """The same before polynomial inputs are held instead: refinement may chase their switches."""
     corrections: int = 4
     """Of the defects of one mesh, at most; each has to halve the error."""
-    fall: float = 8.0
-    """By which the estimated gain is to fall from mesh to mesh, its parts equal among the intervals
-    (equidistribution: C. de Boor, Lecture Notes in Math. 363 (1974) 12-20; measured)."""
+    marked: float = 0.7
+    """Part of the estimated gain whose intervals are split (bulk marking: W. Dörfler, SIAM J.
+    Numer. Anal. 33 (1996) 1106-1124)."""
     finest: int = 400
     """Intervals of a leg, on average, beyond which no objective is refined."""
     points: int = 1000

@@ -232,7 +232,7 @@ def test_the_gradients_tell_what_is_gained_on_finer_meshes_of_linear_inputs():
     for _ in range(6):
         estimates.append(gains(coarse).sum())
         values.append(coarse.outcome.objective)
-        mesh = MeshSequence.split(coarse.program.mesh, gains(coarse), 0.0, SETTINGS.fall)
+        mesh = MeshSequence.split(coarse.program.mesh, gains(coarse), SETTINGS)
         coarse = searches.refined(planner, coarse, mesh)
     left = np.array(values) - coarse.outcome.objective  # on a mesh that leaves 1e-3 of it
     assert np.all(left[:4] > 0)
@@ -290,7 +290,7 @@ def test_a_mesh_split_where_inputs_cost_gains_more_than_as_many_equal_intervals(
     planner = pam.Planner(plant, stops, **wanted)
     coarse = planner(tolerance=None)._solved
     for _ in range(2):
-        mesh = MeshSequence.split(coarse.program.mesh, gains(coarse), 0.0, SETTINGS.fall)
+        mesh = MeshSequence.split(coarse.program.mesh, gains(coarse), SETTINGS)
         coarse = searches.refined(planner, coarse, mesh)
     as_many = pam.Collocation(len(mesh.intervals), 3)
     equal = pam.plan(plant, stops, **wanted, method=as_many, tolerance=None)
