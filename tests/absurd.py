@@ -548,7 +548,8 @@ def rows(table: str) -> Iterator[tuple[str, str]]:
     lines = table.splitlines()
     for call in ast.parse(table).body:
         said = lines[call.end_lineno - 1][call.end_col_offset :]
-        yield " ".join(ast.get_source_segment(table, call).split()), said.removeprefix("  # ")
+        text = " ".join(lines[call.lineno - 1 : call.end_lineno]).removesuffix(said)
+        yield " ".join(text.split()), said.removeprefix("  # ")
 
 
 CALLS = dict(rows(SLOPPY)) | {
