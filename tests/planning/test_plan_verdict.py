@@ -41,10 +41,11 @@ def cart(speed=np.inf):
     return pushed(10.0, also=also, x={"max": 2.0}, v={"max": speed})
 
 
-def by_hand(plant, statement, pieces=((0.5, 4.0), (0.5, -4.0))):
+def by_hand(plant, statement, pieces=((0.5, 4.0), (0.5, -4.0)), off=0.0):
     """The replay of a motion from rest whose inputs are held: (duration, value) of each interval.
 
-    Exact states at the ends of the intervals, so only what happens between them can be wrong.
+    Exact states at the ends of the intervals, so only what happens between them can be wrong; but
+    for the last position, which is claimed ``off``.
     """
     problem = formulate(plant, statement)
     total = sum(h for h, _ in pieces)
@@ -55,6 +56,7 @@ def by_hand(plant, statement, pieces=((0.5, 4.0), (0.5, -4.0))):
         x, v = states[-1]
         states.append([x + v * h + u * h**2 / 2, v + u * h])
         t.append(t[-1] + h)
+    states[-1][0] += off
     inputs = PiecewisePolynomial(np.array(t), np.array([[[u]] for _, u in pieces]))
     solution = Solution(
         np.array(t),
@@ -79,6 +81,12 @@ def test_a_motion_that_keeps_everything_has_no_violation():
     )
     assert replay.error < 1e-9
     assert replay.violation < 1e-9
+
+
+@pytest.mark.parametrize("off", [0.2, -0.2])
+def test_a_position_that_is_claimed_too_large_or_too_small_deviates(off):
+    replay = by_hand(cart(), Statement(MOVE), FOURTH, off)
+    assert (replay.error, replay.state) == (pytest.approx(0.2, rel=1e-6), "x")
 
 
 @pytest.mark.parametrize(
