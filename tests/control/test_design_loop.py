@@ -197,6 +197,19 @@ def test_the_pressure_loop_closes_with_its_time_constant(hanging):
     assert run["muscle.pressure"] == pytest.approx(expected, abs=0.01 * BAR)
 
 
+def test_pressures_of_a_position_controller_move_the_plant_as_its_reference(slide):
+    path = sine(0.0, 0.006, 2.0)
+    controller = PositionController(slide, path, PID(0.0), sample_time=2e-3, stiffness=2e4)
+    for t, more in ((0.07, 0.0), (0.31, 0.4)):
+        x, v, a = path(t)
+        assert abs(a) > 0.3
+        p1, p2 = controller.pressures(t, more)
+        at = {"x": x, "v": v, "muscle1.pressure": p1, "muscle2.pressure": p2}
+        states, inputs = slide.vector("state", at), slide.vector("input")
+        rates = np.ravel(slide.function(states, inputs, slide.vector("parameter"))[0])
+        assert rates[1] == pytest.approx(a + more, abs=1e-6)
+
+
 @pytest.mark.parametrize("feed", [pam.feeds.Regulator(0.05), SpoolValve(), OnOffValves()], ids=type)
 def test_feed_forward_makes_the_error_a_fifth_of_the_pids_alone(long_muscle, feed):
     plant = pam.AntagonisticJoint(long_muscle, link_mass=1.0, link_length=0.2, feed=feed)
