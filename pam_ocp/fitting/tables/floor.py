@@ -222,9 +222,7 @@ def _hinges(cells: _Cells) -> list[_Hinge]:
     return sorted((h for h in others if h), key=lambda h: h.criterion) or [first]
 
 
-def _settled(
-    cells: _Cells, slack: Mask, degrees: tuple[int, int], known: _Known
-) -> _Hinge | None:
+def _settled(cells: _Cells, slack: Mask, degrees: tuple[int, int], known: _Known) -> _Hinge | None:
     """Breiman's hinge finding from these slack cells; None where too few cells tell the surface.
     known : the rounds of other starts, of which many come to the same cells.
     """
