@@ -28,7 +28,11 @@ from .kinds import BLOCKS, CONTROLLERS, law_of
 from .pid import PID, PressureLoop, pid_law, saturating
 from .references import Source, source
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
+NODES, WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(6))
+KERNEL = [
+    ((n + 1) / 2, w / 2, w / 2 * (1 - (n + 1) / 2)) for n, w in zip(NODES, WEIGHTS, strict=True)
+]
+"""Parts of its half width, weights, and weights times the kernel."""
 BISECTIONS = 60
 PARTS = 32
 """Steps of the integrator per sample: finer than the edge of an element that begins to slide."""
@@ -167,19 +171,14 @@ class Rounded:
         self._reference, self._half, self._late = reference, half, 0.0 if preview else half
 
     def __call__(self, t: float) -> tuple[float, float, float]:
-        h, middle = self._half, t - self._late
-        parts = (NODES + 1) / 2
-        later = np.array([self._at(middle + h * s) for s in parts])
-        before = np.array([self._at(middle - h * s) for s in parts])
-        weights = WEIGHTS / 2
-        x = float(np.sum(weights * (1 - parts) * (later + before)))
-        v = float(np.sum(weights * (later - before))) / h
-        a = (self._at(middle + h) - 2 * self._at(middle) + self._at(middle - h)) / h**2
-        return x, v, a
-
-    def _at(self, t: float) -> float:
-        """The reference, at rest before the beginning."""
-        return self._reference(max(t, 0.0))
+        h, middle, at = self._half, t - self._late, self._reference
+        x = v = 0.0
+        for part, weight, falling in KERNEL:  # at rest before the beginning
+            later, before = at(max(middle + h * part, 0.0)), at(max(middle - h * part, 0.0))
+            x += falling * (later + before)
+            v += weight * (later - before)
+        bend = at(max(middle + h, 0.0)) - 2 * at(max(middle, 0.0)) + at(max(middle - h, 0.0))
+        return x, v / h, bend / h**2
 
 
 class MemoryModel:

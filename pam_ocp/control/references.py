@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -56,7 +57,14 @@ def source(argument: str, value: Any, unit: str = "", before: float | None = Non
     Raises InputError for anything else.
     """
     if callable(value):
-        return lambda t: require_finite(f"{argument} at t = {t:g} s", value(float(t)))
+
+        def called(t: float) -> float:
+            found = value(float(t))
+            if type(found) is float and math.isfinite(found):
+                return found  # a message is made only where it is needed
+            return require_finite(f"{argument} at t = {t:g} s", found)
+
+        return called
     if isinstance(value, Mapping):
         known_keys(argument, value, ("stops", "dwell", "rest", "rest_from"))
         return visits(**{"stops": (), **value}, unit=unit, argument=argument)

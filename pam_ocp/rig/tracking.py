@@ -99,7 +99,7 @@ def bent(z: Array, way: Array) -> Array:
     """
     up = np.where(way < 0, -1.0, 1.0)
     z, far = up * z, np.abs(way)
-    back = np.clip(-z, 0.0, far)
+    back = np.minimum(np.maximum(-z, 0.0), far)
     z, far = z + back, far - back
     first = 1 - (1 - z[0]) * np.exp(-far[0])
     second = np.tanh(np.arctanh(np.minimum(z[1], 1 - 1e-12)) + far[1])

@@ -101,6 +101,8 @@ class Twin:
             if name not in known:
                 raise UnknownNameError("reading of the twin", name, known)
         self._readers = readers_of(sensors, known, seed)
+        # of each step; the others read what is now
+        self._told = any(r.instrument.remembers for r in self._readers.values())
         self.scale = scale = require_positive("scale", scale)
         functions = self.plant.cached(("twin", scale), lambda: _functions(self.plant, scale))
         self._advance, self._look = (Buffered(f) for f in functions)
@@ -280,9 +282,8 @@ class Twin:
         count = max(1, math.ceil(span / self._longest - 1e-9))
         for k in range(count):
             self._x = self._advance(self._x, u, self._p, span / count)[0][:, 0].copy()
-            t = self._now + span * (k + 1) / count
-            if self._readers:
-                true = self._true_at(u)
+            if self._readers and (self._told or k == count - 1):
+                t, true = self._now + span * (k + 1) / count, self._true_at(u)
                 for name, reader in self._readers.items():
                     reader.tell(t, true[name])
         if not np.all(np.isfinite(self._x)):

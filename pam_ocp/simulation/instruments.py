@@ -69,6 +69,11 @@ class Instrument:
     resolution: float | None = None
     delay: float = 0.0
 
+    @property
+    def remembers(self) -> bool:
+        """Whether a reading depends on more than the quantity at that time."""
+        return bool(self.filter or self.delay or self.sample_time is not None)
+
     def of(self, variable: Variable) -> Instrument:
         """The same with all values as numbers, checked for this quantity. Raises InputError."""
         label, unit, found = f"sensors[{variable.name!r}]", variable.unit, dict[str, Any]()

@@ -13,7 +13,7 @@ from pam_ocp.fitting import ForceFit, ForceTable, fit_force
 from pam_ocp.muscles.law import SixParameterLaw
 
 DATA_SETS = 500
-SOME = 100
+SOME = 40
 """Of them, where each is looked at one by one."""
 NOISE = 5.0
 # |kappa| levels and pressures of the DMSP-20-300's table, where the noise turns no cell slack
@@ -33,11 +33,11 @@ def values(fit: ForceFit) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_1000_random_starts_of_each_muscle_end_at_one_optimum(name: str) -> None:
+def test_300_random_starts_of_each_muscle_end_at_one_optimum(name: str) -> None:
     table = measured(name)
     reference = values(fit_force(table))
     random = np.random.default_rng(1000)
-    for _ in range(1000):
+    for _ in range(300):
         start = float(random.choice([-1, 1]) * 10 ** random.uniform(-4, 5))
         np.testing.assert_allclose(
             values(fit_force(table, start={"a3": start})), reference, rtol=1e-6

@@ -189,12 +189,21 @@ def test_a_rig_remembers_what_it_read(made):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["slide", "joint", "hanging"])  # the slide rings at 17 Hz
-def test_a_tuned_rig_tracks_unseen_motions(kind):
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("slide", {"rounds": 3}),  # it rings at 17 Hz: what the rig shows when it is shaken counts
+        ("hanging", {"bandwidth": 4.0}),
+    ],
+)
+def test_a_tuned_rig_tracks_unseen_motions(kind, options):
+    """With short training motions; benchmarks/rig_study.py has longer ones, joints and gains that
+    are found for all of them.
+    """
     rig, twin, _ = twin_at_random(100, kind)
     rig.arm()
     rig.home()
-    tuned = rig.tune()
+    tuned = rig.tune(duration=15.0, **options)
     low, high = tuned.range
     position, stroke = tuned.law.position, high - low
     assert twin.now() < 1800.0

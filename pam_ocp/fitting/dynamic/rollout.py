@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from ...core.errors import FitError, InputError
 from ...core.stop import check, native
+from ...numerics.buffered import Buffered
 from ...numerics.rosenbrock import ros2, ros2_with_slopes
 from ...plants.plant import Plant
 from ..statistics import Array
 from .rig import Rig, RunUnknowns
 from .runs import Runs, RunSteps
+
+T = TypeVar("T")
 
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
@@ -34,6 +37,8 @@ MANY = 4_000
 this pays in some tens of evaluations: both times grow with the number of its instructions (1e-3 s
 to compile one, 1e-8 s to interpret it, a sixth of that compiled).
 """
+KEPT = 100
+"""Points of a search at which the sums of squares are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +72,8 @@ class Rollout:
         every = np.ones(len(runs.names)) if weigh is None else weigh
         self.weights = np.sqrt(runs.weights / len(runs.names))[..., None] * every
         self._whole: dict[Any, ca.Function] = {}
+        self._seen: dict[bytes, tuple[float, float]] = {}
+        self._normal: dict[bytes, tuple[float, Array, Array, int]] = {}
         self._steps: tuple[bytes, list[Array]] = (b"", [])
         self._late = _late(plant, runs, unknowns, self._rig)
         self._count = runs.steps + len(self._late)
@@ -99,7 +106,18 @@ class Rollout:
 
     def cost(self, z: Array) -> float:
         """Mean squared error, in parts of the measured variables' variance."""
-        return float(np.sum(self.residuals(z) ** 2))
+        return self._judged(z)[0]
+
+    def largest(self, z: Array) -> float:
+        """Of the residuals' sizes."""
+        return self._judged(z)[1]
+
+    def _judged(self, z: Array) -> tuple[float, float]:
+        def judged() -> tuple[float, float]:
+            found = self.residuals(z)
+            return float(np.sum(found**2)), float(np.max(np.abs(found), initial=0.0))
+
+        return _known(self._seen, z, judged)
 
     def jacobian(self, z: Array, damped: bool = True) -> Array:
         """d(residuals)/dz, a row for each of ``residuals``."""
@@ -114,6 +132,11 @@ class Rollout:
         """(cost, J^T r, J^T J, number of runs with damped rows); ``other`` residuals in place of
         those at z.
         """
+        if other is not None:
+            return self._normal_of(z, other)
+        return _known(self._normal, z, lambda: self._normal_of(z, None))
+
+    def _normal_of(self, z: Array, other: Array | None) -> tuple[float, Array, Array, int]:
         cost, gradient, square, damped = 0.0, np.zeros(len(z)), np.zeros((len(z), len(z))), 0
         for rows, errors, slopes, wild in self.blocks(z):
             own = errors if other is None else other[rows, : slopes.shape[1] // other.shape[2]]
@@ -230,10 +253,10 @@ class Rollout:
             y = np.zeros((ny + 1, m, total))  # what was measured, and whether it corrects
             y[:ny, :, : runs.warm] = runs.seen[part.rows].transpose(2, 0, 1)
             y[ny, :, : runs.warm] = 1.0
-            arguments = (start, u, y.reshape(ny + 1, -1), given)
+            along = self._along(deep, total, m, every)
             x, both = (
-                np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
-                for found in native(self._along(deep, total, m, every), *arguments)
+                found.reshape(m, total, -1)[:, runs.warm :]
+                for found in _computed(along, start, u, y.reshape(ny + 1, -1), given)
             )
             yield part, x, both
 
@@ -327,18 +350,27 @@ class Rollout:
                 start = np.concatenate([start, (slopes[before] / self._scale).T.ravel()])
             u = _windows(driven, runs, np.array([before]), count)
             nothing = np.zeros((len(runs.names) + 1, count))
-            end = native(self._along(deep, count, 1, every), start, u, nothing, given)[0]
-            last = np.asarray(end)[:, -1]
+            last = _computed(self._along(deep, count, 1, every), start, u, nothing, given)[0][-1]
             nx = x0.shape[1]
             x0[row, hidden] = last[hidden]
             if deep:
                 slopes[row, hidden] = last[nx:].reshape(-1, nx).T[hidden] * self._scale
 
 
+def _known(kept: dict[bytes, T], z: Array, found: Callable[[], T]) -> T:
+    """What was found at these unknowns: searches from one point ask for the same again."""
+    key = z.tobytes()
+    if key not in kept:
+        value = found()
+        if len(kept) >= KEPT:
+            del kept[next(iter(kept))]
+        kept[key] = value
+    return kept[key]
+
+
 def followed(rollout: Rollout, z: Array) -> bool:
     """Whether no run goes beyond what can be searched from."""
-    limit = 1e-3 * ASTRAY * np.max(rollout.weights)
-    return not np.any(np.abs(rollout.residuals(z)) >= limit)
+    return bool(rollout.largest(z) < 1e-3 * ASTRAY * np.max(rollout.weights))
 
 
 def require_followed(rollout: Rollout, z: Array) -> None:
@@ -392,12 +424,24 @@ def _numbers(steps: RunSteps, free: bool) -> Array:
 
 def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], samples: int) -> Array:
     """Numbers of all steps of a part, (of one sample, runs times samples); the last one holds."""
-    parts = []
-    for row in rows:
-        own = driven[int(runs.record[row])]
-        place = np.minimum(int(runs.first[row]) + np.arange(samples), len(own) - 1)
-        parts.append(own[place].reshape(samples, -1))
-    return np.ascontiguousarray(np.concatenate(parts).T)
+    found = np.empty((len(rows), samples, *driven[0].shape[1:]))
+    for record in np.unique(runs.record[rows]):
+        own, mine = driven[int(record)], np.flatnonzero(runs.record[rows] == record)
+        place = runs.first[rows[mine], None] + np.arange(samples)
+        found[mine] = own[np.minimum(place, len(own) - 1)]
+    return np.asarray(found.reshape(len(rows) * samples, -1).T)
+
+
+def _computed(function: ca.Function, *arguments: Array) -> list[Array]:
+    """Its results, transposed: a row for each column. A vector that all columns share is repeated.
+    CasADi's matrices would be copied number by number.
+    """
+    made = Buffered(function)
+    for own, given in zip(made.arguments, arguments, strict=True):
+        if given.size:
+            own.reshape(-1, given.size)[:] = given.ravel(order="F")
+    native(made.call)
+    return [found.T for found in made.results]
 
 
 # ---- expressions --------------------------------------------------------------------------
@@ -513,7 +557,8 @@ def _sampled(step: ca.Function, read: ca.Function, steps: int) -> ca.Function:
     columns = ca.reshape(u, per_step, steps)
     end = step.fold(steps)(x, columns, given) if steps > 1 else step(x, columns, given)
     after, y = read(end, columns[:, steps - 1], measured, given)
-    return ca.Function("sampled", [x, u, measured, given], [after, y])
+    found = [ca.densify(after), ca.densify(y)]
+    return ca.Function("sampled", [x, u, measured, given], found)
 
 
 def _gains(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> ca.SX:

@@ -142,6 +142,10 @@ class _Hinge(NamedTuple):
         return columns @ self.c, self.noise * np.linalg.norm(columns @ self.root, axis=1)
 
 
+_Known: TypeAlias = dict[tuple[tuple[int, int], bytes], tuple[_Hinge | None, Mask]]
+"""By degrees and slack cells: their hinge, and the cells that are slack by it."""
+
+
 def find_floor(
     pressure: Array,
     contraction: Array,
@@ -205,36 +209,48 @@ def _hinges(cells: _Cells) -> list[_Hinge]:
     below = int(np.sum(cells.y <= 0))
     sizes = np.linspace(max(below, 1), max(0.85 * n, below), STARTS).astype(int)
     found: list[_Hinge] = []
+    known: _Known = {}
     for size in dict.fromkeys(np.clip(sizes, 1, n - 4).tolist()):
         start = cells.y <= 0
         start[order[:size]] = True
-        hinge = _settled(cells, start, (1, 3)) or _settled(cells, start, (1, 1))
+        hinge = _settled(cells, start, (1, 3), known) or _settled(cells, start, (1, 1), known)
         found += [hinge] if hinge else []
     if not found:
         return []
     first = min(found, key=lambda h: h.cost)
-    others = (_settled(cells, first.slack, degrees) for degrees in DEGREES)
+    others = (_settled(cells, first.slack, degrees, known) for degrees in DEGREES)
     return sorted((h for h in others if h), key=lambda h: h.criterion) or [first]
 
 
-def _settled(cells: _Cells, slack: Mask, degrees: tuple[int, int]) -> _Hinge | None:
-    """Breiman's hinge finding from these slack cells; None where too few cells tell the surface."""
-    y, columns = cells.y, cells.columns(degrees)
-    taut, hinge = y > 0, None
+def _settled(cells: _Cells, slack: Mask, degrees: tuple[int, int], known: _Known) -> _Hinge | None:
+    """Breiman's hinge finding from these slack cells; None where too few cells tell the surface.
+    known : the rounds of other starts, of which many come to the same cells.
+    """
+    columns, hinge = cells.columns(degrees), None
     for _ in range(ROUNDS):
-        hinge = _fitted(cells, columns, slack, degrees)
-        if hinge is None:
-            return None
-        level = hinge.floors[cells.part]
-        off = (y - level)[slack]
-        middle = float(np.median(off))
-        band = middle + 6 * float(np.median(np.abs(off - middle))) + 1e-9 * y.max()
-        slackened = ~taut | (columns @ hinge.c < level)
-        new = ~taut | (_beyond(cells, np.nonzero(slackened)[0]) & (y <= level + band))
-        if np.array_equal(new, slack):
+        key = degrees, slack.tobytes()
+        if key not in known:
+            known[key] = _round(cells, columns, slack, degrees)
+        hinge, new = known[key]
+        if hinge is None or np.array_equal(new, slack):
             break
         slack = new
     return hinge
+
+
+def _round(
+    cells: _Cells, columns: Array, slack: Mask, degrees: tuple[int, int]
+) -> tuple[_Hinge | None, Mask]:
+    """The hinge of these slack cells, and the cells that are slack by it."""
+    y, hinge = cells.y, _fitted(cells, columns, slack, degrees)
+    if hinge is None:
+        return None, slack
+    taut, level = y > 0, hinge.floors[cells.part]
+    off = (y - level)[slack]
+    middle = float(np.median(off))
+    band = middle + 6 * float(np.median(np.abs(off - middle))) + 1e-9 * y.max()
+    slackened = ~taut | (columns @ hinge.c < level)
+    return hinge, ~taut | (_beyond(cells, np.nonzero(slackened)[0]) & (y <= level + band))
 
 
 def _fitted(cells: _Cells, columns: Array, slack: Mask, degrees: tuple[int, int]) -> _Hinge | None:
