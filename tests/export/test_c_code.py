@@ -46,7 +46,7 @@ from pam_ocp.control.references import sine
 from pam_ocp.core.block import Block
 from pam_ocp.core.errors import InputError
 from pam_ocp.core.exceptions import WriteError
-from pam_ocp.export.c_code import package
+from pam_ocp.export.c_code import package, single
 
 MUSCLE = pam.muscle("DMSP-20-300")
 REST = {"x": 0.002, "stiffness": 2.2e4}
@@ -376,7 +376,7 @@ def test_what_rounding_may_turn_over_is_not_compared_in_single_precision():
     given = np.linspace(0.2, 1.2, 20)[:, None]
     expected = package.outputs_of(made, given, single=True)
     told = package.sensitivity(made, given, expected, 2.0**-23, single=True)[1]
-    alone = package.single_outputs(made, given)[0]  # which shows some of them, not all
+    alone = single.single_outputs(made, given)[0]  # which shows some of them, not all
     assert np.isnan(told[alone[:, 0] == expected[:, 0], 0]).any()
     assert np.array_equal(told[:, 1], expected[:, 1])
 
@@ -384,10 +384,33 @@ def test_what_rounding_may_turn_over_is_not_compared_in_single_precision():
 def test_a_step_beyond_the_budget_is_not_read_instruction_by_instruction(monkeypatch):
     made = pid_block()
     inputs = package.inputs_of(made, 3, 0)
-    assert package.single_outputs(made, inputs).shape == (package.DRAWS, 3, len(made.outputs))
-    monkeypatch.setattr(package, "BUDGET", 10)
-    monkeypatch.setattr(package, "steps_of", lambda step: pytest.fail("it was read"))
-    assert package.single_outputs(made, inputs) is None
+    assert single.single_outputs(made, inputs).shape == (single.DRAWS, 3, len(made.outputs))
+    monkeypatch.setattr(single, "BUDGET", 10)
+    monkeypatch.setattr(single, "steps_of", lambda step: pytest.fail("it was read"))
+    assert single.single_outputs(made, inputs) is None
+
+
+def test_operations_in_layers_round_as_one_after_another():
+    """The first draw against a walk by hand in NumPy's singles, with a function that is called."""
+    x, inner = ca.SX.sym("x", 3), ca.SX.sym("y")
+    called = ca.Function("elementary", [inner], [inner * inner + 0.1, inner / 3])
+    value, third = called.call([x[0] * x[1]], False, True)
+    value = value + ca.sqrt(ca.fabs(x[2])) * ca.if_else(x[0] > x[1], third, -x[2])
+    step = ca.Function("step", [x], [ca.vertcat(value, third, 7, value * value), ca.SX(0, 1)])
+    layers = single.Layers.of(step)
+    a, b, c = (np.float32(v) for v in (0.3, 0.1, -1.7))
+    product = a * b
+    v = (product * product + np.float32(0.1)) + np.sqrt(abs(c)) * (product / np.float32(3))
+    for _ in range(2):
+        found, nothing = layers(np.repeat(np.float32([[a], [b], [c]]), single.DRAWS, axis=1))
+        assert np.array_equal(found[:, 0], [v, product / np.float32(3), 7, v * v])
+        assert np.all(np.abs(found / found[:, :1] - 1) < 1e-6)
+        assert np.ptp(found[0]) > 0
+        assert np.all(found[2] == 7)  # whole numbers are exact
+        assert nothing.shape == (0, single.DRAWS)
+    table = ca.interpolant("table", "linear", [[0, 1]], [0, 1])
+    m = ca.MX.sym("m")
+    assert single.Layers.of(ca.Function("step", [m], [table(m)])) is None
 
 
 @needs_compiler

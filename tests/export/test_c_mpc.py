@@ -68,7 +68,7 @@ def valved() -> Mpc:
         rate={"muscle.command": 0.02},
         iterations=1,
         method="rosenbrock",
-        substeps=2,
+        substeps=1,
     )
 
 
@@ -172,7 +172,8 @@ TARGETS = {
 def test_it_compiles_without_a_warning(target, precision, exports):
     # the warnings are those of clang's front end: optimising finds no more
     more = ("-Wpedantic", "-Wdouble-promotion", "-Wshadow", "-O0")
-    for kind in KINDS:
+    kinds = KINDS if target == "x86-64" else [{"double": "valved", "single": "regulated"}[precision]]
+    for kind in kinds:
         _, folder = exports(kind, precision)
         run(*ZIG, *TARGETS[target], *WARN, *more, "-c", "mpc.c", "-o", "mpc.o", cwd=folder)
         assert (folder / "mpc.o").stat().st_size > 0

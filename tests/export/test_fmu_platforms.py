@@ -183,15 +183,21 @@ def test_platforms_on_request_have_their_folders_and_fmis_symbols(fmi, tmp_path)
         "aarch64-windows": ("aarch64-windows", ".dll"),
     }
     assert not any(n in {p.name for p in platforms_named(None)} for n in wanted)
-    for plant in (benchmark_slide(), row_of_loads()):
-        path = export_fmu(plant, tmp_path / "x.fmu", fmi=fmi, platforms=[*wanted, "native"])
+    windows = [name for name in wanted if name.endswith("windows")]
+    cases = [(benchmark_slide(), [*wanted, "native"])]
+    if fmi == "3.0":  # the functions are those of FMI 2
+        cases.append((row_of_loads(), windows))
+    for plant, platforms in cases:
+        path = export_fmu(plant, tmp_path / "x.fmu", fmi=fmi, platforms=platforms)
         with zipfile.ZipFile(path) as archive:
-            for name, (folder, suffix) in wanted.items():
+            for name in set(wanted) & set(platforms):
+                folder, suffix = wanted[name]
                 place = f"binaries/{folder if fmi == '2.0' else name}/{plant.name}{suffix}"
                 symbols = exported_symbols(archive.read(place))
                 assert f"fmi{fmi[0]}DoStep" in symbols
                 assert all(s.startswith(f"fmi{fmi[0]}") for s in symbols)
-        assert set(check_fmu(path).platforms) == {*wanted, native().name}
+        built = {native().name if name == "native" else name for name in platforms}
+        assert set(check_fmu(path).platforms) == built
 
 
 @needs_wine

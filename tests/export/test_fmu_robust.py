@@ -237,15 +237,15 @@ with Runner(fmu, "CoSimulation") as keeps_the_library_loaded:
     keeps_the_library_loaded.initialize({}, 0.0, None)
     use(1000)  # until the heap has found its size
     before = resident()
-    use(10_000)
+    use(3000)
     print(resident() - before)
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
-def test_ten_thousand_instances_leave_no_memory_behind(slide_unit, tmp_path):
+def test_thousands_of_instances_leave_no_memory_behind(slide_unit, tmp_path):
     # in a process of its own: what other tests left in the heap moves while this one runs
     command = [sys.executable, "-c", _MANY, str(slide_unit), str(tmp_path / "here")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert int(done.stdout) < 512  # pages: a twentieth of one for each instance
+    assert int(done.stdout) < 153  # pages: a twentieth of one for each instance

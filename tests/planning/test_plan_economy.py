@@ -102,9 +102,9 @@ def test_the_gradients_inside_the_intervals_tell_what_finer_meshes_gain(plant, s
 @pytest.mark.slow
 @pytest.mark.parametrize("cyclic", [False, True])
 def test_work_with_pressures_as_inputs_settles_on_linear_ones(cyclic):
-    """Each jump of a held pressure costs work: on 360 held intervals it is 15 % more."""
+    """Each jump of a held pressure costs work."""
     plant = pam.AntagonisticSlide(MUSCLE, 2.0, feed=pam.feeds.IdealPressure())
-    stops, wanted = [{"x": -0.01}, {"x": 0.01}], {"duration": 0.4, "minimise": "work"}
+    stops, wanted = [{"x": -0.01}, {"x": 0.01}], {"duration": 0.25, "minimise": "work"}
     plan = pam.plan(plant, stops, **wanted, cyclic=cyclic)
     assert plan.verified
     assert plan.statistics["objective_gap"] < 1e-3
@@ -121,9 +121,9 @@ def test_work_with_pressures_as_inputs_settles_on_linear_ones(cyclic):
 @pytest.mark.slow
 def test_the_least_work_with_a_spool_is_that_with_two_valves_of_its_conductance():
     """Filling and venting at once, as only two valves can, takes no less work."""
-    stops, wanted = [{"x": -0.01}, {"x": 0.01}], {"duration": 0.4, "minimise": "work"}
+    stops, wanted = [{"x": -0.01}, {"x": 0.01}], {"duration": 0.25, "minimise": "work"}
     spool, two = (
-        pam.plan(pam.AntagonisticSlide(MUSCLE, 2.0, feed=feed), stops, **wanted)
+        pam.plan(pam.AntagonisticSlide(MUSCLE, 4.0, feed=feed), stops, **wanted)
         for feed in (pam.feeds.SpoolValve(), pam.feeds.OnOffValves())
     )
     assert spool.verified
@@ -134,7 +134,7 @@ def test_the_least_work_with_a_spool_is_that_with_two_valves_of_its_conductance(
 @pytest.mark.slow
 def test_a_spool_needs_as_much_for_a_cycle_as_two_valves_of_its_conductance():
     """To fill and to vent at once, as only two valves can, is a waste of air."""
-    stops, wanted = [{"x": -0.009}, {"x": 0.009}], {"duration": 0.4, "minimise": "exergy"}
+    stops, wanted = [{"x": -0.009}, {"x": 0.009}], {"duration": 0.3, "minimise": "exergy"}
     spool, two = (
         pam.plan(pam.AntagonisticSlide(MUSCLE, 2.0, feed=feed), stops, **wanted, cyclic=True)
         for feed in (pam.feeds.SpoolValve(), pam.feeds.OnOffValves())
@@ -389,7 +389,7 @@ def test_a_motion_that_costs_nothing_has_converged_whatever_its_gradients_say(mo
 def test_where_many_motions_cost_nothing_one_of_them_is_found_and_settles():
     # a load on a tendon is let down: no work is taken from the muscle on any slow way
     plant = pam.SeriesLoad(MUSCLE, 15.0, 1.4e5)
-    wish = {"duration": 1.4, "minimise": "work"}
+    wish = {"duration": 1.0, "minimise": "work"}
     plan = pam.plan(plant, [{"x": 0.03}, {"x": 0.012}], **wish)
     assert plan.verified
     # nothing: a ten-thousandth of what the load gives up, whatever the last digits of a machine

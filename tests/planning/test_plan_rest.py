@@ -412,9 +412,8 @@ def test_what_has_slid_under_pressure_begins_at_the_envelope_of_that_pressure(mi
     assert plant.variable("muscle.pressure").max == pytest.approx(most)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", pam.PlanWarning)  # pressures are given where air counts
-        plan = pam.plan(
-            plant, [{"x": 0.02}, {"x": 0.035}], duration=0.8, minimise=minimise, memory="above"
-        )
+        wish = {"duration": 0.8, "minimise": minimise, "memory": "above", "starts": 1}
+        plan = pam.plan(plant, [{"x": 0.02}, {"x": 0.035}], **wish)
     assert plan.verified
     begin = plan.trajectory
     share = (1 + per_pressure * begin["muscle.pressure"][0]) / (1 + per_pressure * most)

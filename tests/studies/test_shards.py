@@ -116,6 +116,7 @@ def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(tmp_pat
         assert run_study(study, out, cache=cache).ok
 
 
+@pytest.mark.usefixtures("plain_pictures")
 @pytest.mark.slow
 def test_a_job_array_with_a_tenth_of_its_jobs_killed_is_the_same_bits(study, tmp_path):
     """Six jobs; ``benchmarks/many.py --array`` has 50."""
@@ -132,6 +133,7 @@ def test_a_job_array_with_a_tenth_of_its_jobs_killed_is_the_same_bits(study, tmp
 SNAKEFILE = Path(__file__).parents[2] / "examples" / "Snakefile"
 
 
+@pytest.mark.usefixtures("plain_pictures")
 @pytest.mark.slow
 def test_the_commands_of_the_snakemake_example_make_the_report(study, tmp_path, monkeypatch):
     """Its rules' words, filled in as Snakemake does, for two shards."""

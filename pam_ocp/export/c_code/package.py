@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -21,13 +18,11 @@ from ...core.atomic import make_folder, require_local
 from ...core.block import Block
 from ...core.errors import ExportError, InputError, require_count, require_positive
 from ...core.exceptions import WriteError
-from ...core.expressions import carried_out, steps_of
 from ...core.stop import verb
-from ...numerics.elementwise import array_table
-from ...numerics.portable import written_out
 from .counts import counted
 from .files import CExport, Vectors
 from .generated import LARGEST_SINGLE, PRECISIONS, Precision, step_code
+from .single import single_outputs
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -155,80 +150,6 @@ def _inputs(block: Block, steps: int | None, inputs: ArrayLike | None, seed: int
 
 
 # ---- test vectors ------------------------------------------------------------------------------
-BUDGET = 1_000_000
-"""Instructions that are carried out, at most (about ten seconds)."""
-
-DRAWS = 8
-"""Runs in single precision at once: the first as IEEE 754 rounds, in the others each result is off
-by a unit in its last place or not, at random, unless it is whole (as other orders of sums and other
-C libraries round)."""
-
-POOL = 4093
-"""Rows of random units, which come again in turn."""
-
-_F: Any = np.float32
-_EXACT = {
-    *("assign", "neg", "twice", "floor", "ceil", "fabs", "sign", "not", "lt", "le", "eq", "ne"),
-    *("and", "or", "fmod", "copysign", "fmin", "fmax", "if_else_zero"),
-}
-_SINGLE: dict[str, Callable[..., Any]] = {
-    **array_table(np, missing=True),
-    "assign": lambda x: x,
-    "pow": np.power,
-    "constpow": np.power,
-}
-"""Operations on rows of draws."""
-
-
-def single_outputs(block: Block, inputs: Array) -> Array | None:
-    """Outputs (draws, steps, outputs) in single precision, of as many steps as the budget allows.
-
-    None where the step is not made of plain operations (tables, linear solvers), or of too many.
-    """
-    if counted(block.step).total > BUDGET:  # before they are written out and read one by one
-        return None
-    try:
-        step = block.step if block.step.is_a("SXFunction") else block.step.expand()
-    except RuntimeError:
-        return None
-    program = tuple(steps_of(written_out(step)))
-    if any(s.name not in {*_SINGLE, "const", "input", "output"} for s in program):
-        return None
-    steps = min(len(inputs), BUDGET // max(len(program), 1))
-    if steps < 1:
-        return None
-    table = _drawn(np.random.default_rng(0))
-    memory, parameters = (_repeated(block.start(k)) for k in ("memory", "parameters"))
-    sizes, rows = (len(block.memory), len(block.outputs)), []
-    with np.errstate(all="ignore"):  # what is too large for it is infinite
-        for row in inputs[:steps]:
-            given = [a.__getitem__ for a in (memory, _repeated(row), parameters)]
-            memory, outputs = carried_out(program, table, given, sizes, _repeated)
-            rows.append(np.array(outputs, float).reshape(len(outputs), DRAWS).T)
-    return np.stack(rows, axis=1)
-
-
-def _repeated(values: Any) -> Any:
-    """Of each value (or of one number) a row of draws."""
-    return np.repeat(np.asarray(values, _F)[..., None], DRAWS, axis=-1)
-
-
-def _drawn(random: np.random.Generator) -> dict[str, Callable[..., Any]]:
-    """The operations, what they round a unit off at random; not the first draw."""
-    units = random.integers(-1, 2, (POOL, DRAWS)).astype(_F)
-    units[:, 0] = 0
-    factors = itertools.cycle(1 + units * np.finfo(_F).eps)
-
-    def exact(operation: Callable[..., Any], *given: Any) -> Any:
-        return operation(*given).astype(_F, copy=False)
-
-    def rounded(operation: Callable[..., Any], *given: Any) -> Any:
-        value = operation(*given)
-        return np.where(value == np.rint(value), value, value * next(factors))
-
-    return {n: partial(exact if n in _EXACT else rounded, f) for n, f in _SINGLE.items()}
-
-
 REACH = 0.3
 """How far the inputs go about their start values, scaled by nominals."""
 
