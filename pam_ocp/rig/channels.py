@@ -100,9 +100,7 @@ class Channel:
     def si(self, raw: float) -> float:
         """A raw number in SI; NaN stays."""
         scale: Scale = self.__dict__["_scale"]
-        if scale.formula is None and type(raw) is float:
-            return raw * scale.measured.factor - scale.shift
-        return float(scale.si(np.array([raw], dtype=float))[0])
+        return float(scale.si(np.asarray(raw, dtype=float)))
 
     def line(self, why: str) -> tuple[float, float]:
         """(gain, zero) of SI = gain raw + zero. Raises InputError, which ends in ``why``, for a

@@ -172,7 +172,8 @@ TARGETS = {
 def test_it_compiles_without_a_warning(target, precision, exports):
     # the warnings are those of clang's front end: optimising finds no more
     more = ("-Wpedantic", "-Wdouble-promotion", "-Wshadow", "-O0")
-    kinds = KINDS if target == "x86-64" else [{"double": "valved", "single": "regulated"}[precision]]
+    one = {"double": "valved", "single": "regulated"}[precision]
+    kinds = KINDS if target == "x86-64" else [one]
     for kind in kinds:
         _, folder = exports(kind, precision)
         run(*ZIG, *TARGETS[target], *WARN, *more, "-c", "mpc.c", "-o", "mpc.o", cwd=folder)
