@@ -116,6 +116,21 @@ def test_the_slope_of_an_output_holds_what_its_inputs_do(tmp_path):
         assert slope == pytest.approx(2 * runner.get(["v"])[0], rel=1e-12)
 
 
+def test_equal_steps_follow_an_input_that_rises(tmp_path):
+    """x' = f - x with f = f0 + s t: x = f - s + (x0 - f0 + s) exp(-t), to the fifth order in steps
+    of 0.1 s.
+    """
+    plant = pam.Plant("lag")
+    x, f = plant.state("x", nominal=1.0), plant.input("f", min=-10.0, max=10.0)
+    plant.der(x, f - x)
+    fmu = opened(plant, tmp_path, fixed_step=0.1)
+    with started(fmu, "CoSimulation") as runner:
+        runner.set({"f": 1.0})
+        runner.inner.setRealInputDerivatives(runner.references(["f"]), [1], [4.0])
+        runner.step(0.0, 0.1)
+        assert runner.get(["x"])[0] == pytest.approx(1.4 - 4 + 3 * math.exp(-0.1), abs=1e-7)
+
+
 def test_a_derivative_has_the_unit_of_its_state_per_second(fmi, tmp_path):
     states = {
         "m": "m/s",

@@ -334,7 +334,7 @@ def test_states_are_outputs_of_themselves_and_parameters_are_known(fmu):
 def test_adjoint_and_directional_derivatives_agree_in_the_dot_product(fmus):
     fmu, rng = fmus["3.0"], np.random.default_rng(11)
     knowns = [*fmu.states, *fmu.names("input"), *fmu.names("parameter")]
-    unknowns = [*fmu.names("output"), *(f"der({n})" for n in fmu.states)]
+    unknowns = [*fmu.names("output"), *fmu.states, *(f"der({n})" for n in fmu.states)]
     seed = rng.normal(size=len(knowns)) * fmu.nominals(knowns)
     weight = rng.normal(size=len(unknowns)) / fmu.nominals(unknowns)
     with started(fmu, "ModelExchange", {"x": 0.003}) as runner:
