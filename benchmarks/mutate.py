@@ -49,6 +49,12 @@ ROOMS: dict[str, tuple[str, tuple[str, ...]]] = {
     "plants": ("plants", ("pam_ocp/plants/**/*.py",)),
     "transcription": ("planning", ("pam_ocp/planning/transcription/**/*.py",)),
     "replay": ("planning", ("pam_ocp/planning/replay.py",)),
+    "search": ("planning", ("pam_ocp/planning/*.py", "pam_ocp/planning/solvers/*.py")),
+    "judge": ("judge", ("pam_ocp/judge/*.py",)),
+    "control": ("control", ("pam_ocp/control/**/*.py",)),
+    "simulation": ("simulation", ("pam_ocp/simulation/*.py",)),
+    "core": ("core", ("pam_ocp/core/*.py",)),
+    "rig": ("rig", ("pam_ocp/rig/**/*.py",)),
     "fits": (
         "fitting",
         (
