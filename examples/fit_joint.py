@@ -240,7 +240,7 @@ def records_of(j: int, arm: list[pam.Trajectory]) -> list[pam.Trajectory]:
 
 
 # ---- grey box -----------------------------------------------------------------------------------
-def fit(j: int, arm: list[pam.Trajectory], full: bool = False) -> FreeRunFit:
+def fit(j: int, arm: list[pam.Trajectory], full: bool = False, judge: bool = True) -> FreeRunFit:
     """Joint j fitted to the training episodes: polished from values found before, or in full."""
     plant = joint(j).with_values(CRUDE[j] if full else FOUND[j])
     return fit_free_run(
@@ -251,6 +251,7 @@ def fit(j: int, arm: list[pam.Trajectory], full: bool = False) -> FreeRunFit:
         every=0.1,
         steps=4,
         evaluations=40 if full else 3,
+        judge=judge,
     )
 
 

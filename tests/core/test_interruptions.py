@@ -25,7 +25,7 @@ from pam_ocp.core.stop import LOCK, turns
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 posix = pytest.mark.skipif(os.name != "posix", reason="sends a signal to this thread")
 HERE = Path(__file__).parent
-DENSE = int(os.environ.get("PAM_MOMENTS", "5"))
+DENSE = int(os.environ.get("PAM_MOMENTS", "11"))
 """The slow tests try one moment of so many; with PAM_MOMENTS=1 all of them (minutes)."""
 
 

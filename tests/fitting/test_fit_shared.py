@@ -156,9 +156,9 @@ def test_a_muscle_of_a_joint_fit_has_the_joint_intervals(joint: JointForceFit) -
 
 @pytest.mark.slow
 def test_intervals_cover_the_truth_and_errors_are_the_scatter() -> None:
-    """120 synthetic pairs of tables, noise 4 N and 1 N, both unknown."""
+    """60 synthetic pairs of tables, noise 4 N and 1 N, both unknown."""
     found, covered = [], 0
-    for seed in range(120):
+    for seed in range(60):
         tables = {"20": cells(TWENTY, 4.0, seed), "10": cells(TEN, 1.0, 1000 + seed)}
         fit = fit_forces(tables, shared=["a3"], noise="each")
         low, high = fit.interval("a3")
@@ -166,9 +166,9 @@ def test_intervals_cover_the_truth_and_errors_are_the_scatter() -> None:
         found.append([c.value for c in fit.coefficients.values()] + list(fit.noise.values()))
     scatter = np.std(found, axis=0, ddof=1)
     errors = [c.stderr for c in fit.coefficients.values()]
-    assert scatter[:11] == pytest.approx(errors, rel=0.3)  # the last fit's own; 120 know 6.5 %
+    assert scatter[:11] == pytest.approx(errors, rel=0.3)  # the last fit's own; 60 know 9 %
     assert np.mean(found, axis=0)[-2:] == pytest.approx([4.0, 1.0], rel=0.04)
-    assert 0.89 <= covered / 120 <= 0.99
+    assert 52 <= covered <= 60  # of 60; 1 in 85 of fewer at 95 %
 
 
 def test_profile_interval_ends_where_the_f_statistic_does(joint: JointForceFit) -> None:

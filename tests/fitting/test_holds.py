@@ -167,7 +167,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(spring):
     x = np.linspace(0.005, 0.055, 40)
     at_0, at_1 = (np.asarray(LAW.tension(p, x / REST_LENGTH)) for p in (0.0, 1e5))
     hits = 0
-    for seed in range(60):
+    for seed in range(30):
         random = np.random.default_rng(700 + seed)
         k, f0 = random.uniform(3000, 8000), random.uniform(50, 250)
         pressure = 1e5 * (f0 + k * x - at_0) / (at_1 - at_0)  # the law is affine in pressure
@@ -179,7 +179,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(spring):
         )
         low, high = fit.interval("spring_stiffness")
         hits += low <= k <= high
-    assert 53 <= hits <= 60  # binomial, 0.95: within with probability 0.993
+    assert 25 <= hits <= 30  # binomial, 0.95: within with probability 0.997
 
 
 def test_a_fit_of_holds_is_told_and_saved(spring, tmp_path):

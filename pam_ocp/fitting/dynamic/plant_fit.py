@@ -184,7 +184,9 @@ class PlantFit(FittedPlant):
     @property
     def values(self) -> dict[str, float]:
         """Fitted values by name."""
-        return {n: c.value for n, c in self.coefficients.items()}
+        linear = self.linearisation  # no model needs to be judged for them
+        pairs = zip(linear.names, linear.values.tolist(), strict=True)
+        return {n: v for n, v in pairs if n in self.parameters}
 
     def _freedom(self, name: str) -> int:
         return self.linearisation.dof if self.adequacy.adequate else self.adequacy.dof
