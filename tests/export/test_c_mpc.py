@@ -37,7 +37,7 @@ MOST = {"double": 1e-9, "single": 5e-3}
 """Largest relative deviation from Python's double that self-tests here allow."""
 
 
-def regulated(horizon: int = 6, sample_time: float = 5e-3, iterations: int = 2) -> Mpc:
+def regulated(horizon: int = 4, sample_time: float = 5e-3, iterations: int = 2) -> Mpc:
     slide = pam.AntagonisticSlide(
         pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10, feed=pam.feeds.Regulator(0.05)
     )

@@ -17,7 +17,7 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
-from conftest import benchmark_slide
+from conftest import benchmark_slide, hardening_cart
 
 import pam_ocp as pam
 from pam_ocp.export import PLATFORMS, check_fmu, export_fmu
@@ -184,7 +184,7 @@ def test_platforms_on_request_have_their_folders_and_fmis_symbols(fmi, tmp_path)
     }
     assert not any(n in {p.name for p in platforms_named(None)} for n in wanted)
     windows = [name for name in wanted if name.endswith("windows")]
-    cases = [(benchmark_slide(), [*wanted, "native"])]
+    cases = [(hardening_cart(), [*wanted, "native"])]
     if fmi == "3.0":  # the functions are those of FMI 2
         cases.append((row_of_loads(), windows))
     for plant, platforms in cases:

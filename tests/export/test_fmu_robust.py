@@ -50,10 +50,10 @@ def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [benchmark_slide, lonely])
-def test_a_million_random_calls_do_no_harm(fmi, make, tmp_path):
+def test_half_a_million_random_calls_do_no_harm(fmi, make, tmp_path):
     require_works("gcc", *SANITIZED)
     fuzz = built(tmp_path, fmi, make(), "fuzz", *SANITIZED)
-    for seed in range(4):
+    for seed in range(2):
         done = subprocess.run(
             [str(fuzz), "250000", str(seed)], capture_output=True, text=True, check=False
         )

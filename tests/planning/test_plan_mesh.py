@@ -83,7 +83,7 @@ def test_kinks_are_narrowed_on_meshes_that_resolve_the_motion_with_as_many_input
     muscle = pam.muscle("DMSP-20-200N")
     plant = pam.AntagonisticSlide(muscle, 2.0, feed=pam.feeds.IdealPressure(), losses=(slip,))
     stops, coarse = [{"x": -0.006}, {"x": 0.006}], pam.Collocation(10, 2)
-    plan = pam.plan(plant, stops, duration=0.5, minimise="effort", method=coarse)
+    plan = pam.plan(plant, stops, duration=0.3, minimise="effort", method=coarse)
     assert plan.verified
     points = [sum(i.degree for i in mesh.intervals) for mesh in plan.meshes]
     assert points[0] == 20

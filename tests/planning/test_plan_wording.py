@@ -446,7 +446,7 @@ def test_a_bound_of_one_number_is_named_where_it_leaves_no_motion(slide, capfd):
 def test_a_leg_of_one_interval_of_constant_inputs_is_named(slide):
     words = r"Leg 1 has 1 interval, .*method=Collocation\(intervals=50"
     with pytest.raises(pam.PlanError, match=words):
-        pam.plan(slide, STOPS, method=Collocation(1, 3))
+        pam.plan(slide, STOPS, method=Collocation(1, 3), starts=1)
 
 
 def test_a_guess_of_a_plant_with_other_variables_is_refused(slide):
