@@ -151,9 +151,8 @@ class Program:
         library = folder / f"{name}.so"
         source = folder / f"{name}.c"
         if not library.exists() or library.stat().st_mtime < source.stat().st_mtime:
-            level = effort(
-                source
-            )  # -O1 warns of what -O2 sees through: self-tests ask for warnings
+            level = effort(source)
+            # -O1 warns of what -O2 sees through: self-tests ask for warnings
             flags = STRICT if level == "-O2" else ("-std=c99", level, "-ffp-contract=off")
             run(COMPILER, *flags, "-shared", "-fPIC", source, "-o", library, "-lm", cwd=folder)
         self._library = ctypes.CDLL(str(library))
