@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain, combinations, pairwise
 from typing import TypeAlias
 
@@ -97,6 +98,7 @@ def sampled_along(
     return _sampled(problem, mesh, durations, states, inputs, _design(problem), peaks)
 
 
+@lru_cache(maxsize=4)  # each mesh of a search asks, and where nothing rests that takes seconds
 def _rests(problem: Problem) -> list[Point]:
     """(states, inputs) at each stop and at the places between; where none rests, on a line."""
     nodes = [_node(problem, stop, balanced=True) for stop in problem.stops]
