@@ -252,10 +252,12 @@ def _from_function(
         good = (error <= enough) | (h <= SHORTEST_PIECE)
         found.append((a[good], piece[good] / h[good, None] ** ORDERS))
         done += int(good.sum())
-        a, b = a[~good], b[~good]
-        middle = (a + b) / 2
-        left = np.concatenate([np.stack([a, middle], axis=1).ravel(), left[BATCH:]])
-        right = np.concatenate([np.stack([middle, b], axis=1).ravel(), right[BATCH:]])
+        left, right = left[BATCH:], right[BATCH:]
+        if not good.all():
+            a, b = a[~good], b[~good]
+            middle = (a + b) / 2
+            left = np.concatenate([np.stack([a, middle], axis=1).ravel(), left])
+            right = np.concatenate([np.stack([middle, b], axis=1).ravel(), right])
         if done >= most and left.size:
             raise InputError(
                 f"input {variable.name}: the function changes so fast that {most} polynomials "
@@ -302,7 +304,7 @@ def _sampled(
             return None
         if not isinstance(found, np.ndarray) or found.dtype != float or found.shape != times.shape:
             return None
-        few = np.unique(np.linspace(0, times.size - 1, COMPARED).astype(int))
+        few = np.linspace(0, times.size - 1, COMPARED).astype(int)
         try:
             alone = np.array([function(float(s)) for s in times[few]], float)
         except (TypeError, ValueError):

@@ -276,13 +276,16 @@ class _Way:
         self.place, self.tried, self.suggested = 1, 0, np.inf
         self.begins: list[float] = []
         self.rows: list[Array] = []
+        made, size = (m.T.ravel() for m in method.step.results)  # views of its memory
+        self._made = made
+        self._views: list[Any] = [memoryview(a) for a in (*method.step.arguments[:2], size)]
 
     def over(self, t: float, end: float, control: Array) -> bool:
         """To the end of a piece; False where nothing leads there."""
-        step, x = self.method.step, self.method.step.arguments[2]
-        step.arguments[3][:] = control
-        rate = self.method.rate
-        rate.arguments[0][0], rate.arguments[2][:], rate.arguments[3][:] = t, x, control
+        method, rate = self.method, self.method.rate
+        for function in (method.step, method.between, rate):
+            function.arguments[3][:] = control
+        rate.arguments[0][0], rate.arguments[2][:] = t, method.step.arguments[2]
         rate.call()
         fastest = float(rate.results[0][0, 0])
         if not fastest < np.inf:
@@ -294,9 +297,8 @@ class _Way:
 
     def _steps(self, t: float, end: float) -> bool:
         step, x, tolerance = self.method.step, self.method.step.arguments[2], self.tolerance
-        made, size = (m.T.ravel() for m in step.results)  # views of its memory
-        views: list[Any] = [memoryview(a) for a in (*step.arguments[:2], size)]
-        (time, length, error_of), call, new = views, step.call, made[: len(x)]
+        (time, length, error_of), made, call = self._views, self._made, step.call
+        new = made[: len(x)]
         grid, begun, row = self.grid, self.begins.append, self.rows.append
         suggested, shortest, allowed = self.suggested, SHORTEST * (end - t), 1.0
         while True:
@@ -336,10 +338,8 @@ class _Way:
 
     def _wrong_between(self, t: float, h: float, x: Array, made: Array) -> float:
         between = self.method.between
-        at: tuple[Any, ...] = (t, h, x, self.method.step.arguments[3])
-        for own, given in zip(between.arguments[:4], at, strict=True):
-            own[:] = given
-        between.arguments[5][:] = made
+        time, length, start, _, _, end = between.arguments
+        time[0], length[0], start[:], end[:] = t, h, x, made
         between.call()
         return float(between.results[0][0, 0])
 
