@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import simpson, solve_ivp
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
@@ -353,3 +354,64 @@ def test_a_motion_of_ones_own_has_legs_that_last(durations: list[float], words: 
     plant = pam.HangingLoad("DMSP-20-300", 20.0)
     with pytest.raises(pam.InputError, match=words):
         pam.judge.Motion.of(plant, {"x": 0.0}, {"muscle.command": 1e5}, durations)
+
+
+# ---- costs and deviations, beside other computations ---------------------------------------------
+def test_every_weight_multiplies_its_term():
+    """The end at x = 0.5, where a weight and its inverse tell apart; tracked: a number, a line."""
+    half = bang_bang(size=A / 2)
+    along = pam.Profile([0.0, TIME], [0.0, 1.0])
+    for words, expected in (
+        ({"minimise": {"final(x)": 5.0}}, 5 * 0.5),
+        (
+            {"minimise": {"time": 0.0}, "track": {"x": (0.3, 2.0)}},
+            (lambda t, x: 2 * (x - 0.3) ** 2),
+        ),
+        ({"minimise": {"time": 0.0}, "track": {"x": along}}, (lambda t, x: (x - t / TIME) ** 2)),
+        ({"minimise": {"integral(x)": 3.0}}, (lambda t, x: 3 * x)),
+    ):
+        if callable(expected):
+            t = np.linspace(0.0, TIME, 20_001)
+            s = np.minimum(t, TIME / 2)
+            x = A / 4 * s**2 + A / 2 * TIME / 2 * (t - s) - A / 4 * (t - s) ** 2
+            expected = simpson(expected(t, x), x=t)
+        stops = [{"x": 0.0}, {"x": 0.5}]
+        assert judge(cart(), Statement(stops, **words), half).objective == pytest.approx(
+            expected, rel=1e-7
+        )
+
+
+def test_work_is_what_the_muscles_give_where_they_shorten():
+    """Force times speed of shortening where positive, by SciPy's solver and Simpson's rule."""
+    plant = pam.HangingLoad("DMSP-20-300", 8.0, damping=60.0, feed=pam.feeds.Regulator(0.03))
+    point = plant.equilibrium(x=0.02)
+    breaks, commands = np.array([0.0, 0.15, 0.4]), point["muscle.command"] + np.array([4e4, -3e4])
+    motion = Motion(np.array(point.x), PiecewisePolynomial(breaks, commands[:, None, None]), (0.4,))
+    p = plant.vector("parameter")
+
+    def rates(u):
+        return lambda t, x: np.ravel(plant.function(x, [u], p)[0])
+
+    state, work = np.array(point.x), 0.0
+    for begin, end, u in zip(breaks[:-1], breaks[1:], commands, strict=True):
+        t = np.linspace(begin, end, 4001)
+        run = solve_ivp(rates(u), (begin, end), state, "LSODA", t, rtol=1e-10, atol=1e-12)
+        outputs = np.array([np.ravel(plant.function(x, [u], p)[1]) for x in run.y.T])
+        force = outputs[:, [v.name for v in plant.outputs].index("muscle.force")]
+        work += simpson(np.maximum(force * run.y[1], 0.0), x=t)  # x counts as it shortens
+        state = run.y[:, -1]
+    stops = [{"x": 0.02}, pam.Stop({"x": (None, None)}, rest=False)]
+    judgement = judge(plant, Statement(stops, minimise="work"), motion)
+    assert work > 0.1
+    assert judgement.objective == pytest.approx(work, rel=1e-5)
+    with pytest.raises(InputError, match="has no muscle"):
+        judge(cart(), Statement(STOPS, minimise="work"), bang_bang())
+
+
+def test_one_sample_that_is_claimed_elsewhere_is_the_error():
+    claimed = judge(cart(), Statement(STOPS), bang_bang()).trajectory
+    columns = {n: claimed[n].copy() for n in ("x", "v")}
+    columns["x"][7] += 0.03
+    other = pam.Trajectory(claimed.t, columns, [cart().variable(n) for n in columns])
+    judgement = judge(cart(), Statement(STOPS), bang_bang(), other)
+    assert (judgement.error, judgement.state) == (pytest.approx(0.03, rel=1e-6), "x")
