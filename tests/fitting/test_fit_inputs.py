@@ -144,7 +144,7 @@ def test_discarded_sensitivities_are_not_called_no_influence() -> None:
     for damped, words in ((4, "cannot be told"), (0, "no influence")):
         rollout = SimpleNamespace(
             weights=np.ones((4, 6)),
-            residuals=lambda z: np.zeros(24),
+            largest=lambda z: 0.0,
             normal=lambda z, d=damped: (0.0, np.zeros(1), np.zeros((1, 1)), d),
         )
         with pytest.raises(FitError, match=words):
