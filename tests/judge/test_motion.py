@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -415,3 +416,9 @@ def test_one_sample_that_is_claimed_elsewhere_is_the_error():
     other = pam.Trajectory(claimed.t, columns, [cart().variable(n) for n in columns])
     judgement = judge(cart(), Statement(STOPS), bang_bang(), other)
     assert (judgement.error, judgement.state) == (pytest.approx(0.03, rel=1e-6), "x")
+
+
+@pytest.mark.parametrize("term", ["nothing", "peak(x)", "final(x)"])
+def test_a_budget_is_of_what_adds_up_along_a_motion(term):
+    with pytest.raises(pam.PamError, match=re.escape(f"unknown objective '{term}'")):
+        judge(cart(), Statement(STOPS, budgets={term: 1.0}), bang_bang())
