@@ -444,6 +444,6 @@ def test_values_stay_within_bounds_and_steps_that_diverge_are_halved(
     import adequacy_study  # type: ignore[import-not-found]
 
     told = adequacy_study.one(1795730912, number, fault)
-    # both end with a mass at its bound or beside it: more than 200 times the noise is left, standard
+    # both end with a mass at its bound or beside it: over 200 times the noise is left, standard
     # errors hang on rounding, and intervals of a model that is called inadequate claim nothing
     assert told["cause"]
