@@ -28,11 +28,11 @@ from .kinds import BLOCKS, CONTROLLERS, law_of
 from .pid import PID, PressureLoop, pid_law, saturating
 from .references import Source, source
 
-NODES, WEIGHTS = (values.tolist() for values in np.polynomial.legendre.leggauss(6))
-KERNEL = [
-    ((n + 1) / 2, w / 2, w / 2 * (1 - (n + 1) / 2)) for n, w in zip(NODES, WEIGHTS, strict=True)
+KERNEL: list[tuple[float, float, float]] = [
+    ((n + 1) / 2, w / 2, w / 2 * (1 - (n + 1) / 2))
+    for n, w in zip(*(e.tolist() for e in np.polynomial.legendre.leggauss(6)), strict=True)
 ]
-"""Parts of its half width, weights, and weights times the kernel."""
+"""Gauss's rule: parts of a kernel's half width, weights, and weights times the kernel."""
 BISECTIONS = 60
 PARTS = 32
 """Steps of the integrator per sample: finer than the edge of an element that begins to slide."""

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError, kind_of, require_numbers
+from .expressions import polynomial
 from .quantities import is_quantity
 from .system import HasInputs
 from .variables import Causality
@@ -72,10 +73,8 @@ class PiecewisePolynomial:
         inside = np.clip(np.atleast_1d(np.asarray(t, float)), self.breaks[0], self.breaks[-1])
         piece = np.searchsorted(self.breaks, inside, side=side) - 1
         piece = np.clip(piece, 0, len(self.breaks) - 2)
-        s, found = (inside - self.breaks[piece])[:, None], self.coefficients[piece, -1]
-        for j in reversed(range(self.degree)):
-            found = found * s + self.coefficients[piece, j]
-        return np.asarray(found)
+        since = (inside - self.breaks[piece])[:, None]
+        return np.asarray(polynomial(self.coefficients[piece].swapaxes(0, 1), since))
 
     def shifted(self, breaks: Array) -> PiecewisePolynomial:
         """The same signals on finer breaks (which must hold the old ones that lie inside)."""

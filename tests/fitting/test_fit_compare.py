@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -9,6 +12,7 @@ from static_tables import measured, six, six_slopes
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import LawComparison, compare_laws, fit_force
+from pam_ocp.fitting.static.search import minimise, minimise_near
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +108,16 @@ def test_names_that_no_law_knows_are_refused() -> None:
         compare_laws(table, ["six-parametre"])
     with pytest.raises(InputError, match="laws is empty"):
         compare_laws(table, [])
+
+
+@pytest.mark.parametrize("asked", [{}, {"loss": "huber"}, {"censored": True}], ids=str)
+def test_resampled_tables_are_fitted_no_worse_than_by_a_wide_scan(asked: Any) -> None:
+    fit = fit_force(measured(), "five-parameter", **asked)
+    start = fit.vector[None, list(fit.problem.nonlinear)]
+    random = np.random.default_rng(20261130)
+    for _ in range(4):
+        drawn = random.integers(0, len(fit.cells), len(fit.cells))
+        cells, weights = fit.problem.cells.subset(drawn), fit.problem.weights[drawn]
+        problem = replace(fit.problem, cells=cells, weights=weights)
+        near, wide = minimise_near(problem, start), minimise(problem, start)
+        assert near.cost <= wide.cost * (1 + 1e-6)

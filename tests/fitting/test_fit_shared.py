@@ -168,7 +168,7 @@ def test_intervals_cover_the_truth_and_errors_are_the_scatter() -> None:
     errors = [c.stderr for c in fit.coefficients.values()]
     assert scatter[:11] == pytest.approx(errors, rel=0.3)  # the last fit's own; 60 know 9 %
     assert np.mean(found, axis=0)[-2:] == pytest.approx([4.0, 1.0], rel=0.04)
-    assert 52 <= covered <= 60  # of 60; 1 in 350 of fewer at 95 %
+    assert covered >= 52  # of 60; 1 in 350 of fewer at 95 %
 
 
 def test_profile_interval_ends_where_the_f_statistic_does(joint: JointForceFit) -> None:

@@ -106,10 +106,9 @@ def fit_plant(
     method : "collocation" (Radau points), "multiple-shooting" or "single-shooting" (RK4 between the
         samples; for plants that are not stiff), or "simulation" (runs of :func:`simulate`,
         compiled where there is a compiler, slopes by differences: for kinks and ringing that no
-        polynomial follows between samples). By
-        default collocation; simulation for plants with held memories (hysteresis) or that ring
-        between the samples, and where collocation leads to nothing (neither with process nor with
-        input noise).
+        polynomial follows between samples). By default collocation; simulation for plants with held
+        memories (hysteresis) or that ring between the samples, and where collocation leads to
+        nothing (neither with process nor with input noise).
     degree : of the collocation (1 to 9), or steps of RK4 in each interval; by default raised until
         the integration is off by less than 2 % of the noise.
     step : longest interval [s]; by default from sample to sample.

@@ -175,9 +175,9 @@ class Effort(NamedTuple):
 
 WIDE = Effort(400, 60)
 NEAR = Effort(100, 6)
-"""Beside a start that is known to be near; of one coefficient every third value is scanned."""
+"""With a start that is known to be near."""
 BETTER = 1.5
-"""Times the cost at that start, up to which places of the scan are followed."""
+"""Times the cost at that start, up to which places of a scan of one coefficient are followed."""
 POLISHED_ALONE = 3
 """As many for a law with one nonlinear coefficient."""
 FLAT = 1e-7
@@ -200,7 +200,8 @@ def minimise(
     what is sought is the one next to ``begin`` (all coefficients), a start that wrong cells cannot
     pull; it is found anew where it is not given.
 
-    start : values (m, k) of the nonlinear coefficients to try beside the scan.
+    start : values (m, k) of the nonlinear coefficients to try beside the scan. effort : of the
+    scan; NEAR where these are those of almost the same table.
     """
     if isinstance(problem, LeastSquares) and problem.terms.loss == "bisquare":
         begin = robust_start(problem)[0] if begin is None else begin
@@ -212,13 +213,13 @@ def minimise(
 
 def minimise_near(problem: Problem, start: Array | None) -> Minimum:
     """The global optimum, where ``start`` (1, k) holds the nonlinear coefficients of that of almost
-    the same table: a thin scan suffices, and of it what may lead to less.
+    the same table. Of one coefficient a thin scan suffices, and of it what may lead to less; of
+    several no place of a scan tells where its descent ends.
     """
     robust = isinstance(problem, LeastSquares) and problem.terms.loss == "bisquare"
-    if robust or start is None or not problem.scales:
-        return minimise(problem)
-    points = _points(problem, NEAR.points, np.random.default_rng(20150101))
-    points = np.concatenate([start, points[::3] if len(problem.scales) == 1 else points])
+    if robust or start is None or len(problem.scales) != 1:
+        return minimise(problem, start, effort=NEAR)
+    points = np.concatenate([start, np.sort(problem.scales[0])[::3, None]])
     squares, coefficients = problem.thinned().project(points)
     if not np.isfinite(squares[0]):
         return minimise(problem, start)
