@@ -75,7 +75,7 @@ class RigRoom:
 
     def ask(self, do: str, **more: Any) -> None:
         """A command to the rig's process."""
-        _write(self._worker, {"do": do, **more})
+        _write(self._worker, {"do": do, "at": time.monotonic(), **more})
 
     @property
     def silent(self) -> float:

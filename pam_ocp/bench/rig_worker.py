@@ -4,12 +4,14 @@
 
 Commands come as JSON, a line each, ``{"do": "arm" | "disarm" | "home" | "move" | "rest" | "end"}``
 with ``"targets"`` (of a move, also while it is under way) and ``"level"`` (of home); what it reads
-and how it stands goes out in the same way. An interrupt is the vent button's.
+and how it stands goes out in the same way. An interrupt is the vent button's: what was asked before
+(``"at"``, monotonic clock [s]) is not done after it, however late it is read.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import queue
 import signal
@@ -74,6 +76,7 @@ class Worker:
         self._begun = time.monotonic()
         self.doing = ""
         self._open = self._pressed = False
+        self._pressed_at = -math.inf
 
     # ---- to and from the page -------------------------------------------------------------------
     def say(self, **said: Any) -> None:
@@ -128,7 +131,7 @@ class Worker:
         """The vent button's signal: ends the work that is going on, or the next that would begin.
         Words to the page are never cut.
         """
-        self._pressed = True
+        self._pressed, self._pressed_at = True, time.monotonic()
         if self._open:
             raise Pressed("the vent button was pressed")
 
@@ -146,6 +149,8 @@ class Worker:
             asked = self._in.get(timeout=OFTEN)
         except queue.Empty:
             self.rig.read()
+            return True
+        if asked.get("at", math.inf) < self._pressed_at:
             return True
         self.doing = asked["do"]
         work = {"arm": self._arm, "disarm": self._disarm, "home": self._home, "move": self._move}

@@ -126,9 +126,9 @@ class Hand:
     def session(self):
         return self.driver.current_url.rpartition("/s/")[2]
 
-    def until(self, condition, what=""):
+    def until(self, condition, what="", within=PATIENCE):
         begun = time.monotonic()
-        end, again = begun + PATIENCE, begun + AGAIN
+        end, again = begun + within, begun + AGAIN
         while time.monotonic() < end:
             try:
                 if self._said is not None and time.monotonic() > again:
