@@ -121,7 +121,8 @@ def test_what_was_asked_before_the_button_is_not_done_after_it(tmp_path):
             states = [heard(worker)]
             while not (states[-1].get("doing") == "" and "values" not in states[-1]):
                 states.append(heard(worker))
-            assert not any(s["armed"] for s in states) and not twin.armed
+            assert not any(s["armed"] for s in states)
+            assert not twin.armed
             ask(worker, "arm")  # and what is asked after it is
             while not heard(worker).get("armed"):
                 pass
