@@ -1,9 +1,10 @@
 """Long runs: whether memory and open files stay as they are, and answers too.
 
-    python benchmarks/long_runs.py [--share 1.0] [--only loop mpc plans exports stream]
+    python benchmarks/long_runs.py [--share 1.0] [--only day_c day_fmu loop mpc plans exports stream]
 
-loop    : an Mpc and its plant as FMUs, a million steps at 1 kHz. A day has 86 million: what grows
-          by the step shows in a million as well.
+day_c, day_fmu : an Mpc (horizon 5) and its plant for a day at 1 kHz, 86.4 million steps, in a
+          program in C (day.c): the Mpc as exported C, and as FMU. The plant is an FMU in both.
+loop    : an Mpc (horizon 50) and its plant as FMUs from Python, a million steps at 1 kHz.
 mpc     : 1e5 steps of an Mpc in Python.
 plans   : 1e4 times a plan is solved again.
 exports : 1e3 times a plant is exported, loaded and stepped (compiled once).
@@ -20,14 +21,17 @@ import argparse
 import gc
 import math
 import os
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import harness
 import numpy as np
 
@@ -130,6 +134,48 @@ def loop(count: int) -> harness.Row:
             return settled(count, step)
 
 
+def day(count: int, in_c: bool) -> harness.Row:
+    """As ``loop``, all of it in C; the hash of all commands is printed: equal for both."""
+    plant = pam.HangingLoad("DMSP-20-300", mass=10.0)
+    ask: dict[str, Any] = {"track": {"x": 1.0, "v": 0.03}, "rate": {"muscle.command": 0.01}}
+    mpc = pam.control.Mpc(plant, horizon=5, sample_time=STEP, iterations=1, **ask)
+    rest = plant.equilibrium(x=0.02)
+    states, commands = ([v.name for v in kind] for kind in (plant.states, plant.inputs))
+    begin = [repr(float(rest[n])) for n in (*states, *commands)]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        given = [*library(plant, folder, "slide", [*states, *commands]), *begin]
+        build = ["-std=c11", "-O2", "-ffp-contract=off", str(Path(__file__).with_name("day.c"))]
+        if in_c:
+            pam.export_c(mpc, folder / "c", name="mpc")
+            build += ["-DCONTROLLER_IN_C", "-I", str(folder / "c"), str(folder / "c" / "mpc.c")]
+        else:
+            block = pam.control.block(mpc)
+            given += library(block, folder, "mpc", [*states, "wanted.x", "wanted.v", *commands])
+        program = [str(folder / "day")]
+        subprocess.run(["cc", *build, "-o", *program, "-lm", "-ldl"], check=True)
+        count = max(5, count // PERIOD) * PERIOD
+        told = subprocess.run(
+            [*program, str(count), str(PERIOD), *given], capture_output=True, text=True, check=True
+        )
+    *numbers, commands_hash = told.stdout.split()
+    before, files, after, more, differ = map(float, numbers)
+    meter = Meter(count, [(before, int(files))] + 4 * [(after, int(more))])
+    row = meter.row(differ, SAME)
+    return {**row, "text": f"{row['text']}; hash of all commands {commands_hash}"}
+
+
+def library(what: Any, folder: Path, name: str, variables: Sequence[str]) -> list[str]:
+    """Of its exported FMU: the shared library, the token, references of variables."""
+    path = pam.export_fmu(what, folder / f"{name}.fmu", platforms="native", fmi="2.0")
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(folder / name)
+    about = fmpy.read_model_description(str(path))
+    references = {v.name: str(v.valueReference) for v in about.modelVariables}
+    found = next((folder / name / "binaries").rglob("*.so"))
+    return [str(found), about.guid, *(references[n] for n in variables)]
+
+
 def mpc(count: int) -> harness.Row:
     plant, regulator, rest = controller(0.005)
     names = [v.name for v in plant.states]
@@ -190,7 +236,16 @@ def stream(count: int) -> harness.Row:
     return meter.row(float(np.abs(numbers[-1000:] - numbers[:1000][: len(numbers)]).max()), 1e-9)
 
 
-RUNS = {"loop": 10**6, "mpc": 10**5, "plans": 10**4, "exports": 10**3, "stream": 10**5}
+day_c, day_fmu = partial(day, in_c=True), partial(day, in_c=False)
+RUNS = {
+    "day_c": 86_400_000,
+    "day_fmu": 86_400_000,
+    "loop": 10**6,
+    "mpc": 10**5,
+    "plans": 10**4,
+    "exports": 10**3,
+    "stream": 10**5,
+}
 
 
 def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
