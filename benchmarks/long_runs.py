@@ -1,6 +1,7 @@
 """Long runs: whether memory and open files stay as they are, and answers too.
 
-    python benchmarks/long_runs.py [--share 1.0] [--only day_c day_fmu loop mpc plans exports stream]
+    python benchmarks/long_runs.py [--share 1.0]
+        [--only day_c day_fmu loop mpc plans exports stream]
 
 day_c, day_fmu : an Mpc (horizon 5) and its plant for a day at 1 kHz, 86.4 million steps, in a
           program in C (day.c): the Mpc as exported C, and as FMU. The plant is an FMU in both.
@@ -160,7 +161,7 @@ def day(count: int, in_c: bool) -> harness.Row:
         )
     *numbers, commands_hash = told.stdout.split()
     before, files, after, more, differ = map(float, numbers)
-    meter = Meter(count, [(before, int(files))] + 4 * [(after, int(more))])
+    meter = Meter(count, [(before, int(files)), (after, int(more))])
     row = meter.row(differ, SAME)
     return {**row, "text": f"{row['text']}; hash of all commands {commands_hash}"}
 
