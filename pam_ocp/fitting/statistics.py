@@ -81,17 +81,18 @@ def forces_and_slopes(
 def in_blocks(
     law: type[ForceLaw], order: int, p: Array, kappa: Array, coefficients: Array
 ) -> Iterator[tuple[slice, Array]]:
-    """The outputs (m, outputs, block) of :func:`elementwise`, so many places at a time as a cache
-    holds. The array is used again for the next block.
+    """The outputs (m, outputs, block) of :func:`elementwise`, so many places (n,), or (m, n), at a
+    time as a cache holds. The array is used again for the next block.
     """
-    function, (m, n) = elementwise(law, order), (len(coefficients), len(p))
+    function, (m, n) = elementwise(law, order), (len(coefficients), p.shape[-1])
+    p, kappa = np.atleast_2d(p), np.atleast_2d(kappa)
     columns = coefficients.T[:, :, None]
     step = min(n, max(SMALLEST_BLOCK, BLOCK // max(m, 1)))
     room = np.empty((m, function.outputs, step))
     for low in range(0, n, step or 1):
         part = slice(low, min(low + step, n))
         found = room[:, :, : part.stop - low]
-        for i, value in enumerate(function(p[None, part], kappa[None, part], *columns)):
+        for i, value in enumerate(function(p[:, part], kappa[:, part], *columns)):
             found[:, i] = value
         yield part, found
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 from static_tables import measured, six, six_slopes
 
-from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.core.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fitting import LawComparison, compare_laws, fit_force
 from pam_ocp.fitting.static.search import minimise, minimise_near
 
@@ -115,9 +115,11 @@ def test_resampled_tables_are_fitted_no_worse_than_by_a_wide_scan(asked: Any) ->
     fit = fit_force(measured(), "five-parameter", **asked)
     start = fit.vector[None, list(fit.problem.nonlinear)]
     random = np.random.default_rng(20261130)
-    for _ in range(4):
-        drawn = random.integers(0, len(fit.cells), len(fit.cells))
+    problems = []
+    for size in (1.0, 1.0, 0.8, 0.6):  # tables of several sizes go down side by side
+        drawn = random.integers(0, len(fit.cells), round(size * len(fit.cells)))
         cells, weights = fit.problem.cells.subset(drawn), fit.problem.weights[drawn]
-        problem = replace(fit.problem, cells=cells, weights=weights)
-        near, wide = minimise_near(problem, start), minimise(problem, start)
-        assert near.cost <= wide.cost * (1 + 1e-6)
+        problems.append(replace(fit.problem, cells=cells, weights=weights))
+    for problem, near in zip(problems, minimise_near(problems, start), strict=True):
+        assert not isinstance(near, FitError)
+        assert near.cost <= minimise(problem).cost * (1 + 1e-6)

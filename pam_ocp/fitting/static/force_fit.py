@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -239,16 +240,18 @@ class ForceFit(Optimum):
         start = self.vector[None, list(problem.nonlinear)] if problem.nonlinear else None
         found: dict[int, Array] = {}
         tables = (_resampled(self, problem, random, method) for _ in range(n))
+        some = min(max(TOGETHER // len(problem.cells), 1), MOST_TOGETHER)
+        groups = iter(lambda: list(islice(tables, some)), [])
+        given: dict[str, Any] = {"executor": executor, "count": -(-n // some)}
         try:
-            for i, result in ending(
-                partial(_refitted, start), tables, executor=executor, what="bootstrap", count=n
-            ):
-                if isinstance(result, FitError):
-                    failed += 1
-                elif isinstance(result, Exception):
-                    raise result
-                else:
-                    found[i] = result
+            for i, results in ending(partial(_refitted, start), groups, what="bootstrap", **given):
+                if isinstance(results, Exception):
+                    raise results
+                for j, result in enumerate(results):
+                    if isinstance(result, FitError):
+                        failed += 1
+                    else:
+                        found[i * some + j] = result
         except TimeIsUp:
             if len(found) < 2:
                 raise
@@ -482,6 +485,8 @@ def _hull(points: Array) -> Array:
 
 # ---- bootstrap -----------------------------------------------------------------------------------
 Resampling: TypeAlias = Literal["residuals", "cases"]
+TOGETHER, MOST_TOGETHER = 10_000, 25
+"""Cells of the tables that are refitted side by side, and how many these are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -523,10 +528,13 @@ class Bootstrap:
         return np.atleast_2d(np.cov(self.samples.T))
 
 
-def _refitted(start: Array | None, problem: LeastSquares) -> Array:
-    """The fit of a resampled table, from that to the measured one."""
-    coefficients = minimise_near(problem, start).coefficients
-    return np.asarray(coefficients[list(problem.free)])
+def _refitted(start: Array | None, problems: Sequence[LeastSquares]) -> list[Array | FitError]:
+    """The fits of resampled tables, from that to the measured one."""
+    free = list(problems[0].free)
+    return [
+        found if isinstance(found, FitError) else np.asarray(found.coefficients[free])
+        for found in minimise_near(problems, start)
+    ]
 
 
 def _resampled(

@@ -8,7 +8,7 @@ are a linear least-squares problem (variable projection: G. Golub, V. Pereyra, S
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -294,30 +294,10 @@ class LeastSquares:
         return self.weights * (cells.force - tension)
 
     def sums(self, coefficients: Array, second: bool = False) -> Sums:
-        """The quadratic model at coefficients (m, all), summed cell by cell in little memory."""
-        law, (m, size) = self.law, coefficients.shape
-        cost, right = np.zeros(m), np.zeros((m, size))
-        normal, bent = np.zeros((m, size, size)), np.zeros((m, len(second_places(law))))
-        cells = (self.cells.pressure, self.cells.contraction)
-        with np.errstate(all="ignore"):
-            for part, block in in_blocks(law, 2 if second else 1, *cells, coefficients):
-                weights = self.weights[part]
-                rest = weights * (self.cells.force[part] - block[:, 0])
-                slopes = block[:, 1 : 1 + size]
-                slopes *= weights
-                cost += np.einsum("mn,mn->m", rest, rest)
-                right += (slopes @ rest[:, :, None])[:, :, 0]
-                normal += slopes @ slopes.transpose(0, 2, 1)
-                if second:
-                    bent += (block[:, 1 + size :] @ (weights * rest)[:, :, None])[:, :, 0]
-            rows, targets = self.priors
-            rest = targets - coefficients @ rows.T
-            whole = np.zeros_like(normal)
-            for (row, column), value in zip(second_places(law), bent.T, strict=True):
-                whole[:, row, column] = whole[:, column, row] = -value
-            return Sums(
-                cost + np.sum(rest**2, axis=1), right + rest @ rows, normal + rows.T @ rows, whole
-            )
+        """The quadratic model at coefficients (m, all)."""
+        cells = self.cells
+        data = (cells.pressure, cells.contraction, cells.force, self.weights)
+        return summed(self.law, data, self.priors, coefficients, second)
 
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]:
         """As :meth:`evaluate`, with one more row for each prior."""
@@ -410,6 +390,41 @@ class LeastSquares:
         c[:, self.linear] = parts
         cost = np.sum(self.terms.rho(rest[:, :n]), axis=1) + np.sum(rest[:, n:] ** 2, axis=1)
         return np.where(good, cost, np.inf), c
+
+
+def summed(
+    law: type[ForceLaw],
+    data: Sequence[Array],
+    priors: tuple[Array, Array],
+    coefficients: Array,
+    second: bool,
+) -> Sums:
+    """The quadratic model at coefficients (m, all), summed cell by cell in little memory. data :
+    pressure, contraction, force, weight (n,), or (m, n) for a table of each row's own.
+    """
+    m, size = coefficients.shape
+    cost, right = np.zeros(m), np.zeros((m, size))
+    normal, bent = np.zeros((m, size, size)), np.zeros((m, len(second_places(law))))
+    force, every = np.atleast_2d(data[2]), np.atleast_2d(data[3])
+    with np.errstate(all="ignore"):
+        for part, block in in_blocks(law, 2 if second else 1, data[0], data[1], coefficients):
+            weights = every[:, part]
+            rest = weights * (force[:, part] - block[:, 0])
+            slopes = block[:, 1 : 1 + size]
+            slopes *= weights[:, None]
+            cost += np.einsum("mn,mn->m", rest, rest)
+            right += (slopes @ rest[:, :, None])[:, :, 0]
+            normal += slopes @ slopes.transpose(0, 2, 1)
+            if second:
+                bent += (block[:, 1 + size :] @ (weights * rest)[:, :, None])[:, :, 0]
+        rows, targets = priors
+        rest = targets - coefficients @ rows.T
+        whole = np.zeros_like(normal)
+        for (row, column), value in zip(second_places(law), bent.T, strict=True):
+            whole[:, row, column] = whole[:, column, row] = -value
+        return Sums(
+            cost + np.sum(rest**2, axis=1), right + rest @ rows, normal + rows.T @ rows, whole
+        )
 
 
 def least_squares(columns: Array, target: Array) -> tuple[Array, Array]:

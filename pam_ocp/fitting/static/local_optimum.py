@@ -12,7 +12,7 @@ long, for they go down one by one; in fits of holds in nine tenths of the time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol
@@ -25,7 +25,7 @@ from ...core.stop import check
 from ...muscles.law import ForceLaw
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
-from .least_squares import LeastSquares, Loss, Sums, Terms
+from .least_squares import LeastSquares, Loss, Sums, Terms, summed
 
 ITERATIONS = 150
 """Evaluations of all starts that are still on their way."""
@@ -93,30 +93,42 @@ def descend(
     free). settled : relative fall of the cost at which a descent ends, by default none. Costs are
     infinite where the law gives no finite force at the start.
     """
-    return _Descent(problem, starts, low, high, settled).run()
+    of = np.zeros(len(starts), dtype=np.intp)
+    sums: Callable[..., Sums] = lambda c, second, of: problem.sums(c, second)  # noqa: E731
+    return _Descent(sums, problem.free, [problem.size], of, starts, low, high, settled).run()
 
 
 class _Descent:
+    """Of several sums of squares side by side: ``of`` says whose each start is."""
+
     def __init__(
-        self, problem: Squares, starts: Array, low: Array, high: Array, settled: float
+        self,
+        sums: Callable[[Array, bool, NDArray[np.intp]], Sums],
+        free: Sequence[int],
+        sizes: Sequence[float],
+        of: NDArray[np.intp],
+        starts: Array,
+        low: Array,
+        high: Array,
+        settled: float = 0.0,
     ) -> None:
-        self.problem, self.free, self.settled = problem, list(problem.free), settled
+        self.sums_of, self.free, self.of, self.settled = sums, list(free), of, settled
         self.low, self.high, self.c = low, high, starts.copy()
         self.c[:, self.free] = np.clip(starts[:, self.free], low, high)
         m, k = len(starts), len(self.free)
         self.near = np.zeros(m, dtype=bool)
-        self.cost, *rest = self._at(self.c, self.near)
+        self.cost, *rest = self._at(np.arange(m), self.c)
         self.sums: list[Array] = rest
         self.damping, self.steps = np.zeros(m), np.zeros(m, dtype=np.intp)
         self.resting, self.newton = low >= high, np.zeros(m, dtype=bool)
         self.norms, self.right = np.ones((m, k)), np.zeros((m, k))
         self.values, self.vectors = np.ones((m, k)), np.zeros((m, k, k))
-        self.floor = 1e-24 * problem.size**2
+        self.floor = 1e-24 * np.square(sizes)
 
     def run(self) -> Descended:
         active = np.isfinite(self.cost) & ~self.resting.all(axis=1)
         fresh = active.copy()
-        least = np.inf
+        least = np.full(len(self.floor), np.inf)
         for count in range(ITERATIONS):
             check()
             rows = np.nonzero(active)[0]
@@ -129,11 +141,11 @@ class _Descent:
                 trial[:, self.free] = np.clip(
                     trial[:, self.free] + step, self.low[rows], self.high[rows]
                 )
-            cost, *sums = self._at(trial, self.near[rows])
-            before = self.cost[rows]
+            cost, *sums = self._at(rows, trial)
+            before, floor = self.cost[rows], self.floor[self.of[rows]]
             part = np.where(self.newton[rows], LAST_STEP, LAST_STEP**1.5)
-            last = (self.damping[rows] == 0) & (gain <= part * before + self.floor)
-            last &= cost <= before * (1 + 1e-9) + self.floor
+            last = (self.damping[rows] == 0) & (gain <= part * before + floor)
+            last &= cost <= before * (1 + 1e-9) + floor
             better = (cost <= before) | last
             fall = before - cost
             done = last | (better & (fall <= self.settled * before) & (self.settled > 0))
@@ -149,23 +161,23 @@ class _Descent:
             self.near[good] = fall[better] <= NEAR * cost[better]
             fresh[good], fresh[bad] = True, False
             active[rows[done]] = False
-            least = float(np.min(self.cost[rows[done]], initial=least))
-            active &= ~self._idle(least, count)
+            np.minimum.at(least, self.of[rows[done]], self.cost[rows[done]])
+            active &= ~self._idle(least[self.of], count)
             active &= self.damping < LARGEST_DAMPING
         return Descended(self.c, self.cost, self.steps, self.resting)
 
-    def _idle(self, least: float, count: int) -> NDArray[np.bool_]:
+    def _idle(self, least: Array, count: int) -> NDArray[np.bool_]:
         """Starts that come to where another has been, or are long on a way from far above it."""
         same = (self.cost >= least) & (self.cost <= least * (1 + SAME))
         return same | ((self.cost > FAR * least) & (count > PATIENCE))
 
-    def _at(self, c: Array, near: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:
-        """Cost, J^T r, J^T J and (where ``near``) second derivatives of the free coefficients."""
-        m, k = len(c), len(self.free)
+    def _at(self, rows: NDArray[np.intp], c: Array) -> tuple[Array, Array, Array, Array]:
+        """Cost, J^T r, J^T J and (where near) second derivatives of the free coefficients."""
+        m, k, near = len(c), len(self.free), self.near[rows]
         found = (np.empty(m), np.empty((m, k)), np.empty((m, k, k)), np.zeros((m, k, k)))
         for chosen, second in ((~near, False), (near, True)):
             if chosen.any():
-                cost, right, normal, bent = self.problem.sums(c[chosen], second)
+                cost, right, normal, bent = self.sums_of(c[chosen], second, self.of[rows[chosen]])
                 found[0][chosen], found[1][chosen] = cost, right[:, self.free]
                 found[2][chosen] = normal[:, self.free][:, :, self.free]
                 found[3][chosen] = bent[:, self.free][:, :, self.free]
@@ -285,15 +297,53 @@ def local_optima(problem: Problem, starts: Array, scanned: int) -> list[Minimum]
 
 def by_newton(problem: Problem, starts: Array, scanned: int) -> list[Minimum]:
     """The least squares next to each of ``starts``."""
+    ended = descend(problem, starts, *_near(problem, starts))
+    return _minima(problem, ended, np.arange(len(starts)), scanned)
+
+
+def optima_of_each(
+    problems: Sequence[LeastSquares], begun: Sequence[tuple[Array, int]]
+) -> list[list[Minimum]]:
+    """:func:`local_optima` of fits of one law to several tables, from starts (m, all) of each and
+    how many points were scanned for them; plain squares go down side by side.
+    """
+    if not all(p.smooth for p in problems) or len(problems) < 2:
+        return [local_optima(p, *b) for p, b in zip(problems, begun, strict=True)]
+    starts, first = [s for s, _ in begun], problems[0]
+    most = max(len(p.cells) for p in problems)
+    data = np.zeros((4, len(problems), most))  # filled up by cells of no weight
+    for i, problem in enumerate(problems):
+        cells, n = problem.cells, len(problem.cells)
+        data[:3, i] = np.array([[v[0]] for v in (cells.pressure, cells.contraction, cells.force)])
+        data[:, i, :n] = cells.pressure, cells.contraction, cells.force, problem.weights
+    of = np.repeat(np.arange(len(problems)), [len(s) for s in starts])
+    ends = [_near(p, s) for p, s in zip(problems, starts, strict=True)]
+    low, high = (np.concatenate([e[i] for e in ends]) for i in (0, 1))
+
+    def sums(c: Array, second: bool, of: NDArray[np.intp]) -> Sums:
+        return summed(first.law, list(data[:, of]), first.priors, c, second)
+
+    sizes, together = [p.size for p in problems], np.concatenate(starts)
+    ended = _Descent(sums, first.free, sizes, of, together, low, high).run()
+    rows = [np.nonzero(of == i)[0] for i in range(len(problems))]
+    return [_minima(p, ended, r, b[1]) for p, r, b in zip(problems, rows, begun, strict=True)]
+
+
+def _near(problem: Problem, starts: Array) -> tuple[Array, Array]:
     limits = [problem.near(start) for start in starts]
-    low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
-    ended = descend(problem, starts, low, high)
-    residuals, jacobians = problem.with_priors(ended.coefficients)
+    return np.array([pair[0] for pair in limits]), np.array([pair[1] for pair in limits])
+
+
+def _minima(
+    problem: Problem, ended: Descended, rows: NDArray[np.intp], scanned: int
+) -> list[Minimum]:
+    """Of those starts of a descent that are this problem's."""
+    residuals, jacobians = problem.with_priors(ended.coefficients[rows])
     found = []
-    for row, resting in enumerate(ended.resting):
-        free = list(zip(problem.free, resting, strict=True))
-        columns = jacobians[row][:, [i for i, rests in free if not rests]]
-        gradient = cosine(residuals[row], columns, problem.size)
+    for row, residual, jacobian in zip(rows, residuals, jacobians, strict=True):
+        free = list(zip(problem.free, ended.resting[row], strict=True))
+        columns = jacobian[:, [i for i, rests in free if not rests]]
+        gradient = cosine(residual, columns, problem.size)
         statistics = SolverStatistics(
             "Newton_Converged" if gradient <= STATIONARY else "Newton_Stalled",
             int(ended.steps[row]),

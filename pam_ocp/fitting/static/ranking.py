@@ -223,19 +223,18 @@ def _compared(
 
 
 def _left_out(fit: ForceFit) -> dict[float, float]:
-    whole, errors = fit.problem, {}
-    level = fit.cells.levels()
+    whole, level = fit.problem, fit.cells.levels()
     start = fit.vector[None, list(whole.nonlinear)] if whole.nonlinear else None
-    for i in range(1, level.max()):
-        kept = level != i
-        part = replace(whole, cells=fit.cells.subset(kept), weights=whole.weights[kept])
-        if len(part.cells) < len(part.free):
-            raise InputError(
-                f"{len(part.cells)} taut cells remain, fewer than the {len(part.free)} coefficients"
-            )
-        found = minimise_near(part, start).coefficients
-        there = replace(whole, cells=fit.cells.subset(~kept), weights=np.ones(int(np.sum(~kept))))
-        errors[float(there.cells.contraction.mean())] = float(
-            np.sqrt(np.mean(there.residuals(found[None])[0] ** 2))
-        )
+    left = [level == i for i in range(1, level.max())]
+    parts = [replace(whole, cells=fit.cells.subset(~o), weights=whole.weights[~o]) for o in left]
+    few = min((len(p.cells) for p in parts), default=len(whole.free))
+    if few < len(whole.free):
+        raise InputError(f"{few} taut cells remain, fewer than the {len(whole.free)} coefficients")
+    errors = {}
+    for out, found in zip(left, minimise_near(parts, start), strict=True):
+        if isinstance(found, FitError):
+            raise found
+        there = replace(whole, cells=fit.cells.subset(out), weights=np.ones(int(np.sum(out))))
+        residuals = there.residuals(found.coefficients[None])[0]
+        errors[float(there.cells.contraction.mean())] = float(np.sqrt(np.mean(residuals**2)))
     return errors

@@ -13,6 +13,7 @@ out: a law that misses a whole level does not bend far enough, which is no error
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -22,7 +23,15 @@ from numpy.typing import NDArray
 from ...core.errors import FitError
 from ..statistics import Array
 from .least_squares import BISQUARE, LeastSquares, least_squares
-from .local_optimum import STATIONARY, Minimum, Problem, by_ipopt, descend, local_optima
+from .local_optimum import (
+    STATIONARY,
+    Minimum,
+    Problem,
+    by_ipopt,
+    descend,
+    local_optima,
+    optima_of_each,
+)
 
 TRIMMED = 0.15
 """Part of the cells that may be wrong."""
@@ -211,21 +220,43 @@ def minimise(
     return _best(problem, local_optima(problem, starts, scanned))
 
 
-def minimise_near(problem: Problem, start: Array | None) -> Minimum:
-    """The global optimum, where ``start`` (1, k) holds the nonlinear coefficients of that of almost
-    the same table. Of one coefficient a thin scan suffices, and of it what may lead to less; of
-    several no place of a scan tells where its descent ends.
+def minimise_near(
+    problems: Sequence[LeastSquares], start: Array | None
+) -> list[Minimum | FitError]:
+    """The global optima of fits of one law to tables that are almost the same, or why none.
+    start : nonlinear coefficients (1, k) of the optimum of such a table.
     """
-    robust = isinstance(problem, LeastSquares) and problem.terms.loss == "bisquare"
-    if robust or start is None or len(problem.scales) != 1:
-        return minimise(problem, start, effort=NEAR)
+    found: list[Minimum | FitError] = [FitError("")] * len(problems)
+    begun: dict[int, tuple[Array, int]] = {}
+    for i, problem in enumerate(problems):
+        try:
+            if problem.terms.loss == "bisquare":
+                found[i] = minimise(problem)
+            else:
+                begun[i] = _starts_near(problem, start)
+        except FitError as error:
+            found[i] = error
+    followed = optima_of_each([problems[i] for i in begun], list(begun.values()))
+    for i, optima in zip(begun, followed, strict=True):
+        try:
+            found[i] = _best(problems[i], optima)
+        except FitError as error:
+            found[i] = error
+    return found
+
+
+def _starts_near(problem: LeastSquares, start: Array | None) -> tuple[Array, int]:
+    """Of one coefficient a thin scan suffices, and of it what may lead to less; of several no place
+    of a scan tells where its descent ends.
+    """
+    if start is None or len(problem.scales) != 1:
+        return _scan(problem.thinned(), start, NEAR)
     points = np.concatenate([start, np.sort(problem.scales[0])[::3, None]])
     squares, coefficients = problem.thinned().project(points)
     if not np.isfinite(squares[0]):
-        return minimise(problem, start)
+        return _scan(problem.thinned(), start, WIDE)
     low = np.where(squares <= BETTER * squares[0], squares, np.inf)
-    starts = _distinct(coefficients, low, list(problem.nonlinear), NEAR.followed)
-    return _best(problem, local_optima(problem, starts, len(points)))
+    return _distinct(coefficients, low, list(problem.nonlinear), NEAR.followed), len(points)
 
 
 def _best(problem: Problem, optima: list[Minimum]) -> Minimum:
