@@ -96,6 +96,8 @@ def require_number(argument: str, value: Any, unit: str = "") -> float:
 
     A text such as "20 mm" is a number too, where ``unit`` is known.
     """
+    if type(value) is float:
+        return value
     if is_quantity(value):
         return quantity(argument, value, *([unit] if unit else []))
     try:

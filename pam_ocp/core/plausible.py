@@ -124,9 +124,9 @@ def meant(value: float, unit: str, usual: Usual | None = None) -> str | None:
     """
     usual = usual or _BY_KIND.get(unit_of(unit).exponents)
     size = abs(value)
-    if usual is None or size == 0 or not math.isfinite(value) or not _typed(value):
+    if usual is None or size == 0 or usual.least <= size <= usual.most:
         return None
-    if usual.least <= size <= usual.most:
+    if not math.isfinite(value) or not _typed(value):
         return None
     found = [(_in_si(value, name), name) for name in usual.units]
     inside = [(v, name) for v, name in found if usual.least <= abs(v) <= usual.most]

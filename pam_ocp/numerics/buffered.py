@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -14,13 +15,15 @@ Array: TypeAlias = NDArray[np.float64]
 class Buffered:
     """A function with dense arguments and results; a plain call costs 30 times as much around it.
 
-    ``results`` are matrices as views of the memory that the next call writes to.
+    ``results`` are matrices as views of the memory that the next call writes to. arguments : memory
+    from which it reads, by default its own.
     """
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, arguments: Sequence[Array] = ()) -> None:
         self._buffer, self.call = function.buffer()
         """Evaluates at what stands in ``arguments``."""
-        self.arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
+        own = (np.zeros(function.nnz_in(i)) for i in range(function.n_in()))
+        self.arguments = list(arguments or own)
         self._memory = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         for i, array in enumerate(self.arguments):
             self._buffer.set_arg(i, memoryview(array))  # type: ignore

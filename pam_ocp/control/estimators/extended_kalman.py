@@ -67,6 +67,7 @@ class Estimator(ABC):
         self.measured, self.noise = measurements(plant, measured)
         self._noise: Array = self.noise / np.array([v.nominal for v in self.measured])
         self._measured_at = {v.name: i for i, v in enumerate(self.measured)}
+        self._nominal = [v.nominal for v in self.measured]
         self.unknown = [self.given.name(n) for n in unknown or {}]
         self._at = np.array([self.given.names.index(n) for n in self.unknown], dtype=int)
         nx = len(plant.states)
@@ -215,7 +216,7 @@ class Estimator(ABC):
             if name not in known:
                 raise UnknownNameError("measured variable", name, [*known])
             i = known[name]
-            seen[i] = require_finite(given, value) / self.measured[i].nominal
+            seen[i] = require_finite(given, value) / self._nominal[i]
         return np.array(seen)
 
     def noise_of_step(self, a: Symbol, half: Symbol) -> Any:

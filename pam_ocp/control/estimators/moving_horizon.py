@@ -109,10 +109,11 @@ class MovingHorizonEstimator(Estimator):
         self._narrow(bounds or {})
         functions = self._predict, self._measure
         smoother = Smoother(self, horizon + 1, self.robust, functions, iterations)
-        self._fit, self._arrive = (
-            Buffered(quick(f, compiled)) for f in (smoother.improve(), smoother.arrive())
-        )
+        self._fit = Buffered(quick(smoother.improve(), compiled))
         self._window()
+        firsts = [rows[0] for rows in self._moving]
+        known = [self._prior, self._prior_square, *firsts]
+        self._arrive = Buffered(quick(smoother.arrive(), compiled), known)
         self._empty()
 
     def _window(self) -> None:
@@ -219,8 +220,8 @@ class MovingHorizonEstimator(Estimator):
 
     def _forget(self) -> None:
         """Carry what is known of the window's first node on to its second."""
-        firsts = (rows[0] for rows in self._moving)
-        prior, covariance = self._arrive(self._prior, self._prior_square, *firsts)
+        self._arrive.call()
+        prior, covariance = self._arrive.results
         self._prior[:], self._prior_square[:] = prior[:, 0], covariance[:, 0]
 
 
