@@ -228,6 +228,7 @@ ORDERS = np.arange(DEGREE + 1)
 THROUGH = np.linalg.inv(NODES[:, None] ** ORDERS).T
 """Values at the nodes -> coefficients of the polynomial through them."""
 POWERS = (PROBES[:, None] ** ORDERS).T
+PLACES = np.concatenate([NODES, PROBES])
 BATCH = 4096
 """So many pieces are fitted at a time."""
 COMPARED = 8
@@ -240,16 +241,17 @@ def _from_function(
     """Pieces through Chebyshev points (Lobatto's), halved until they follow the function."""
     sample = _sampled(variable, function)
     enough = FUNCTION_TOLERANCE * variable.nominal
-    found: list[tuple[Array, Array]] = []
+    found: list[tuple[Array, Array, Array]] = []
     left, right = np.asarray(t[:-1], float), np.asarray(t[1:], float)  # what is still to be fitted
     done, most = 0, MOST_PIECES + len(left)
     while left.size:
         a, b = left[:BATCH], right[:BATCH]
         h = b - a
-        piece = sample(a, h, NODES) @ THROUGH
-        error = np.abs(sample(a, h, PROBES) - piece @ POWERS).max(axis=1)
+        values = sample(a, h, PLACES)
+        piece = values[:, : len(NODES)] @ THROUGH
+        error = np.abs(values[:, len(NODES) :] - piece @ POWERS).max(axis=1)
         good = (error <= enough) | (h <= SHORTEST_PIECE)
-        found.append((a[good], piece[good] / h[good, None] ** ORDERS))
+        found.append((a[good], piece[good] / h[good, None] ** ORDERS, values[good, 0]))
         done += int(good.sum())
         left, right = left[BATCH:], right[BATCH:]
         if not good.all():
@@ -263,9 +265,8 @@ def _from_function(
                 f"follow it to t = {left[0]:g} s only, of {t[-1]:g} s; give a slower function, a "
                 "shorter duration, or samples as (times, values)"
             )
-    begins, pieces = (np.concatenate(part) for part in zip(*found, strict=True))
-    largest = begins[int(np.argmax(np.abs(pieces[:, 0]))), None]
-    variable.doubt(sample(largest, np.zeros(1), np.zeros(1)))
+    begins, pieces, said = (np.concatenate(part) for part in zip(*found, strict=True))
+    variable.doubt(said)
     order = np.argsort(begins, kind="stable")
     return PiecewisePolynomial(np.append(begins[order], t[-1]), pieces[order][:, :, None])
 
@@ -274,14 +275,6 @@ def _sampled(
     variable: Any, function: Callable[[Any], Any]
 ) -> Callable[[Array, Array, Array], Array]:
     """(begins, lengths, places in [0, 1]) -> values (pieces, places) of a user's function."""
-    try:
-        inspect.signature(function).bind(0.0)
-    except TypeError:
-        raise InputError(
-            f"input {variable.name}: the function has to take one argument, the time [s]"
-        ) from None
-    except ValueError:  # of C, without a signature
-        pass
 
     def checked(value: Any, time: float) -> float:
         try:
@@ -303,7 +296,7 @@ def _sampled(
             return None
         if not isinstance(found, np.ndarray) or found.dtype != float or found.shape != times.shape:
             return None
-        few = np.linspace(0, times.size - 1, COMPARED).astype(int)
+        few = np.arange(COMPARED) * (times.size - 1) // (COMPARED - 1)
         try:
             alone = np.array([function(float(s)) for s in times[few]], float)
         except (TypeError, ValueError):
@@ -318,12 +311,27 @@ def _sampled(
         if array is not None:
             return array.reshape(-1, len(places))
         numbers = times.tolist()
-        found: list[Any] = [function(s) for s in numbers]
+        try:
+            found: list[Any] = [function(s) for s in numbers]
+        except TypeError:
+            _require_one_argument(variable, function)
+            raise
         if not {type(v) for v in found} <= {float, np.float64} or not np.isfinite(found).all():
             found = [checked(v, s) for v, s in zip(found, numbers, strict=True)]
         return np.array(found).reshape(-1, len(places))
 
     return values
+
+
+def _require_one_argument(variable: Any, function: Callable[[Any], Any]) -> None:
+    try:
+        inspect.signature(function).bind(0.0)
+    except TypeError:
+        raise InputError(
+            f"input {variable.name}: the function has to take one argument, the time [s]"
+        ) from None
+    except ValueError:  # of C, without a signature
+        pass
 
 
 def joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:

@@ -172,7 +172,9 @@ def written_out(ode: ca.Function) -> Rodas | None:
     wrong = ca.fabs(solve(ode(t + WITHIN * h, inside, c, p) - speed / h))
     error = _finite(ca.mmax(wrong), wrong)
     between = ca.Function("between", [t, h, x, c, p, made], ca.cse([error]))
-    return Rodas(Buffered(step), Buffered(between), Buffered(rate))
+    first = Buffered(step)
+    known, results = first.arguments, first.results[0].T.ravel()  # a view of its memory
+    return Rodas(first, Buffered(between, [*known, results]), Buffered(rate, known))
 
 
 def _inside(x: Any, made: Any, s: Any) -> tuple[Any, Any]:
@@ -232,7 +234,7 @@ class Rodas:
 
     step : (t, h, x, c, p) -> (x_new and the dense output, largest error). between : the same and
     (x_new and dense output) -> largest error of the dense output. rate : as step -> how fast x
-    changes.
+    changes. Both read where step reads, and between what it found.
     """
 
     step: Buffered
@@ -254,15 +256,14 @@ class Rodas:
 
         breaks : (m + 1,) of the grid, first and last among them. controls : (m, nc) between them.
         """
-        for function in (self.step, self.between, self.rate):
-            function.arguments[4][:] = p
-        self.step.arguments[2][:] = x0
+        self.step.arguments[2][:], self.step.arguments[4][:] = x0, p
         way = _Way(self, grid.tolist(), tolerance, max_steps * (len(grid) - 1))
         ends = breaks.tolist()
         for begin, end, own in zip(ends[:-1], ends[1:], controls, strict=True):
             if not way.over(begin, end, own):
                 return None
-        return _between(grid, np.array([*way.begins, grid[-1]]), x0, np.array(way.rows))
+        rows = np.frombuffer(b"".join(way.rows))
+        return _between(grid, np.array([*way.begins, grid[-1]]), x0, rows)
 
 
 class _Way:
@@ -275,17 +276,14 @@ class _Way:
         self.method, self.grid, self.tolerance, self.budget = method, grid, tolerance, budget
         self.place, self.tried, self.suggested = 1, 0, np.inf
         self.begins: list[float] = []
-        self.rows: list[Array] = []
+        self.rows: list[bytes] = []
         made, size = (m.T.ravel() for m in method.step.results)  # views of its memory
-        self._made = made
-        self._views: list[Any] = [memoryview(a) for a in (*method.step.arguments[:2], size)]
+        self._views: list[Any] = [memoryview(a) for a in (*method.step.arguments[:3], made, size)]
 
     def over(self, t: float, end: float, control: Array) -> bool:
         """To the end of a piece; False where nothing leads there."""
-        method, rate = self.method, self.method.rate
-        for function in (method.step, method.between, rate):
-            function.arguments[3][:] = control
-        rate.arguments[0][0], rate.arguments[2][:] = t, method.step.arguments[2]
+        step, rate = self.method.step, self.method.rate
+        step.arguments[0][0], step.arguments[3][:] = t, control
         rate.call()
         fastest = float(rate.results[0][0, 0])
         if not fastest < np.inf:
@@ -296,9 +294,10 @@ class _Way:
         return self._steps(t, end)
 
     def _steps(self, t: float, end: float) -> bool:
-        step, x, tolerance = self.method.step, self.method.step.arguments[2], self.tolerance
-        (time, length, error_of), made, call = self._views, self._made, step.call
+        call, tolerance = self.method.step.call, self.tolerance
+        time, length, x, made, error_of = self._views
         new = made[: len(x)]
+        between, wrong = self.method.between, self.method.between.results[0]
         grid, begun, row = self.grid, self.begins.append, self.rows.append
         suggested, shortest, allowed = self.suggested, SHORTEST * (end - t), 1.0
         while True:
@@ -318,7 +317,8 @@ class _Way:
             while grid[self.place] <= t:
                 self.place += 1
             if error <= allowed and grid[self.place] < t + h:  # a time of the grid within the step
-                error = max(error, self._wrong_between(t, h, x, made) / tolerance)
+                between.call()
+                error = max(error, float(wrong[0, 0]) / tolerance)
             if not error <= allowed:
                 factor = max(SHRINK, SAFETY * error**-0.2) if error < np.inf else SHRINK
                 suggested = h * min(factor, SAFETY) * (CAUTION if allowed == 1.0 else 1.0)
@@ -326,7 +326,7 @@ class _Way:
                 continue
             factor = min(GROW, SAFETY * error**-0.2) if error > LEAST_ERROR else GROW
             begun(t)
-            row(made.copy())
+            row(made.tobytes())
             x[:] = new
             allowed = 1.0
             if not (h < suggested and factor >= 1.0) or factor * h > suggested:
@@ -336,19 +336,12 @@ class _Way:
                 return True
             t += h
 
-    def _wrong_between(self, t: float, h: float, x: Array, made: Array) -> float:
-        between = self.method.between
-        time, length, start, _, _, end = between.arguments
-        time[0], length[0], start[:], end[:] = t, h, x, made
-        between.call()
-        return float(between.results[0][0, 0])
-
 
 def _between(grid: Array, times: Array, x0: Array, rows: Array) -> Array:
     """States at the grid's times; steps lead from each of ``times`` (m + 1,) to the next, and
-    ``rows`` (m, 4 nx) hold what they came to and their dense output.
+    ``rows`` (m 4 nx,) hold what they came to and their dense output.
     """
-    rows = rows.reshape(len(rows), 4, -1)
+    rows = rows.reshape(len(times) - 1, 4, -1)
     before = np.concatenate([x0[None], rows[:-1, 0]])
     step = np.clip(np.searchsorted(times, grid, side="left") - 1, 0, len(rows) - 1)
     s = np.minimum((grid - times[step]) / (times[step + 1] - times[step]), 1.0)[:, None]
