@@ -170,12 +170,15 @@ class Estimator(ABC):
         return found[:, 0].copy(), spread.copy()
 
     def _with(
-        self, at: tuple[Array, Array, Array], known: tuple[Array, Array], seen: Array, weight: Array
+        self,
+        at: tuple[Array, Array, Array],
+        known: tuple[Array, Array],
+        seen: list[float],
+        weights: list[float],
     ) -> tuple[Array, Array]:
         """Mean and covariance with measured values, the plant linearised about (z, u, q)."""
         mean, covariance = known
-        values = np.where(weight > 0, seen, 0.0)
-        found, spread = self._taking(*at, mean, covariance.ravel(), values, weight)
+        found, spread = self._taking(*at, mean, covariance.ravel(), seen, weights)
         return found[:, 0].copy(), spread.copy()
 
     # ---- using it -------------------------------------------------------------------------------
@@ -207,17 +210,19 @@ class Estimator(ABC):
     def predict(self, inputs: Values | None = None) -> Estimate:
         """Go one step on, under inputs (by name [SI]; start values for those not named)."""
 
-    def _seen(self, measurement: Values) -> Array:
-        """Measured values scaled by nominals; NaN for those not in the measurement."""
+    def _seen(self, measurement: Values) -> tuple[list[float], list[float]]:
+        """Measured values scaled by nominals, and their weights: 0 for those not in the
+        measurement.
+        """
         known = self._measured_at
-        seen = [math.nan] * len(known)
+        seen, weights = [0.0] * len(known), [0.0] * len(known)
         for given, value in measurement.items():
             name = given if given in known else self.plant.variable(given).name
             if name not in known:
                 raise UnknownNameError("measured variable", name, [*known])
             i = known[name]
-            seen[i] = require_finite(given, value) / self._nominal[i]
-        return np.array(seen)
+            seen[i], weights[i] = require_finite(given, value) / self._nominal[i], 1.0
+        return seen, weights
 
     def noise_of_step(self, a: Symbol, half: Symbol) -> Any:
         """Covariance that the noise adds in a step, from the Jacobians over it and over its half:
@@ -292,7 +297,7 @@ class KalmanFilter(Estimator):
     def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
         seen = self._seen(measurement)
         at, known = (self._z, self._inputs(inputs), self._q), (self._z, self.covariance)
-        mean, self.covariance = self._with(at, known, seen, np.isfinite(seen).astype(float))
+        mean, self.covariance = self._with(at, known, *seen)
         self._z = np.clip(mean, self._low, self._high)
         return self.estimate
 

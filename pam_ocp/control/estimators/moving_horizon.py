@@ -184,8 +184,9 @@ class MovingHorizonEstimator(Estimator):
         """Take measured values in, by name [SI], and fit the window anew."""
         k, seen = self._last, self._seen(measurement)
         self._controls[0][k], self._givens[0][k] = self._inputs(inputs), self._q
-        has = np.isfinite(seen)
-        self._values[k, has], self._has[k, has] = seen[has], 1.0
+        for i, weight in enumerate(seen[1]):
+            if weight:
+                self._values[k, i], self._has[k, i] = seen[0][i], 1.0
         self._nodes[k + 1 :] = self._nodes[k]  # they stand still
         self._square[:], self._size[0] = self.covariance, 1.0
         self._fit.call()
