@@ -109,6 +109,8 @@ class MovingHorizonEstimator(Estimator):
         self._narrow(bounds or {})
         functions = self._predict, self._measure
         smoother = Smoother(self, horizon + 1, self.robust, functions, iterations)
+        if compiled is False:
+            smoother.unroll()
         self._fit = Buffered(quick(smoother.improve(), compiled))
         self._window()
         firsts = [rows[0] for rows in self._moving]

@@ -31,6 +31,8 @@ SHORT = 0.995
 """Share of the way to the nearest bound that is gone."""
 ROOM = 1e-2
 """Least distance from a bound at the start, scaled by nominals."""
+LONGEST = 200_000
+"""Operations of a window that are written out one by one: a fifth less time for each."""
 CENTRED, LOST = 0.02, 0.5
 """How far the barrier falls after a long step, and after a short one."""
 
@@ -81,6 +83,14 @@ class Smoother:
         self.steps, self.sights = self._step().map(nodes - 1), self._sight().map(nodes)
         self.free = self._smooth([])
         self.held = self._smooth(self.sides) if self.sides else self.free
+
+    def unroll(self) -> None:
+        """Loops over the nodes written out, for the interpreter; not where they are long."""
+        node = self._step().n_instructions() + self._forward([]).n_instructions()
+        if self.nodes * node <= LONGEST:
+            self.steps, self.sights, self.free = (
+                f.expand() for f in (self.steps, self.sights, self.free)
+            )
 
     # ---- one node -------------------------------------------------------------------------------
     def moved(self, z: Any, u: Any, q: Any) -> tuple[Any, Any, Any]:
