@@ -67,8 +67,10 @@ class _Local:
     given: list[ca.SX]
     rows: ca.SX
     cost: ca.SX
+    functions: dict[str, ca.Function] = field(default_factory=dict)
+    """Those that were made: all meshes share them."""
     operations: dict[str, int] = field(default_factory=dict)
-    """Of the functions that were made."""
+    """Theirs, what stands twice counted twice."""
 
     @cached_property
     def slopes(self) -> ca.SX:
@@ -115,6 +117,16 @@ class _Local:
         y = ca.vertcat(*parts.values())
         return cls([y, lengths, starts, p, q], ca.veccat(defects, path, budgets), cost)
 
+    def function(self, name: str, value: ca.SX, more: list[ca.SX]) -> ca.Function:
+        """(given, more) -> the stored entries of ``value``, as one column."""
+        if name not in self.functions:
+            plain = ca.Function(name, [*self.given, *more], [stored(value)])
+            self.operations[name] = plain.n_instructions()
+            self.functions[name] = ca.Function(
+                name, [*self.given, *more], [stored(value)], {"cse": True}
+            )
+        return self.functions[name]
+
 
 _local = lru_cache(maxsize=32)(_Local.of)
 
@@ -130,8 +142,7 @@ class Block:
 
     def over(self, name: str, value: ca.SX, more: list[ca.SX], given: list[ca.MX]) -> ca.MX:
         """The stored entries of ``value`` of all intervals, as one column."""
-        function = ca.Function(name, [*self.local.given, *more], [stored(value)])
-        self.local.operations[name] = function.n_instructions()
+        function = self.local.function(name, value, more)
         return ca.vec(function.map(self.unknowns.shape[1])(*given))
 
     def given(self, problem: Problem, w: ca.MX, p: ca.MX) -> list[ca.MX]:
