@@ -209,7 +209,8 @@ class ForceTable:
             n: a[index] for n in MEASURES if (a := getattr(self, n)) is not None
         }
         for name in LABELLED:
-            chosen_cells[name] = tuple(getattr(self, name)[i] for i in index if getattr(self, name))
+            labels = getattr(self, name)
+            chosen_cells[name] = tuple(labels[i] for i in index) if labels else ()
         floor, at_floor = self._floor
         return replace(self, **chosen_cells, floor=floor, censored=at_floor[index])
 
