@@ -104,11 +104,13 @@ def carried_out(
     arguments: Sequence[Callable[[int], Any]],
     sizes: Sequence[int],
     constant: Callable[[float], Any] = float,
+    changed: Callable[[int, Any], Any] = lambda result, value: value,
 ) -> list[list[Any]]:
     """The entries of each result, so many of them as ``sizes`` says.
 
     table : {name of an operation: what it is}. arguments : of each, what gives the entry of a
-    number. constant : makes a value of a number. KeyError for an operation without an entry.
+    number. constant : makes a value of a number. changed : of an entry of a result, what all that
+    follows takes in its place. KeyError for an operation without an entry.
     """
     work: dict[int, Any] = {}
     results: list[list[Any]] = [[constant(0.0)] * size for size in sizes]
@@ -118,7 +120,7 @@ def carried_out(
         elif name == "input":
             work[to[0]] = arguments[of[0]](of[1])
         elif name == "output":
-            results[to[0]][to[1]] = work[of[0]]
+            results[to[0]][to[1]] = work[of[0]] = changed(to[0], work[of[0]])
         else:
             work[to[0]] = table[name](*(work[i] for i in of))
     return results

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import InputError
+from ..core.expressions import carried_out, steps_of
 from .canvas import COLOURS
 from .workbook import Book, address, column_name
 
@@ -28,35 +30,34 @@ SUM, PRODUCT, POWER, ATOM = range(1, 5)
 """How tightly the outermost operation of a text binds. A minus sign in front binds tighter than ^
 in spreadsheets, and is never written without brackets.
 """
-_BINARY = {"OP_ADD": ("+", SUM), "OP_SUB": ("-", SUM), "OP_MUL": ("*", PRODUCT)}
-_BINARY |= {"OP_DIV": ("/", PRODUCT), "OP_POW": ("^", POWER), "OP_CONSTPOW": ("^", POWER)}
-_COMPARED = {"OP_LT": "<", "OP_LE": "<=", "OP_EQ": "=", "OP_NE": "<>"}
+_BINARY = {"add": ("+", SUM), "sub": ("-", SUM), "mul": ("*", PRODUCT)}
+_BINARY |= {"div": ("/", PRODUCT), "pow": ("^", POWER), "constpow": ("^", POWER)}
+_COMPARED = {"lt": "<", "le": "<=", "eq": "=", "ne": "<>"}
 _CALLED = {
-    **{f"OP_{n}": n for n in ("EXP", "SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SIGN")},
-    **{f"OP_{n}": n for n in ("SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "ERF")},
-    "OP_LOG": "LN",
-    "OP_FABS": "ABS",
-    "OP_FMIN": "MIN",
-    "OP_FMAX": "MAX",
-    "OP_FLOOR": "INT",
+    **{n.lower(): n for n in ("EXP", "SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SIGN")},
+    **{n.lower(): n for n in ("SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "ERF")},
+    "log": "LN",
+    "fabs": "ABS",
+    "fmin": "MIN",
+    "fmax": "MAX",
+    "floor": "INT",
 }
 _WRITTEN: dict[str, tuple[str, int]] = {
-    "OP_NEG": ("(-{0})", ATOM),
-    "OP_SQ": ("{0}^2", POWER),
-    "OP_TWICE": ("2*{0}", PRODUCT),
-    "OP_INV": ("1/{0}", PRODUCT),
-    "OP_EXPM1": ("EXP({0})-1", SUM),
-    "OP_LOG1P": ("LN(1+{0})", ATOM),
-    "OP_CEIL": ("(-INT(-{0}))", ATOM),
-    "OP_NOT": ("IF({0}=0,1,0)", ATOM),
-    "OP_AND": ("IF(AND({0}<>0,{1}<>0),1,0)", ATOM),
-    "OP_OR": ("IF(OR({0}<>0,{1}<>0),1,0)", ATOM),
-    "OP_IF_ELSE_ZERO": ("IF({0}<>0,{1},0)", ATOM),
-    "OP_ATAN2": ("ATAN2({1},{0})", ATOM),
-    "OP_HYPOT": ("SQRT({0}^2+{1}^2)", ATOM),
+    "neg": ("(-{0})", ATOM),
+    "sq": ("{0}^2", POWER),
+    "twice": ("2*{0}", PRODUCT),
+    "inv": ("1/{0}", PRODUCT),
+    "expm1": ("EXP({0})-1", SUM),
+    "log1p": ("LN(1+{0})", ATOM),
+    "ceil": ("(-INT(-{0}))", ATOM),
+    "not": ("IF({0}=0,1,0)", ATOM),
+    "and": ("IF(AND({0}<>0,{1}<>0),1,0)", ATOM),
+    "or": ("IF(OR({0}<>0,{1}<>0),1,0)", ATOM),
+    "if_else_zero": ("IF({0}<>0,{1},0)", ATOM),
+    "atan2": ("ATAN2({1},{0})", ATOM),
+    "hypot": ("SQRT({0}^2+{1}^2)", ATOM),
 }
 """{0} and {1} are put in brackets where they are no atoms."""
-_OPS = {getattr(ca, n): n for n in dir(ca) if n.startswith("OP_")}
 
 
 @dataclass(eq=False)
@@ -109,34 +110,26 @@ def formula_of(expression: ca.SX, symbols: Mapping[str, ca.SX]) -> Formula:
     Raises InputError for an operation that spreadsheets do not have.
     """
     function = ca.Function("formula", list(symbols.values()), [expression])
-    names = list(symbols)
-    work: dict[int, _Node] = {}
     made: list[_Node] = []
-    result: _Node | None = None
-    for k in range(function.n_instructions()):
-        op = _OPS.get(function.instruction_id(k), "?")
-        sources, targets = function.instruction_input(k), function.instruction_output(k)
-        if op == "OP_OUTPUT":
-            result = work[sources[0]]
-            continue
-        if op == "OP_INPUT":
-            node = _Node(op, text=names[sources[0]])
-        elif op == "OP_CONST":
-            node = _Node(op, text=_number(function.instruction_constant(k)))
-        else:
-            if op not in (*_BINARY, *_COMPARED, *_CALLED, *_WRITTEN):
-                raise InputError(f"spreadsheets have no {op.removeprefix('OP_').lower()}")
-            node = _Node(op, tuple(work[s] for s in sources))
-            for below in node.below:
-                below.uses += 1
-        work[targets[0]] = node
-        made.append(node)
-    assert result is not None
+
+    def node(op: str, *below: _Node, text: str = "") -> _Node:
+        for part in below:
+            part.uses += 1
+        made.append(_Node(op, below, text))
+        return made[-1]
+
+    table = {op: partial(node, op) for op in (*_BINARY, *_COMPARED, *_CALLED, *_WRITTEN)}
+    names = [partial(lambda name, _: node("input", text=name), name) for name in symbols]
+    number = lambda value: node("const", text=_number(value))  # noqa: E731
+    try:
+        ((result,),) = carried_out(steps_of(function), table, names, [1], number)
+    except KeyError as error:
+        raise InputError(f"spreadsheets have no {error.args[0]}") from None
     cells: list[_Node] = []
-    for node in made:  # in the order of the graph: what is below is decided first
-        if node.uses > 1 and node.below and node is not result and node.length() > SHARED:
-            node.cell = f"part{len(cells) + 1}"
-            cells.append(node)
+    for each in made:  # in the order of the graph: what is below is decided first
+        if each.uses > 1 and each.below and each is not result and each.length() > SHARED:
+            each.cell = f"part{len(cells) + 1}"
+            cells.append(each)
     return Formula(tuple(cells), result)
 
 
@@ -151,9 +144,9 @@ def _text(node: _Node, of: Callable[[str], str], top: bool = False) -> tuple[str
     """(text, how tightly it binds); ``top`` : the cell's own formula, not its address."""
     if node.cell and not top:
         return of(node.cell), ATOM
-    if node.op == "OP_CONST":
+    if node.op == "const":
         return node.text, ATOM
-    if node.op == "OP_INPUT":
+    if node.op == "input":
         address = of(node.text)
         return address, ATOM
     parts = [_text(n, of) for n in node.below]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, UnknownNameError, require_positive
+from ..core.expressions import SYMBOLIC, carried_out, steps_of
 from ..core.quantities import known_keys, quantity
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -396,34 +397,17 @@ def forces_changed(
     first = [plant.expression(n) for n in forces]
     rates = ca.vertcat(*(plant.expression(f"der({v.name})") for v in plant.states))
     outputs = ca.vertcat(*(plant.expression(v.name) for v in plant.outputs))
-    walked = ca.Function("walked", [plant.x, plant.u, plant.p], [*first, rates, outputs])
-    given: tuple[ca.SX, ...] = (x, u, p)
-    work = [ca.SX(0)] * walked.sz_w()
-    results: list[dict[int, ca.SX]] = [{} for _ in range(walked.n_out())]
-    for k in range(walked.n_instructions()):
-        op: int = walked.instruction_id(k)
-        i: Any = walked.instruction_input(k)
-        o: Any = walked.instruction_output(k)
-        if op == ca.OP_INPUT:
-            work[o[0]] = given[i[0]][i[1]]
-        elif op == ca.OP_CONST:
-            work[o[0]] = ca.SX(walked.instruction_constant(k))
-        elif op == ca.OP_OUTPUT:
-            if o[0] < len(first):
-                work[i[0]] = change(forces[o[0]], work[i[0]])
-            results[o[0]][o[1]] = work[i[0]]
-        elif len(i) == 1:
-            work[o[0]] = ca.SX.unary(op, work[i[0]])
-        else:
-            work[o[0]] = ca.SX.binary(op, work[i[0]], work[i[1]])
-    columns = []
-    for place in (len(first), len(first) + 1):
-        pattern = walked.sparsity_out(place)
-        column = ca.SX(pattern.size1(), 1)
-        for number, row in enumerate(pattern.row()):
-            column[row] = results[place][number]
-        columns.append(column)
-    return columns[0], columns[1]
+    walked = ca.Function(
+        "walked", [plant.x, plant.u, plant.p], [*first, ca.densify(rates), ca.densify(outputs)]
+    )
+    entries = [walked.numel_out(i) for i in range(walked.n_out())]
+
+    def changed(result: int, value: ca.SX) -> ca.SX:
+        return change(forces[result], value) if result < len(first) else value
+
+    given = [e.__getitem__ for e in (x, u, p)]
+    found = carried_out(steps_of(walked), SYMBOLIC, given, entries, ca.SX, changed)
+    return ca.vertcat(*found[-2]), ca.vertcat(*found[-1])
 
 
 # ---- faults: from when to when, where, and how much ----------------------------------------------
