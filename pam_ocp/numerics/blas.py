@@ -1,4 +1,4 @@
-"""One thread for the linear algebra inside CasADi's solvers.
+"""One thread for the linear algebra inside CasADi's solvers, and memory that stays with them.
 
 Their dense blocks are small, so threads wait for each other: a plan of 20 states takes three times
 the processor time on two threads, and twice as long. And sums in another order have other last
@@ -38,3 +38,26 @@ def one_thread() -> bool:
         set_threads(1)
         return True
     return False
+
+
+KEPT = 128 * 2**20
+"""Freed memory that is not handed back to the system, and blocks that are not asked of it alone
+[bytes]: more than MUMPS works in."""
+TRIM, MMAP = -1, -3
+"""Names of these two in the GNU C library's ``mallopt``."""
+
+
+@cache
+def hold_memory() -> bool:
+    """Let the C library hold on to freed memory, once in a process; whether it can.
+
+    MUMPS asks anew for its working space in each factorisation, and to get it from the system is a
+    tenth of a long plan's time. A user's own settings stay.
+    """
+    if any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ):
+        return False
+    try:
+        settle = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError, TypeError):  # another C library
+        return False
+    return all(settle(name, KEPT) for name in (TRIM, MMAP))

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.stop import ask, native
-from .blas import one_thread
+from .blas import hold_memory, one_thread
 
 
 class Native:
@@ -160,6 +160,7 @@ def nlpsol(
     report : called with (x, f, g) at each iteration of IPOPT.
     """
     one_thread()
+    hold_memory()
     watch = None
     # CasADi's own look at the bounds also prints lines about equations in excess, one per call:
     # a conflict is told by whoever asked; what is ill-posed by _require_bounds
