@@ -354,15 +354,20 @@ class LeastSquares:
         found = np.repeat(whole[None], m, axis=0)
         if rows.any():
             found[:, :, -1] -= c @ rows.T
-        good = np.ones(m, dtype=bool)
+        good, size = np.ones(m, dtype=bool), len(columns) + 1
         cells = (self.cells.pressure, self.cells.contraction)
         with np.errstate(all="ignore"):
             for part, block in in_blocks(self.law, 1, *cells, c):
                 block[:, 0] = self.cells.force[part] - block[:, 0]
-                new = (block[:, [*columns, 0]] * self.weights[part]).transpose(0, 2, 1)
-                good &= np.isfinite(new).all(axis=(1, 2))
-                new = np.where(good[:, None, None], new, 0.0)
-                found = np.asarray(np.linalg.qr(np.concatenate([found, new], axis=1), mode="r"))
+                stack = np.empty((m, size, found.shape[1] + block.shape[2]))
+                stack[:, :, : found.shape[1]] = found.transpose(0, 2, 1)
+                for i, column in enumerate([*columns, 0]):
+                    rows_of = stack[:, i, found.shape[1] :]
+                    np.multiply(block[:, column], self.weights[part], out=rows_of)
+                found = np.asarray(np.linalg.qr(stack.transpose(0, 2, 1), mode="r"))
+                lost = ~np.isfinite(found).all(axis=(1, 2))
+                good &= ~lost
+                found[lost] = 0.0
         return c, found, good
 
     def project(self, values: Array) -> tuple[Array, Array]:
