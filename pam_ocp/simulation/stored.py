@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT = "pam_ocp simulations 1"
-CHUNK, FILES_OF_FEW, LEAST = 100, 16, 10
+CHUNK, FILES_OF_FEW, LEAST = 100, 24, 10
 """Cases per file; of few cases so many files, so that workers end at about the same time, but not
 of fewer cases than this."""
 MOST_DOUBTS = 5
