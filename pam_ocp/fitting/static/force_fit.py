@@ -23,6 +23,7 @@ from ...core.errors import FitError, InputError, UnknownNameError, require_count
 from ...core.executors import Place, placed
 from ...core.files import read_json, reading, write_json
 from ...core.plausible import meant_within, outside
+from ...core.progress import working
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import ForceLaw
@@ -244,14 +245,14 @@ class ForceFit(Optimum):
         groups = iter(lambda: list(islice(tables, some)), [])
         given: dict[str, Any] = {"executor": executor, "count": -(-n // some)}
         try:
-            for i, results in ending(partial(_refitted, start), groups, what="bootstrap", **given):
-                if isinstance(results, Exception):
-                    raise results
-                for j, result in enumerate(results):
-                    if isinstance(result, FitError):
-                        failed += 1
-                    else:
-                        found[i * some + j] = result
+            with working("bootstrap", n) as bar:
+                for i, results in ending(partial(_refitted, start), groups, **given):
+                    if isinstance(results, Exception):
+                        raise results
+                    fitted = {j: c for j, c in enumerate(results) if not isinstance(c, FitError)}
+                    found |= {i * some + j: c for j, c in fitted.items()}
+                    failed += len(results) - len(fitted)
+                    bar.step(len(results))
         except TimeIsUp:
             if len(found) < 2:
                 raise
