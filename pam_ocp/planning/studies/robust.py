@@ -46,9 +46,9 @@ from .spread import Draw, Spread, drawn, ensemble_arguments, ensemble_stop, spre
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-ALIKE = {"mumps_pivtol": 1e-4, "mumps_scaling": 0}
+ALIKE = {"mumps_pivtol": 1e-4, "mumps_scaling": 0, "mumps_pivot_order": 7}
 """IPOPT's options for ensembles: with smaller pivots steps are too inexact where copies of a plant
-are nearly alike.
+are nearly alike, and not scaled these fill in by any order but MUMPS' own choice (tenfold time).
 """
 
 Widths: TypeAlias = Mapping[str, float]
