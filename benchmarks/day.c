@@ -95,14 +95,14 @@ int main(int count, char **given) {
     const long steps = atol(given[next++]), period = atol(given[next++]);
     require(period <= LONGEST && steps >= 5 * period, "steps");
     const char *library = given[next++];
-    Loaded slide = loaded(library, given[next++]);
-    for (int i = 0; i < NX; i++) slide.seen[i] = (unsigned)atol(given[next++]);
-    for (int i = 0; i < NU; i++) slide.sent[i] = (unsigned)atol(given[next++]);
+    Loaded load = loaded(library, given[next++]);
+    for (int i = 0; i < NX; i++) load.seen[i] = (unsigned)atol(given[next++]);
+    for (int i = 0; i < NU; i++) load.sent[i] = (unsigned)atol(given[next++]);
     double rest[NX + NU];
     for (int i = 0; i < NX + NU; i++) rest[i] = atof(given[next++]);
-    require(slide.set(slide.unit, slide.seen, NX, rest) == 0, "fmi2SetReal");
-    require(slide.set(slide.unit, slide.sent, NU, rest + NX) == 0, "fmi2SetReal");
-    left_initialisation(&slide, library);
+    require(load.set(load.unit, load.seen, NX, rest) == 0, "fmi2SetReal");
+    require(load.set(load.unit, load.sent, NU, rest + NX) == 0, "fmi2SetReal");
+    left_initialisation(&load, library);
 #ifdef CONTROLLER_IN_C
     static mpc_state state;
     mpc_parameters parameters;
@@ -123,7 +123,7 @@ int main(int count, char **given) {
     uint64_t hash = 14695981039346656037u;
     for (long k = 0; k < steps; k++) {
         double seen[NX + WANTED], sent[NU];
-        require(slide.get(slide.unit, slide.seen, NX, seen) == 0, "fmi2GetReal");
+        require(load.get(load.unit, load.seen, NX, seen) == 0, "fmi2GetReal");
         seen[NX] = k % period < period / 2 ? LOW : HIGH;
         seen[NX + 1] = 0.0; /* v: a horizon of few samples brings no load to rest without */
         last[k % period] = seen[0];
@@ -136,8 +136,8 @@ int main(int count, char **given) {
         require(control.step(control.unit, (double)k * STEP, STEP, 1) == 0, "fmi2DoStep");
         require(control.get(control.unit, control.sent, NU, sent) == 0, "fmi2GetReal");
 #endif
-        require(slide.set(slide.unit, slide.sent, NU, sent) == 0, "fmi2SetReal");
-        require(slide.step(slide.unit, (double)k * STEP, STEP, 1) == 0, "fmi2DoStep");
+        require(load.set(load.unit, load.sent, NU, sent) == 0, "fmi2SetReal");
+        require(load.step(load.unit, (double)k * STEP, STEP, 1) == 0, "fmi2DoStep");
         for (size_t i = 0; i < sizeof sent; i++)
             hash = (hash ^ ((unsigned char *)sent)[i]) * 1099511628211u;
         if (k == steps / 5 / period * period - 1) memcpy(before, last, sizeof last);

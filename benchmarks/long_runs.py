@@ -145,7 +145,7 @@ def day(count: int, in_c: bool) -> harness.Row:
     begin = [repr(float(rest[n])) for n in (*states, *commands)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        given = [*library(plant, folder, "slide", [*states, *commands]), *begin]
+        given = [*library(plant, folder, "load", [*states, *commands]), *begin]
         build = ["-std=c11", "-O2", "-ffp-contract=off", str(Path(__file__).with_name("day.c"))]
         if in_c:
             pam.export_c(mpc, folder / "c", name="mpc")
