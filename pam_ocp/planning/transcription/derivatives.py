@@ -120,11 +120,9 @@ class _Local:
     def function(self, name: str, value: ca.SX, more: list[ca.SX]) -> ca.Function:
         """(given, more) -> the stored entries of ``value``, as one column."""
         if name not in self.functions:
-            plain = ca.Function(name, [*self.given, *more], [stored(value)])
-            self.operations[name] = plain.n_instructions()
-            self.functions[name] = ca.Function(
-                name, [*self.given, *more], [stored(value)], {"cse": True}
-            )
+            arguments, results = [*self.given, *more], [stored(value)]
+            self.operations[name] = ca.Function(name, arguments, results).n_instructions()
+            self.functions[name] = ca.Function(name, arguments, results, {"cse": True})
         return self.functions[name]
 
 
