@@ -42,7 +42,7 @@ def with_chapters(text: str) -> str:
 def single_page(folder: Path) -> Path:
     """The site on one page, for print: another theme, another style, answers open."""
     command = [sys.executable, "-m", "sphinx", "-q", "-b", "singlehtml", "-t", "print"]
-    command += ["-d", str(BUILD / "html" / ".doctrees")]  # what the site has read already
+    command += ["-d", str(BUILD / "print")]  # read anew: single names stand behind their room here
     command += ["-D", "html_theme=basic", "-D", "html_css_files=site.css,print.css"]
     subprocess.run([*command, str(HERE), str(folder)], check=True)
     page = folder / "index.html"
