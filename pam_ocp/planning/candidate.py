@@ -84,6 +84,8 @@ def checked(found: Solved, rtol: float = TOLERANCE) -> Checked:
 
 Array: TypeAlias = NDArray[np.float64]
 
+FLOOR = 1e-2
+"""Objectives below it (in units of their terms) are judged as if they were this large."""
 HARDLY = 1.25
 FAR = 4.0
 """Times as many unknowns: a mesh so little finer has next to nothing to gain; and one up to so much
@@ -121,6 +123,11 @@ class Candidate:
     @property
     def objective(self) -> float:
         return self.solved.outcome.objective
+
+    @property
+    def scale(self) -> float:
+        """What parts of its objective are parts of."""
+        return max(abs(self.objective), FLOOR)
 
     @property
     def is_corrected(self) -> bool:
@@ -246,7 +253,7 @@ class Engine:
             size = program.nlp["x"].numel()
             if size <= self._until:  # costs are flat: the motion next to it
                 found = self.solve(program, place, guess, "feasible", why)
-                if found.outcome.success:
+                if found.outcome.success and not is_elsewhere(found, near):
                     return found
             found = self.solve(program, place, guess, "finer", why)
             objective = near.outcome.objective
@@ -298,6 +305,12 @@ class Engine:
         if not found.outcome.success:
             return None
         return replace(c, solved=found, place=1.0, coarser=None, shot=True)
+
+
+def is_elsewhere(finer: Solved, coarser: Solved) -> bool:
+    """Whether a motion on a finer mesh costs so much more that it is another one."""
+    before = coarser.outcome.objective
+    return finer.outcome.objective - before > max(abs(before), FLOOR)
 
 
 # ---- what inputs keep the objective from ---------------------------------------------------------

@@ -26,8 +26,8 @@ from ..judge.verdict import GROWTH
 from ..plants.inversion import Inversion
 from ..plants.opening import WAYS
 from ..plants.plant import Plant
-from .candidate import Candidate, Engine
-from .mesh_sequence import MeshSequence, scale
+from .candidate import Candidate, Engine, is_elsewhere
+from .mesh_sequence import MeshSequence
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .result import Solved
@@ -107,7 +107,7 @@ class Continuation:
                 finer = self._finer(c, meshes)
                 if finer is None and c.place == 1.0 and self.nonsmooth and not reentered:
                     finer, reentered = self._reentered(c, meshes[0][0]), True
-                if finer is not None and not self._is_elsewhere(finer, c):
+                if finer is not None:
                     c = finer
                 elif c.place == 1.0 and costs:
                     costs = False  # what they would gain is left; what is missed is not
@@ -137,9 +137,10 @@ class Continuation:
         return work - since > self.settings.work or work > self.settings.all_work
 
     def _finer(self, c: Candidate, meshes: list[tuple[Mesh, str]]) -> Candidate | None:
-        """On the first of some meshes that leads to a solution. Along the path costs need not be at
-        their least, unless that is the only way to a finer mesh. Where a solver is blocked, the
-        motion next to where it stopped; at last the one next to the coarser mesh's.
+        """On the first of some meshes that leads to a solution, at the end of the path to this
+        motion. Along the path costs need not be at their least, unless that is the only way to a
+        finer mesh. Where a solver is blocked, the motion next to where it stopped; at last the one
+        next to the coarser mesh's.
         """
         on_path = c.place < 1.0 and not self.meshes.is_coarse(c.mesh)
         starts: tuple[Start, ...] = ("restored", "near") if on_path else ("near",)
@@ -147,7 +148,7 @@ class Continuation:
         for mesh, why in meshes:
             for start in starts:
                 finer = self.engine.refined(c, mesh, why, start)
-                if finer.is_solved:
+                if self._leads_on(finer, c):
                     return finer
                 failed.append(finer)
         for each in failed:
@@ -156,7 +157,12 @@ class Continuation:
                 return replace(each, solved=near)
         mesh, why = meshes[0]
         finer = self.engine.refined(c, mesh, why, "feasible")
-        return finer if finer.is_solved else None
+        return finer if self._leads_on(finer, c) else None
+
+    @staticmethod
+    def _leads_on(finer: Candidate, c: Candidate) -> bool:
+        """Whether a mesh is solved, at the end of the path by the same motion."""
+        return finer.is_solved and (c.place < 1.0 or not is_elsewhere(finer.solved, c.solved))
 
     def _corrected(self, c: Candidate, last: bool) -> Candidate:
         """With the mesh's defects corrected, where plain refinement is slow (nonsmooth terms) or
@@ -172,7 +178,7 @@ class Continuation:
             if c.check.dynamic <= aim or sum(c.errors) > s.resolved:
                 return c
             now = self.engine.corrected(c, start)
-            if start == "feasible" and (now is None or self._is_elsewhere(now, c)):
+            if start == "feasible" and (now is None or is_elsewhere(now.solved, c.solved)):
                 start = "last"
                 now = self.engine.corrected(c, start)
             if now is None:
@@ -186,11 +192,6 @@ class Continuation:
     def _misses_less(self, c: Candidate, before: float) -> bool:
         """Whether a motion at the end of the path does not meet the tolerance, but came nearer."""
         return c.place == 1.0 and self.meshes.tolerance < c.check.miss < before / 2
-
-    @staticmethod
-    def _is_elsewhere(finer: Candidate, c: Candidate) -> bool:
-        """Whether a motion on a finer mesh costs so much more that it is another one."""
-        return c.place == finer.place == 1.0 and finer.objective - c.objective > scale(c)
 
     def _is_unstable(self, c: Candidate) -> bool:
         """Whether errors grow so much along a motion that no mesh makes it exact."""

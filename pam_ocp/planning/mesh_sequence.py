@@ -42,8 +42,6 @@ count.
 """
 UNSEEN = 2.0
 """Times as much may be gained as first-order gradients show."""
-FLOOR = 1e-2
-"""Objectives below it (in units of their terms) are judged as if they were this large."""
 
 
 class MeshSequence:
@@ -152,19 +150,19 @@ class MeshSequence:
             return c.gap
         known = [v for v in (UNSEEN * self._left(c), self._extrapolated(c)) if np.isfinite(v)]
         if self._bounded:  # no more can be gained than there is
-            known.append(c.objective / scale(c))
+            known.append(c.objective / c.scale)
         return min(known) if known else float("inf")
 
     def _left(self, c: Candidate) -> float:
         gained = c.gains
-        return float("nan") if gained is None else float(gained.sum()) / scale(c)
+        return float("nan") if gained is None else float(gained.sum()) / c.scale
 
     @staticmethod
     def change(c: Candidate) -> float:
         """Of the objective from the mesh before, as a part of it."""
         if c.coarser is None or c.coarser.place != c.place:
             return float("nan")
-        return abs(c.objective - c.coarser.objective) / scale(c)
+        return abs(c.objective - c.coarser.objective) / c.scale
 
     def _extrapolated(self, c: Candidate) -> float:
         """The error of the objective by its last change, which is e (1 - r) / r where r = e / e of
@@ -199,7 +197,7 @@ class MeshSequence:
         """Whether costs, which are counted at the points of the mesh, are others between them."""
         if not self.economical:
             return False
-        apart = abs(c.check.replay.objective - c.objective) / scale(c)
+        apart = abs(c.check.replay.objective - c.objective) / c.scale
         return bool(np.isfinite(apart) and apart > self.wanted)
 
     # ---- the plan's tolerance -------------------------------------------------------------------
@@ -240,8 +238,3 @@ class MeshSequence:
         grown = max(1.0, worst_of_all / total) if known else 1.0
         finer = self._refined(c, c.errors, self.tolerance / len(c.errors) / grown)
         return [(finer, why), *by_limits, *everywhere]
-
-
-def scale(c: Candidate) -> float:
-    """What parts of an objective are parts of."""
-    return max(abs(c.objective), FLOOR)

@@ -33,7 +33,6 @@ from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from ..simulation.simulator import evaluated
 from .candidate import Candidate, Checked, Engine, renewed
-from .mesh_sequence import scale
 from .problem.formulation import formulate
 from .problem.problem import follows_inputs
 from .result import Plan, Solved, motion_of
@@ -83,7 +82,7 @@ def require_known(keywords: Mapping[str, Any]) -> None:
             raise TypeError(f"a planner takes no argument {name!r}; {hint}")
 
 
-STRICTER, NEARLY, LEAST = 2, 30.0, 1e-6
+STRICTER, NEARLY, LEAST = 2, 1e3, 1e-6
 """Times that a plan is refined beyond its tolerance where the judge misses that, by so many
 tolerances at most; and to which at least.
 """
@@ -524,7 +523,7 @@ def _trust(search: Search, best: Candidate, tolerance: float | None) -> dict[str
         figures |= {"objective_change": meshes.change(best), "objective_gap": gap}
         figures["objective_replayed"] = replayed
         words += [] if gap <= tolerance else [_not_converged(gap, tolerance)]
-        if not abs(replayed - best.objective) / scale(best) <= tolerance:
+        if not abs(replayed - best.objective) / best.scale <= tolerance:
             words.append(f"along the replay the objective is {replayed:.3g}: {BETWEEN}")
     if best.is_corrected:
         figures["corrected"] = True

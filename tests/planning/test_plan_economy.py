@@ -10,9 +10,9 @@ from scipy.integrate import trapezoid
 
 import pam_ocp as pam
 from pam_ocp.core.signals import signals
-from pam_ocp.planning.candidate import Candidate, gains
+from pam_ocp.planning.candidate import FLOOR, Candidate, gains
 from pam_ocp.planning.continuation import ValveOpenings
-from pam_ocp.planning.mesh_sequence import FLOOR, MeshSequence
+from pam_ocp.planning.mesh_sequence import MeshSequence
 from pam_ocp.planning.problem.problem import is_nonnegative
 from pam_ocp.planning.settings import SETTINGS
 from pam_ocp.planning.transcription.mesh import doubled
