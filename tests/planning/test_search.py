@@ -21,7 +21,7 @@ from pam_ocp.planning.continuation import Continuation
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.search import Search
 from pam_ocp.planning.settings import SETTINGS, Settings
-from pam_ocp.planning.solvers.solver import PROJECTIONS
+from pam_ocp.planning.solvers.solver import PROJECTIONS, SETTLED
 from pam_ocp.planning.transcription.guess import from_solution
 from pam_ocp.planning.transcription.mesh import Collocation
 from pam_ocp.planning.transcription.transcription import smoothed
@@ -267,25 +267,49 @@ def test_a_search_ends_where_its_work_does(monkeypatch: Any) -> None:
 def test_where_a_mesh_for_the_costs_leads_nowhere_the_tolerance_is_met_all_the_same(
     found: str, monkeypatch: Any
 ) -> None:
-    usual, left = Continuation._finer, []
+    usual = Engine.refined
+    left: list[Any] = []
 
-    def finer(self: Continuation, c: Any, meshes: Any) -> Any:
-        better = usual(self, c, meshes)
-        if not meshes[0][1].startswith("objective"):
+    def refined(self: Engine, c: Any, mesh: Any, why: str, start: Any = "near") -> Any:
+        better = usual(self, c, mesh, why, start)
+        if not why.startswith("objective"):
             return better
         left.append(c)
-        if found == "nothing":
-            return None
-        outcome = replace(better.solved.outcome, objective=3 * better.objective)
+        other = {"success": False} if found == "nothing" else {"objective": 3 * better.objective}
+        outcome = replace(better.solved.outcome, **other)
         return replace(better, solved=replace(better.solved, outcome=outcome))
 
-    monkeypatch.setattr(Continuation, "_finer", finer)
+    monkeypatch.setattr(Engine, "refined", refined)
     monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, corrections=0))
     plant = pam.HangingLoad("DMSP-20-200N", 8.0, feed=pam.feeds.Regulator())
     wish: dict[str, Any] = {"duration": 0.3, "minimise": "work", "method": Collocation(10, 3)}
     plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], **wish, starts=1)
     assert plan.verified
-    assert [c.check.miss > 1e-3 for c in left] == [True]
+    assert left
+    assert all(c is left[0] for c in left)
+    assert left[0].check.miss > 1e-3
+
+
+@pytest.mark.parametrize(("costs", "starts"), [(1.0, ["feasible"]), (5.0, ["feasible", "finer"])])
+def test_the_motion_next_to_a_flat_optimum_is_taken_where_it_is_the_same(
+    costs: float, starts: list[str], monkeypatch: Any
+) -> None:
+    """From one mesh to the next; a projection onto the constraints may end at another motion."""
+    task = planner()
+    near = solved(task)
+    near = replace(near, outcome=replace(near.outcome, status=SETTLED))
+    engine, asked = engine_of(task), []
+    engine._until = np.inf
+
+    def solve(program: Any, place: float, guess: Any, start: str, why: Any) -> Any:
+        asked.append(start)
+        objective = near.outcome.objective * (costs if start == "feasible" else 1.0)
+        return replace(near, outcome=replace(near.outcome, objective=objective))
+
+    monkeypatch.setattr(engine, "solve", solve)
+    found = engine.onto(engine.first, near, 1.0, ("mesh", "a test"))
+    assert asked == starts
+    assert found.outcome.objective == pytest.approx(near.outcome.objective)
 
 
 def test_work_that_is_spent_ends_a_search_with_what_it_has(monkeypatch: Any) -> None:
