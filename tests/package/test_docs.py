@@ -165,7 +165,8 @@ def test_files_that_the_rest_of_the_page_names_exist():
 
 
 # ---- what the site is made of --------------------------------------------------------------------
-PAGE = """# A page
+PNG = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="
+PAGE = f"""# A page
 
 ```python
 print("six")
@@ -182,7 +183,8 @@ a = 1
 ```
 
 ```sh
-cat some.toml; echo P6 1 1 255 > some.png
+cat some.toml
+base64 -d > some.png <<< {PNG}
 ```
 """
 
@@ -199,6 +201,18 @@ def test_under_a_block_stands_what_it_printed_and_drew(gallery, tmp_path, monkey
     assert shown.index('print("six")') < six < shown.index("a fragment") < some
     assert "(outputs/page-3-some.png)" in shown[some:]
     assert (tmp_path / "page-3-some.png").is_file()
+
+
+def test_what_the_site_shows_is_of_examples_and_blocks_as_they_stand(gallery):
+    """What ran is in the repository; after a change ``python docs/gallery.py`` runs it again."""
+    for group in gallery.groups().values():
+        for name in group:
+            kept = json.loads((DOCS / "gallery" / f"{name}.ipynb").read_text("utf-8"))
+            now = gallery.notebook(DOCS.parent / "examples" / f"{name}.py")
+            assert kept["metadata"]["source"] == now.metadata.source, name
+    for name in gallery.PAGES:
+        kept = json.loads((DOCS / "outputs" / f"{name}.json").read_text("utf-8"))
+        assert kept["source"] == gallery.source_of(gallery.blocks_of(name)), name
 
 
 def test_pages_with_blocks_are_found():

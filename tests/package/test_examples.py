@@ -1,7 +1,6 @@
 """The examples as they stand: titles, imports, pictures, their list, their notebooks.
 
-They are run when the site is built (docs/gallery.py), each by a kernel of its own, and a failure
-there fails the build (.ci/run).
+They are run by docs/gallery.py, each by a kernel of its own, and in CI all of them anew (.ci/run).
 """
 
 import ast
