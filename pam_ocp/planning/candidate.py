@@ -33,7 +33,7 @@ from .replay import (
 )
 from .result import Solved
 from .settings import SETTINGS, Settings
-from .solvers.ipopt_options import Start
+from .solvers.ipopt import Start
 from .solvers.solver import SETTLED, STUCK, Backend, Outcome, Solver
 from .stages import Stage, stage
 from .transcription.guess import from_solution

@@ -24,11 +24,10 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
-from ..judge.motion import judge
+from ..judge.motion import TOLERANCE, judge
 from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, StatementKeywords, Stop
-from ..judge.verdict import TOLERANCE
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from ..simulation.simulator import evaluated

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.files import read_npz, reading, require_format, write_npz
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
 from ..judge.motion import judge

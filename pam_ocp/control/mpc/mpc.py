@@ -23,12 +23,12 @@ from ...core.errors import (
     require_instance,
     require_positive,
 )
-from ...core.plausible import outside
+from ...core.quantities import outside
 from ...core.shown import shown
 from ...core.signals import PiecewisePolynomial
 from ...core.stop import locked
 from ...core.trajectory import Trajectory
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ...planning.transcription.transcription import smoothed
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values

@@ -20,8 +20,8 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.executors import Place
-from ...core.plausible import outside
 from ...core.progress import counted
+from ...core.quantities import outside
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
 from ...judge.statement import Stop
