@@ -1,5 +1,5 @@
-"""CasADi's solvers and integrators as this library calls them (signals and time limits end them, one
-thread, memory that stays), and functions on fixed memory.
+"""CasADi's solvers and integrators as this library calls them: signals and time limits end them,
+their linear algebra has one thread, memory stays with them; and functions on fixed memory.
 
 Nothing else makes one by CasADi's own names, so no place can forget; tests/package has a check.
 """
