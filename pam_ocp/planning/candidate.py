@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from ..simulation.simulator import evaluated
+from ..simulation.integrate import evaluated
 from .problem.problem import Budget, Condition, Problem
 from .replay import (
     TOLERANCE,

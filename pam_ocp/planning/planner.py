@@ -30,7 +30,7 @@ from ..judge.motion import TOLERANCE, judge
 from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, StatementKeywords, Stop
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from ..simulation.simulator import evaluated
+from ..simulation.integrate import evaluated
 from .candidate import Candidate, Checked, Engine, renewed
 from .problem.formulation import formulate
 from .problem.problem import follows_inputs

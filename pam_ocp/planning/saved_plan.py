@@ -20,7 +20,7 @@ from ..judge.motion import judge
 from ..plants.plant import Plant, require_plant
 from ..plants.plant_data import carried
 from ..plants.plant_file import load_plant
-from ..simulation.simulator import evaluated
+from ..simulation.integrate import evaluated
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement_data import data_of, statement_of

@@ -32,8 +32,8 @@ from ...numerics.solvers import Buffered
 from ...planning.transcription.transcription import smoothed
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
+from ...simulation.integrate import evaluated
 from ...simulation.sampled import StepMethod
-from ...simulation.simulator import evaluated
 from ..kinds import CONTROLLERS, Array
 from ..mpc_statistics import Calls, MpcStatistics
 from ..references import Source

@@ -27,7 +27,7 @@ from ...core.trajectory import Trajectory
 from ...judge.statement import Stop
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
-from ...simulation.simulator import evaluated
+from ...simulation.integrate import evaluated
 from ..planner import SolveKeywords, plan
 from ..result import Plan, Solved
 from .robust_result import (
