@@ -1,4 +1,4 @@
-"""Integration of a plant over a grid, by one of CasADi's integrators, and outputs along a motion."""
+"""Integration of a plant over a grid, by CasADi's integrators; outputs along a motion."""
 
 from __future__ import annotations
 
