@@ -27,7 +27,7 @@ from .core.exceptions import PlanError as PlanError
 from .core.exceptions import PlanWarning as PlanWarning
 from .core.exceptions import SimulationError as SimulationError
 from .core.exceptions import UnknownNameError as UnknownNameError
-from .core.plausible import UnitWarning as UnitWarning
+from .core.quantities import UnitWarning as UnitWarning
 from .core.trajectory import Trajectory as Trajectory
 from .core.variables import Variable as Variable
 from .export.c_code.package import export_c as export_c

@@ -22,12 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import __version__
-from .core.arguments import with_kinds
 from .core.digest import file_digest
-from .core.errors import InputError, UnknownNameError, require_instance
+from .core.errors import InputError, UnknownNameError, require_instance, with_kinds
 from .core.files import read_json, read_toml, reading, require_file, write_json
 from .core.lazy import load as module
-from .core.plausible import outside
+from .core.quantities import outside
 from .core.trajectory import Trajectory
 from .core.variables import Variable
 from .export.cache import cache_folder

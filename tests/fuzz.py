@@ -40,7 +40,7 @@ import pam_ocp as pam
 from pam_ocp.cli import mpc as mpc_command
 from pam_ocp.cli.main import _parser
 from pam_ocp.core.errors import InputError, PlanWarning
-from pam_ocp.core.plausible import UnitWarning
+from pam_ocp.core.quantities import UnitWarning
 from pam_ocp.fitting import ReadingWarning, fit_plant, look, read_record
 from pam_ocp.fitting.dynamic.plant_fit import load_plant_fit
 from pam_ocp.fitting.static.force_fit import ForceFit

@@ -58,7 +58,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
     from ..control.kinds import BLOCKS, CONTROLLERS, ESTIMATORS
     from ..control.mpc.sqp import QP_SOLVERS
     from ..export.worlds.registry import WORLDS
-    from ..judge.costs import COSTS
+    from ..judge.statement import COSTS
     from ..muscles.gas import GASES, HEATS, RUBBERS, VOLUMES
     from ..muscles.law import LAWS
     from ..planning.solvers.solver import SOLVERS

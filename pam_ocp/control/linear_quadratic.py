@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..core.block import Block
 from ..core.errors import InputError, require_instance, require_positive
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.stop import verb
 from ..operating.linear import LinearGrid, held, inside, linearize, linearize_grid, no_influence
 from ..operating.resting_point import OperatingPoint

@@ -23,7 +23,7 @@ from ..core.errors import (
     require_tolerance,
 )
 from ..core.files import read_npz, reading, require_format, write_npz
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory

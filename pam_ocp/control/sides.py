@@ -28,8 +28,8 @@ from ..core.variables import Causality, Variable
 from ..plants.inversion import Inversion
 from ..plants.plant import Given, Plant, Values, by_name
 from ..simulation.instruments import Instrument, readers_of
+from ..simulation.integrate import evaluated
 from ..simulation.sampled import SampledPlant
-from ..simulation.simulator import evaluated
 from .controller import Observer
 from .kinds import Array
 from .references import Source, source

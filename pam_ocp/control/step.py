@@ -17,7 +17,7 @@ from ..core.errors import (
     require_finite,
     require_positive,
 )
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..numerics.runge_kutta import rk4
 from ..plants.plant import Plant, Values
 from ..simulation.sampled import StepMethod, stepped

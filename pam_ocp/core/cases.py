@@ -16,8 +16,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .arguments import with_kinds
-from .errors import InputError, PamError, require_count, require_instance
+from .errors import InputError, PamError, require_count, require_instance, with_kinds
 from .executors import Place, on_executor, placed
 from .interrupts import interruptible
 from .progress import working

@@ -83,7 +83,7 @@ def from_stub(
     The stub (``__init__.pyi``) is what type checkers and completion see; each of its
     ``from .place import name as name`` is carried out when the name is first asked for, so that the
     list of names stands once. ``from . import room as room`` stands for a submodule. Classes name
-    their wrong arguments from then on (:func:`~pam_ocp.core.arguments.with_kinds`).
+    their wrong arguments from then on (:func:`~pam_ocp.core.errors.with_kinds`).
     """
     homes: dict[str, tuple[str, bool]] = {}
     package = sys.modules[module].__package__ or module
@@ -98,7 +98,7 @@ def from_stub(
             return load(f"{place}.{name}")
         value = getattr(load(place), name)
         if isinstance(value, type) and not issubclass(value, Exception):
-            from .arguments import with_kinds
+            from .errors import with_kinds
 
             with_kinds(value)
         return value

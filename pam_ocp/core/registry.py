@@ -16,8 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, TypeVar
 
-from .arguments import with_kinds
-from .errors import InputError, UnknownNameError
+from .errors import InputError, UnknownNameError, with_kinds
 from .lazy import load
 from .quantities import is_quantity, quantity
 

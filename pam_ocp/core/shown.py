@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .. import courtesy
-from .arguments import with_kinds
+from .errors import with_kinds
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,8 +21,7 @@ from contextlib import AbstractContextManager
 from types import FunctionType
 from typing import Any, ParamSpec, TypeVar
 
-from .arguments import require_known_keywords, with_kinds
-from .errors import OutOfTime, require_positive
+from .errors import OutOfTime, require_known_keywords, require_positive, with_kinds
 from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
 
 P = ParamSpec("P")

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from . import units
 from .errors import InputError, require_number, with_article
-from .plausible import doubt, meant_within
+from .quantities import doubt, meant_within
 from .shown import shown
 from .units import DIGITS, significant
 

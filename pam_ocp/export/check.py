@@ -14,13 +14,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arguments import with_kinds
 from ..core.errors import (
     InputError,
     SimulationError,
     require_finite,
     require_instance,
     require_positive,
+    with_kinds,
 )
 from ..core.files import require_local
 from ..core.interrupts import interruptible

@@ -30,7 +30,7 @@ from typing import Any, TypeAlias
 
 from ..core.errors import SimulationError
 from ..core.processes import end, start
-from ..numerics.blas import environment
+from ..numerics.solvers import environment
 from .archive import printable
 
 Tell: TypeAlias = Callable[..., None]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import casadi as ca
 
 from ..core.errors import ExportError
-from ..core.plausible import largest_usual
+from ..core.quantities import largest_usual
 from ..core.units import display_unit, per_second
 from ..core.variables import Variable
 

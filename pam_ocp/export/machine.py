@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import ExportError, InputError, require_flag
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import check
 from ..plants.plant import Plant

@@ -11,8 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError, kind_of
+from ..core.errors import InputError, kind_of, with_kinds
 from ..core.files import atomic_path, require_ending
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb

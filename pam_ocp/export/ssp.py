@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, get_args
 from ..core.block import Block
 from ..core.errors import InputError, UnknownNameError, require_positive
 from ..core.files import atomic_path, require_ending
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError, require_names
+from ..core.errors import InputError, require_names, with_kinds
 from ..core.files import atomic_path, require_ending
 from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..core.arguments import with_kinds
-from ..core.errors import require_count
+from ..core.errors import require_count, with_kinds
 from ..core.interrupts import interruptible
 from ..core.lazy import library
 from ..core.trajectory import Trajectory

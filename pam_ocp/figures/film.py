@@ -12,8 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arguments import with_kinds
-from ..core.errors import require_instance
+from ..core.errors import require_instance, with_kinds
 from ..core.files import require_place
 from ..core.interrupts import interruptible
 from ..planning.result import Plan

@@ -10,8 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arguments import with_kinds
-from ..core.errors import UnknownNameError
+from ..core.errors import UnknownNameError, with_kinds
 from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..plants.limbs import Limb

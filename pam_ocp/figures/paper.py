@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError
+from ..core.errors import InputError, with_kinds
 from ..core.quantities import quantity
 
 if TYPE_CHECKING:

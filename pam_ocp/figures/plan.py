@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.arguments import with_kinds
-from ..core.errors import require_instance
+from ..core.errors import require_instance, with_kinds
 from ..core.stop import turns
 from ..core.units import significant
 from ..core.variables import Variable

@@ -4,6 +4,6 @@ from .loop import judge_loop as judge_loop
 from .motion import Finding as Finding
 from .motion import Judgement as Judgement
 from .motion import Motion as Motion
+from .motion import Verdict as Verdict
 from .motion import judge as judge
 from .statement import Statement as Statement
-from .verdict import Verdict as Verdict

@@ -17,8 +17,8 @@ import casadi as ca
 from ..core.errors import InputError, UnknownNameError, require_finite
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from .costs import COSTS
 from .statement import (
+    COSTS,
     TIME,
     Avoid,
     Constraint,

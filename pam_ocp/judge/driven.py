@@ -16,8 +16,8 @@ from ..core.errors import SimulationError
 from ..core.signals import PiecewisePolynomial, merged
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from ..simulation.integrate import Integration
-from ..simulation.simulator import evaluated, simulate
+from ..simulation.integrate import Integration, evaluated
+from ..simulation.simulator import simulate
 from .statement import TIME
 
 Array: TypeAlias = NDArray[np.float64]

@@ -9,8 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arguments import with_kinds
-from ..core.errors import require_names
+from ..core.errors import require_names, with_kinds
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
 

@@ -8,8 +8,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, cast
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError, UnknownNameError
+from ..core.errors import InputError, UnknownNameError, with_kinds
 from ..core.stop import verb
 from .law import LAWS, ForceLaw, SixParameterLaw
 from .pneumatic_muscle import Muscle

@@ -13,8 +13,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError, require_finite, require_numbers, require_positive
+from ..core.errors import InputError, require_finite, require_numbers, require_positive, with_kinds
 from ..core.expressions import polynomial
 from ..core.quantities import is_quantity
 from ..core.registry import Registry

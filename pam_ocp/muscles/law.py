@@ -21,9 +21,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.arguments import with_kinds
 from ..core.calibration import AMBIENT
-from ..core.errors import InputError, require_numbers, require_positive
+from ..core.errors import InputError, require_numbers, require_positive, with_kinds
 from ..core.registry import Registry
 from ..core.stop import locked
 from ..core.variables import Variable

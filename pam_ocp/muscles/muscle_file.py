@@ -11,8 +11,7 @@ from typing import Any
 
 import tomli_w
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError, UnknownNameError, require_finite, require_instance
+from ..core.errors import InputError, UnknownNameError, require_finite, require_instance, with_kinds
 from ..core.files import (
     atomic_path,
     read_json,

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from .. import courtesy
-from ..core.arguments import with_kinds
 from ..core.errors import (
     InputError,
     require_count,
@@ -20,8 +19,9 @@ from ..core.errors import (
     require_finite,
     require_numbers,
     require_positive,
+    with_kinds,
 )
-from ..core.plausible import doubt
+from ..core.quantities import doubt
 from ..core.shown import shown
 from ..core.stop import locked, turns
 from .law import CONTRACTIONS, SLACK_WIDTH, FloatOrSX, ForceLaw, at_point, clamp, evaluate

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.variables import Variable
 
 Range = tuple[float, float]

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.stop import check
-from .buffered import Buffered
+from .solvers import Buffered
 
 Array: TypeAlias = NDArray[np.float64]
 

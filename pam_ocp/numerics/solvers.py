@@ -1,19 +1,24 @@
-"""CasADi's solvers and integrators as this library calls them: signals and time limits end them.
+"""CasADi's solvers and integrators as this library calls them: signals and time limits end them,
+their linear algebra has one thread, memory stays with them; and functions on fixed memory.
 
 Nothing else makes one by CasADi's own names, so no place can forget; tests/package has a check.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+import ctypes
+import os
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.stop import ask, native
-from .blas import hold_memory, one_thread
 
 
 class Native:
@@ -171,3 +176,91 @@ def nlpsol(
         # its own check prints that there are more equations than unknowns, which the status says
         options = {**options, "iteration_callback": watch, "inputs_check": False}
     return Nlp(native(ca.nlpsol, name, plugin, problem, options), watch)
+
+
+# ---- functions on fixed memory -------------------------------------------------------------------
+Array: TypeAlias = NDArray[np.float64]
+
+
+class Buffered:
+    """A function with dense arguments and results: a call copies its arguments and makes nothing. A
+    plain call costs 30 times as much around it.
+
+    ``results`` are matrices as views of the memory that the next call writes to. arguments : memory
+    from which it reads, by default its own.
+    """
+
+    def __init__(self, function: ca.Function, arguments: Sequence[Array] = ()) -> None:
+        self._buffer, self.call = function.buffer()
+        """Evaluates at what stands in ``arguments``."""
+        own = (np.zeros(function.nnz_in(i)) for i in range(function.n_in()))
+        self.arguments = list(arguments or own)
+        self._memory = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        for i, array in enumerate(self.arguments):
+            self._buffer.set_arg(i, memoryview(array))  # type: ignore
+        for i, array in enumerate(self._memory):
+            self._buffer.set_res(i, memoryview(array))  # type: ignore
+        self.results: list[Array] = [
+            m.reshape(function.size2_out(i), function.size1_out(i)).T
+            for i, m in enumerate(self._memory)
+        ]
+
+    def __call__(self, *arguments: Any) -> list[Array]:
+        """The results for these arguments (vectors, or matrices column by column)."""
+        for own, given in zip(self.arguments, arguments, strict=True):
+            own[:] = given
+        self.call()
+        return self.results
+
+
+# ---- one thread, and memory that stays -----------------------------------------------------------
+# Dense blocks in solvers are small, so threads wait for each other: a plan of 20 states takes three
+# times the processor time on two threads, and twice as long. And sums in another order have other
+# last digits, so that a plan would depend on how many processors a machine has.
+SAID = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+"""Variables of the environment by which a user says how many: then it stays at that."""
+
+
+def environment() -> dict[str, str]:
+    """For processes of our own: one thread each, unless the user says otherwise."""
+    return {**dict.fromkeys(SAID, "1"), **os.environ}
+
+
+@cache
+def one_thread() -> bool:
+    """Have the OpenBLAS that came with CasADi (NumPy has its own) compute in one thread, once in a
+    process; whether it was found.
+    """
+    if any(name in os.environ for name in SAID):
+        return False
+    for path in sorted(Path(ca.__file__).parent.glob("*casadi-tp-openblas*")):
+        try:
+            set_threads = ctypes.CDLL(str(path)).openblas_set_num_threads
+        except (OSError, AttributeError):  # a link that leads nowhere, a text that names a library
+            continue
+        set_threads(1)
+        return True
+    return False
+
+
+KEPT = 128 * 2**20
+"""Freed memory that is not handed back to the system, and blocks that are not asked of it alone
+[bytes]: more than MUMPS works in."""
+TRIM, MMAP = -1, -3
+"""Names of these two in the GNU C library's ``mallopt``."""
+
+
+@cache
+def hold_memory() -> bool:
+    """Let the C library hold on to freed memory, once in a process; whether it can.
+
+    MUMPS asks anew for its working space in each factorisation, and to get it from the system is a
+    tenth of a long plan's time. A user's own settings stay.
+    """
+    if any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ):
+        return False
+    try:
+        settle = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError, TypeError):  # another C library
+        return False
+    return all(settle(name, KEPT) for name in (TRIM, MMAP))

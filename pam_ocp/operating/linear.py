@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, kind_of, require_instance, require_positive
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.units import unit

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_positive, require_tolerance
 from ..core.stop import verb
-from ..numerics.buffered import Buffered
+from ..numerics.solvers import Buffered
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values
 from ..simulation.sampled import SampledPlant

@@ -1,11 +1,11 @@
 # Names of pam_ocp.planning, loaded at their first use.
+from ..judge.motion import Verdict as Verdict
 from ..judge.statement import TIME as TIME
 from ..judge.statement import Avoid as Avoid
 from ..judge.statement import Constraint as Constraint
 from ..judge.statement import Phase as Phase
 from ..judge.statement import Profile as Profile
 from ..judge.statement import Stop as Stop
-from ..judge.verdict import Verdict as Verdict
 from .planner import Planner as Planner
 from .planner import plan as plan
 from .problem.problem_file import load_problem as load_problem

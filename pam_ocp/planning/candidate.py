@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from ..simulation.simulator import evaluated
+from ..simulation.integrate import evaluated
 from .problem.problem import Budget, Condition, Problem
 from .replay import (
     TOLERANCE,
@@ -33,7 +33,7 @@ from .replay import (
 )
 from .result import Solved
 from .settings import SETTINGS, Settings
-from .solvers.ipopt_options import Start
+from .solvers.ipopt import Start
 from .solvers.solver import SETTLED, STUCK, Backend, Outcome, Solver
 from .stages import Stage, stage
 from .transcription.guess import from_solution

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import TimeIsUp
+from ..judge.motion import GROWTH
 from ..judge.statement import Statement
-from ..judge.verdict import GROWTH
 from ..plants.inversion import Inversion
 from ..plants.opening import WAYS
 from ..plants.plant import Plant
@@ -31,7 +31,7 @@ from .mesh_sequence import MeshSequence
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .result import Solved
-from .solvers.ipopt_options import Start
+from .solvers.ipopt import Start
 from .solvers.solver import PROJECTIONS, SETTLED
 from .transcription.guess import from_solution
 from .transcription.mesh import Mesh

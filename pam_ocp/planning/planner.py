@@ -24,14 +24,13 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
-from ..judge.motion import judge
+from ..judge.motion import TOLERANCE, judge
 from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, StatementKeywords, Stop
-from ..judge.verdict import TOLERANCE
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from ..simulation.simulator import evaluated
+from ..simulation.integrate import evaluated
 from .candidate import Candidate, Checked, Engine, renewed
 from .problem.formulation import formulate
 from .problem.problem import follows_inputs

@@ -17,8 +17,8 @@ from ..core.signals import signals
 from ..core.trajectory import Trajectory
 from ..numerics.elementwise import Columns
 from ..plants.plant import Plant
-from ..simulation.integrate import Integration
-from ..simulation.simulator import evaluated, simulate
+from ..simulation.integrate import Integration, evaluated
+from ..simulation.simulator import simulate
 from .problem.problem import Budget, Condition, Leg, Problem
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution, pack

@@ -22,9 +22,8 @@ from ..core.stop import turns
 from ..core.trajectory import Trajectory
 from ..core.units import significant
 from ..core.variables import Variable
-from ..judge.motion import Judgement, Motion
+from ..judge.motion import TOLERANCE, Judgement, Motion, Verdict
 from ..judge.statement import Statement
-from ..judge.verdict import TOLERANCE, Verdict
 from ..numerics.collocation import collocation_matrices
 from ..plants.plant import Plant
 from .problem.formulation import formulate

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.files import read_npz, reading, require_format, write_npz
-from ..core.plausible import outside
+from ..core.quantities import outside
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
 from ..judge.motion import judge
 from ..plants.plant import Plant, require_plant
 from ..plants.plant_data import carried
 from ..plants.plant_file import load_plant
-from ..simulation.simulator import evaluated
+from ..simulation.integrate import evaluated
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement_data import data_of, statement_of

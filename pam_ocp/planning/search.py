@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.stop import TimeIsUp, spared
-from ..judge.costs import COSTS
-from ..judge.statement import Statement
+from ..judge.statement import COSTS, Statement
 from .candidate import Candidate, Checked, Engine, renewed, same_form
 from .continuation import Continuation, ValveOpenings
 from .mesh_sequence import MeshSequence
@@ -24,7 +23,7 @@ from .problem.problem import regularised
 from .replay import accuracy
 from .result import Solved
 from .solvers.diagnosis import Conflict, elastic, resolving
-from .solvers.ipopt_options import Start
+from .solvers.ipopt import Start
 from .solvers.solver import Ipopt, Outcome
 from .stages import WorkIsSpent, limited, stage
 from .starts import Task, figures_of, number_of_starts, solved_side_by_side, tasks

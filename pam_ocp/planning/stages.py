@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ..core.stop import TimeIsUp
 
 if TYPE_CHECKING:
-    from .solvers.ipopt_options import Start
+    from .solvers.ipopt import Start
     from .transcription.transcription import Program
 
 LOG = logging.getLogger(__name__)

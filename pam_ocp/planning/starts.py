@@ -30,14 +30,12 @@ from numpy.typing import NDArray
 
 from ..core.errors import PlanError
 from ..core.stop import TimeIsUp, check
-from ..numerics.blas import environment
-from ..numerics.solvers import nlpsol
+from ..numerics.solvers import environment, nlpsol
 from ..plants.plant import Plant
 from .problem.problem import Problem
 from .settings import SETTINGS
-from .solvers.ipopt_options import Start
+from .solvers.ipopt import Solves, Start
 from .solvers.solver import Ipopt, Outcome
-from .solvers.solver_server import Solves
 from .stages import written
 from .transcription.guess import by_stops, wants_balance
 from .transcription.mesh import Mesh
@@ -155,7 +153,7 @@ def _in_series(plant: Plant) -> bool:
 
 
 # ---- side by side -------------------------------------------------------------------------------
-SERVER = Path(__file__).parent / "solvers" / "solver_server.py"
+SERVER = Path(__file__).parent / "solvers" / "ipopt.py"
 PAYS = 1.0
 """Seconds of work left from which on other processes are started: each takes a third of this to
 begin.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.expressions import expression_of
-from ..core.plausible import meant_within
+from ..core.quantities import meant_within
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
 from .damping import ConstantDamping, Damping, Loss

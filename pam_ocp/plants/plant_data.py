@@ -14,8 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError
+from ..core.errors import InputError, with_kinds
 from ..core.expressions import operations_of, results_of
 from ..core.files import write_json
 from ..core.variables import data_of_variable, variable_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.plausible import meant_within
+from ..core.quantities import meant_within
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
 from .damping import ConstantDamping, Damping, Loss

@@ -8,8 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError
+from ..core.errors import InputError, with_kinds
 from ..core.variables import Variable
 from .plant import Plant, require_plant
 

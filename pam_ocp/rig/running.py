@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
-from ..core.arguments import with_kinds
-from ..core.errors import InputError
+from ..core.errors import InputError, with_kinds
 from ..core.files import json_of, make_folder, write_json
 from ..core.trajectory import HELD, Trajectory
 from ..core.variables import Variable, variable_of

@@ -12,8 +12,7 @@ from collections.abc import Callable, Mapping
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
-from ..core.arguments import with_kinds
-from ..core.errors import InputError, require_count
+from ..core.errors import InputError, require_count, with_kinds
 from .drivers.driver import missing
 from .drivers.lines import LONGEST, Cut, LineServer, framed, unframed
 from .drivers.modbus import check_of, layout

@@ -21,7 +21,7 @@ from ..core.expressions import SYMBOLIC, carried_out, steps_of
 from ..core.quantities import known_keys, quantity
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
-from ..numerics.buffered import Buffered
+from ..numerics.solvers import Buffered
 from ..plants.plant import Given, Plant, by_name, require_plant
 from ..simulation.instruments import Instrument, readers_of
 from ..simulation.sampled import stepped

@@ -19,9 +19,9 @@ from ..core.errors import InputError, kind_of, require_numbers
 from ..core.signals import PiecewisePolynomial, signals
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from .integrate import COMPILED_PART, Integration
+from .integrate import COMPILED_PART, Integration, evaluated
 from .reducers import GRAMMAR, Reduction, parsed
-from .simulator import evaluated, simulate, start_of, times_of
+from .simulator import simulate, start_of, times_of
 
 Array: TypeAlias = NDArray[np.float64]
 Keep: TypeAlias = "Mapping[str, str | Callable[[Trajectory], float]]"
@@ -345,7 +345,7 @@ class _Motions:
     parameters: Array
     inputs: PiecewisePolynomial | Sequence[PiecewisePolynomial]
     outputs: Callable[[Array, Array, Array], Array]
-    """As :class:`pam_ocp.simulation.simulator.Computes` has it."""
+    """As :class:`pam_ocp.simulation.integrate.Computes` has it."""
     _columns: dict[str, Array] = field(default_factory=dict)
 
     def signal(self, name: str) -> Array:

@@ -1,10 +1,10 @@
-"""Integration of a plant over a grid, by one of CasADi's integrators. Used by simulate."""
+"""Integration of a plant over a grid, by CasADi's integrators; outputs along a motion."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, require_flag
 from ..core.expressions import polynomial
-from ..core.signals import PiecewisePolynomial, merged
+from ..core.signals import Interpolation, PiecewisePolynomial, merged
 from ..core.stop import native
+from ..core.trajectory import Event, Trajectory
 from ..numerics.rodas import LEAST, Rodas, written_out
 from ..numerics.solvers import Native, integrator, stoppable
 from ..plants.plant import Plant
@@ -313,3 +314,46 @@ class Integration:
         p = ca.SX.sym("p", len(plant.parameters))
         xdot = plant.function(scaled * nominal, u, p)[0]
         return {"t": t, "x": scaled, "u": control, "p": p, "ode": xdot / nominal}
+
+
+# ---- outputs along a motion ----------------------------------------------------------------------
+class Computes(Protocol):
+    """A plant's outputs at many points, by other means than CasADi's."""
+
+    def outputs(self, x: Array, u: Array, p: Array) -> Array:
+        """(n, ny) at states (n, nx), inputs (n, nu) and parameters (np,)."""
+        ...
+
+
+COLUMNS = 10_000
+"""Samples whose outputs are computed at once."""
+
+
+def evaluated(
+    plant: Plant,
+    t: Array,
+    states: Array,
+    inputs: PiecewisePolynomial,
+    events: tuple[Event, ...] = (),
+    machine: Computes | None = None,
+) -> Trajectory:
+    """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed.
+
+    machine : what computes them; None: CasADi.
+    """
+    u = inputs(t)
+    p = plant.vector("parameter")
+    if machine is not None:
+        outputs = machine.outputs(states, u, p)
+    else:
+        parts_of = [  # CasADi's working memory grows with the columns of a call
+            np.asarray(plant.function(states[i : i + COLUMNS].T, u[i : i + COLUMNS].T, p)[1]).T
+            for i in range(0, len(t), COLUMNS)
+        ]
+        outputs = np.concatenate(parts_of)
+    parts = {"state": states, "input": u, "output": outputs}
+    variables = (*plant.states, *plant.inputs, *plant.outputs)
+    data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
+    columns = {v.name: data[:, i] for i, v in enumerate(variables)}
+    between: Interpolation = "previous" if inputs.degree == 0 else "linear"
+    return Trajectory(t, columns, variables, between, events, inputs)

@@ -11,9 +11,15 @@ from typing import Any, overload
 
 import numpy as np
 
-from ..core.arguments import require_known_keywords, with_kinds
 from ..core.cases import Loop, ending
-from ..core.errors import InputError, SimulationError, kind_of, require_count
+from ..core.errors import (
+    InputError,
+    SimulationError,
+    kind_of,
+    require_count,
+    require_known_keywords,
+    with_kinds,
+)
 from ..core.executors import Place, placed
 from ..core.files import MOST_ROWS
 from ..core.interrupts import interruptible

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -25,7 +25,7 @@ from ..core.trajectory import Event, Trajectory
 from ..plants.dead_time import DelayLine
 from ..plants.plant import Given, Plant, Values, by_name, require_plant
 from ..plants.undelayed import without_dead_times
-from .integrate import Integration, Method
+from .integrate import Integration, Method, evaluated
 
 Array: TypeAlias = NDArray[np.float64]
 LEVEL = 1e-6
@@ -194,18 +194,6 @@ def _located(
     return b, x_b, [int(i) for i in np.flatnonzero(value * sign < 0)]
 
 
-class Computes(Protocol):
-    """A plant's outputs at many points, by other means than CasADi's."""
-
-    def outputs(self, x: Array, u: Array, p: Array) -> Array:
-        """(n, ny) at states (n, nx), inputs (n, nu) and parameters (np,)."""
-        ...
-
-
-COLUMNS = 10_000
-"""Samples whose outputs are computed at once."""
-
-
 @verb
 def simulate(
     plant: Plant,
@@ -314,36 +302,6 @@ def simulate(
         raise _failure(moved, run, part)
     machine = run.machine if moved is plant else None
     return evaluated(plant, times, whole(run.at(times, states)), u, found, machine)
-
-
-def evaluated(
-    plant: Plant,
-    t: Array,
-    states: Array,
-    inputs: PiecewisePolynomial,
-    events: tuple[Event, ...] = (),
-    machine: Computes | None = None,
-) -> Trajectory:
-    """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed.
-
-    machine : what computes them; None: CasADi.
-    """
-    u = inputs(t)
-    p = plant.vector("parameter")
-    if machine is not None:
-        outputs = machine.outputs(states, u, p)
-    else:
-        parts_of = [  # CasADi's working memory grows with the columns of a call
-            np.asarray(plant.function(states[i : i + COLUMNS].T, u[i : i + COLUMNS].T, p)[1]).T
-            for i in range(0, len(t), COLUMNS)
-        ]
-        outputs = np.concatenate(parts_of)
-    parts = {"state": states, "input": u, "output": outputs}
-    variables = (*plant.states, *plant.inputs, *plant.outputs)
-    data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
-    columns = {v.name: data[:, i] for i, v in enumerate(variables)}
-    between: Interpolation = "previous" if inputs.degree == 0 else "linear"
-    return Trajectory(t, columns, variables, between, events, inputs)
 
 
 def _check_numerics(rtol: float, step: float | None, max_steps: int) -> tuple[float, float | None]:

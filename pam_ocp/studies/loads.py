@@ -17,7 +17,7 @@ from ..core.cases import results_of
 from ..core.errors import InputError, require_positive
 from ..core.executors import Place
 from ..core.files import atomic_path
-from ..core.plausible import doubt
+from ..core.quantities import doubt
 from ..core.shown import shown
 from ..core.stop import verb
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume

@@ -22,11 +22,10 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
-from ..core.arguments import with_kinds
 from ..core.atomic import in_use
 from ..core.cases import results_of
 from ..core.digest import file_digest, own_digest
-from ..core.errors import InputError, PamError, require_count
+from ..core.errors import InputError, PamError, require_count, with_kinds
 from ..core.executors import Place, end_pool, placed
 from ..core.files import atomic_path, make_folder, read_json, reading, write_json
 from ..core.interrupts import interruptible

@@ -19,7 +19,8 @@ from ..core.trajectory import Trajectory
 from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
 from ..plants.plant import Plant, require_plant
-from ..simulation.simulator import evaluated, simulate
+from ..simulation.integrate import evaluated
+from ..simulation.simulator import simulate
 from .free import smooth
 from .hopf_bifurcation import HopfPoint
 

@@ -11,7 +11,7 @@ import pytest
 from conftest import refused
 
 import pam_ocp as pam
-from pam_ocp.core.arguments import blamed, with_kinds
+from pam_ocp.core.errors import blamed, with_kinds
 
 
 def slide() -> pam.Plant:

@@ -18,7 +18,7 @@ import pytest
 from conftest import BAR, flat, refused
 
 import pam_ocp as pam
-from pam_ocp.core.plausible import meant
+from pam_ocp.core.quantities import meant
 
 MUSCLE = pam.muscle("DMSP-20-400N")
 MOTION = pam.simulate(pam.HangingLoad(MUSCLE), {"muscle.command": 3 * BAR}, duration=0.3)

@@ -128,7 +128,7 @@ def test_names_are_known_whatever_was_imported_first():
     for module, name, expected in (
         ("muscles.law", "LAWS", "thick-wall"),
         ("plants.kinds", "FEEDS", "SpoolValve"),
-        ("judge.costs", "COSTS", "exergy"),
+        ("judge.statement", "COSTS", "exergy"),
         ("planning.solvers.solver", "SOLVERS", "ipopt"),
     ):
         text = textwrap.dedent(code.format(module=module, name=name))

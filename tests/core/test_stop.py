@@ -383,7 +383,7 @@ def test_a_signal_leaves_no_thread_behind_its_verb(request):
 @pytest.mark.slow
 def test_no_helper_outlives_its_parent():
     """The parent dies by SIGKILL while the helper waits, and keeps the helper's input open."""
-    path = ROOT / "pam_ocp" / "planning" / "solvers" / "solver_server.py"
+    path = ROOT / "pam_ocp" / "planning" / "solvers" / "ipopt.py"
     parent = f"""
         import os, subprocess, sys, time
         read, write = os.pipe()
@@ -492,7 +492,7 @@ def test_a_verb_in_another_thread_keeps_to_its_time_limit():
 # ---- no other way --------------------------------------------------------------------------------
 def test_no_solver_or_integrator_is_made_but_by_the_wrappers():
     """Servers are processes of their own, which their parents end."""
-    own = {"numerics/solvers.py", "planning/solvers/solver_server.py"}
+    own = {"numerics/solvers.py", "planning/solvers/ipopt.py"}
     made = re.compile(r"\bca\.(?:nlpsol|integrator|rootfinder|conic|qpsol)\(")
     package = ROOT / "pam_ocp"
     found = {

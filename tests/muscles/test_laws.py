@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from scipy.interpolate import BSpline
 
 from pam_ocp.core.errors import InputError, UnknownNameError
-from pam_ocp.core.plausible import UnitWarning
+from pam_ocp.core.quantities import UnitWarning
 from pam_ocp.fitting import read_table
 from pam_ocp.muscles.catalogue import muscle
 from pam_ocp.muscles.law import LAWS, SixParameterLaw, coefficient

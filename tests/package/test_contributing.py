@@ -25,7 +25,7 @@ from pam_ocp.control.kinds import CONTROLLERS, ESTIMATORS
 from pam_ocp.control.mpc.sqp import QP_SOLVERS, conic
 from pam_ocp.core.registry import Registry
 from pam_ocp.figures.film import _film
-from pam_ocp.judge.costs import COSTS, running_cost
+from pam_ocp.judge.statement import COSTS, running_cost
 from pam_ocp.muscles.gas import VOLUMES
 from pam_ocp.muscles.law import LAWS, coefficient, register
 from pam_ocp.planning.problem.problem_file import load_problem
@@ -607,7 +607,7 @@ def test_the_load_and_the_problem_of_the_page_work(tmp_path, monkeypatch):
 
 def test_the_page_names_every_registry_and_every_file_that_holds_one():
     holders = {"plants/kinds.py", "muscles/law.py", "muscles/gas.py", "control/kinds.py"}
-    holders |= {"judge/costs.py", "planning/solvers/solver.py", "control/mpc/sqp.py"}
+    holders |= {"judge/statement.py", "planning/solvers/solver.py", "control/mpc/sqp.py"}
     holders |= {"studies/steps/step.py", "rig/drivers/driver.py", "export/worlds/registry.py"}
     found = {
         path.relative_to(ROOT / "pam_ocp").as_posix()

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pam_ocp as pam
-from pam_ocp.judge.costs import COSTS
+from pam_ocp.judge.statement import COSTS
 from pam_ocp.planning.problem.problem import FORMS
 from pam_ocp.planning.problem.problem_file import _READERS
 

@@ -26,7 +26,7 @@ from pam_ocp.planning.problem.formulation import formulate
 from pam_ocp.planning.replay import interval_errors, interval_states, replayed
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh
 from pam_ocp.planning.transcription.solution import Solution
-from pam_ocp.simulation.simulator import evaluated
+from pam_ocp.simulation.integrate import evaluated
 
 MOVE = [{"x": 0.0}, {"x": 1.0}]
 

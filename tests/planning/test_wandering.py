@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.planning.solvers.ipopt_options import DAMPED, WANDERING
+from pam_ocp.planning.solvers.ipopt import DAMPED, WANDERING
 from pam_ocp.planning.solvers.solver import Ipopt
 from pam_ocp.planning.transcription.derivatives import derivatives
 from pam_ocp.planning.transcription.guess import by_stops

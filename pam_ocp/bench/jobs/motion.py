@@ -24,7 +24,7 @@ from ...core.errors import InputError, PlanError
 from ...core.trajectory import Trajectory
 from ...figures.film import scene_of
 from ...figures.plan import panels_of
-from ...judge.costs import COSTS
+from ...judge.statement import COSTS
 from ...planning.active import limits_along
 from ...planning.planner import Planner, plan
 from ...planning.result import Plan

@@ -9,9 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...core.arguments import with_kinds
 from ...core.block import Block
-from ...core.errors import InputError, UnknownNameError, require_count
+from ...core.errors import InputError, UnknownNameError, require_count, with_kinds
 from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable

@@ -12,7 +12,7 @@ from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.stop import locked, turns, verb
 from ...core.units import unit
 from ...core.variables import Variable
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ...plants.plant import Plant, require_plant
 from ..controller import Measured
 from ..kinds import BEFORE, SENT, TOLD, Array, law_of, takes

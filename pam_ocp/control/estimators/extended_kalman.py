@@ -21,7 +21,7 @@ from ...core.errors import InputError, UnknownNameError, require_finite, require
 from ...core.stop import locked
 from ...core.variables import Variable
 from ...export.machine import quick
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.sampled import StepMethod
 from ..blocks.draft import Draft, Symbol, clipped

@@ -27,8 +27,8 @@ from ...core.errors import (
 )
 from ...core.stop import locked
 from ...export.machine import quick
-from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
+from ...numerics.solvers import Buffered
 from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
 from ..blocks.draft import Draft

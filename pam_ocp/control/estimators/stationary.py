@@ -14,7 +14,7 @@ from ...core.block import Block
 from ...core.errors import InputError, require_count, require_instance, require_positive
 from ...core.stop import verb
 from ...core.variables import Variable
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ...operating.linear import inside, linearize
 from ...operating.operating_point import Stuck
 from ...operating.resting_point import OperatingPoint

@@ -23,17 +23,17 @@ from ...core.errors import (
     require_instance,
     require_positive,
 )
-from ...core.plausible import outside
+from ...core.quantities import outside
 from ...core.shown import shown
 from ...core.signals import PiecewisePolynomial
 from ...core.stop import locked
 from ...core.trajectory import Trajectory
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ...planning.transcription.transcription import smoothed
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
+from ...simulation.integrate import evaluated
 from ...simulation.sampled import StepMethod
-from ...simulation.simulator import evaluated
 from ..kinds import CONTROLLERS, Array
 from ..mpc_statistics import Calls, MpcStatistics
 from ..references import Source

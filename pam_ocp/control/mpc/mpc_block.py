@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import casadi as ca
 
-from ...core.arguments import with_kinds
 from ...core.block import Block
-from ...core.errors import InputError, require_count, require_instance
+from ...core.errors import InputError, require_count, require_instance, with_kinds
 from ...core.stop import turns
 from ...core.variables import Variable
 from ...plants.plant import Plant

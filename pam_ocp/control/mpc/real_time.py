@@ -15,8 +15,8 @@ import numpy as np
 
 from ...export.machine import quick
 from ...numerics.bounded_loop import inlined, repeated
-from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
+from ...numerics.solvers import Buffered
 from ..kinds import Array
 from .riccati import ITERATIONS, RiccatiQp
 from .shooting import TrackingPoint, TrackingProgram, bounds_of, sides_of

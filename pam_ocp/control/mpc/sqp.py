@@ -14,9 +14,8 @@ import numpy as np
 from ...core.errors import InputError, require_flag
 from ...core.registry import Registry
 from ...export.machine import machine_function
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered, nlpsol, quiet_ipopt
 from ...numerics.solvers import conic as qp_solver
-from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..kinds import Array
 from .riccati import ITERATIONS, RiccatiQp
 from .shooting import UNBOUNDED, TrackingPoint, TrackingProgram, bounds_of, sides_of

@@ -23,7 +23,7 @@ from ...core.errors import InputError, UnknownNameError, require_finite, require
 from ...core.lazy import library
 from ...core.stop import verb
 from ...muscles.pneumatic_muscle import Muscle
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ...plants.alone import muscle_alone
 from ...plants.components import as_muscle
 from ...plants.damping import Loss

@@ -22,7 +22,6 @@ from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.arguments import with_kinds
 from ...core.cases import ending
 from ...core.errors import (
     FitError,
@@ -32,6 +31,7 @@ from ...core.errors import (
     kind_of,
     require_count,
     require_instance,
+    with_kinds,
 )
 from ...core.executors import Client, Place
 from ...core.stop import limited

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import FitError, InputError, require_names
-from ...core.plausible import outside
+from ...core.quantities import outside
 from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant

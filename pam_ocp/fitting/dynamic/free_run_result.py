@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.plausible import outside
+from ...core.quantities import outside
 from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory

@@ -19,7 +19,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arguments import with_kinds
 from ...core.errors import (
     FitError,
     InputError,
@@ -27,6 +26,7 @@ from ...core.errors import (
     UnknownNameError,
     require_count,
     require_instance,
+    with_kinds,
 )
 from ...core.executors import Place
 from ...core.interrupts import interruptible

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ...core.errors import FitError, InputError
 from ...core.stop import check, native
-from ...numerics.buffered import Buffered
 from ...numerics.rosenbrock import ros2, ros2_with_slopes
+from ...numerics.solvers import Buffered
 from ...plants.plant import Plant
 from ..statistics import Array
 from .rig import Rig, RunUnknowns

@@ -8,8 +8,7 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arguments import with_kinds
-from ...core.errors import InputError, require_instance
+from ...core.errors import InputError, require_instance, with_kinds
 from ...core.shown import shown
 from ..statistics import Array, f_test
 from ..tables.force_table import ForceTable, require_table

@@ -21,7 +21,7 @@ from ...core.cases import results_of
 from ...core.errors import FitError, InputError, PamError, kind_of, require_positive
 from ...core.executors import Place, placed
 from ...core.files import require_local
-from ...core.plausible import outside
+from ...core.quantities import outside
 from ...core.stop import verb
 from ...core.units import unit
 from ...muscles.law import ForceLaw

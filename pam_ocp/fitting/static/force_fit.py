@@ -22,8 +22,8 @@ from ...core.cases import ending
 from ...core.errors import FitError, InputError, UnknownNameError, require_count, require_numbers
 from ...core.executors import Place, placed
 from ...core.files import read_json, reading, write_json
-from ...core.plausible import meant_within, outside
 from ...core.progress import working
+from ...core.quantities import meant_within, outside
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import ForceLaw

@@ -19,7 +19,7 @@ from numpy.polynomial.chebyshev import chebval, chebvander
 from ...core.cases import results_of
 from ...core.errors import FitError
 from ...core.executors import Place, placed
-from ...core.plausible import UnitWarning
+from ...core.quantities import UnitWarning
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .least_squares import DECADES, LeastSquares, projected, sizes

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...core.calibration import scale_of
 from ...core.errors import InputError, UnknownNameError, require_positive
-from ...core.plausible import MEASURED, inside_by
+from ...core.quantities import MEASURED, inside_by
 from ...core.units import unit
 from .cells import TIME_NAMES, is_empty, is_stamp, parse_header
 from .columns import column_scale

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...core.calibration import AMBIENT, COUNTS, Scale, scale_of, spelled
 from ...core.errors import InputError, UnknownNameError
-from ...core.plausible import MEASURED, inside_by, units_of
+from ...core.quantities import MEASURED, inside_by, units_of
 from ...core.units import Unit, unit
 from ...core.variables import Variable
 from .cells import (

@@ -2,7 +2,7 @@
 thousands, and values that doubt the unit, the sign or the zero by which they are read.
 
 What is certain is mended and named in a note; what is only improbable is a :class:`Doubt` that
-names the keyword to settle it. The ranges stand in :mod:`pam_ocp.core.plausible`.
+names the keyword to settle it. The ranges stand in :mod:`pam_ocp.core.quantities`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.calibration import Scale
-from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, inside_by
+from ...core.quantities import FORCE_PER_PRESSURE, MEASURED, inside_by
 from ...core.units import unit
 from ...core.variables import Variable
 from .cells import MEASURED as SAID_MEASURED

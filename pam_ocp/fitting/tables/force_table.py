@@ -16,9 +16,15 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.arguments import with_kinds
 from ...core.calibration import AMBIENT
-from ...core.errors import InputError, UnknownNameError, kind_of, require_numbers, require_positive
+from ...core.errors import (
+    InputError,
+    UnknownNameError,
+    kind_of,
+    require_numbers,
+    require_positive,
+    with_kinds,
+)
 from ...core.quantities import quantity
 from ...core.shown import shown
 from .columns import (

@@ -17,7 +17,7 @@ import numpy as np
 from ...core.calibration import Scale
 from ...core.errors import InputError, UnknownNameError
 from ...core.files import require_local
-from ...core.plausible import outside
+from ...core.quantities import outside
 from .cells import LABELS, QUANTITIES, is_empty, is_stamp
 from .clock import find_clock
 from .dialect import Unsaid

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from ...core.calibration import AMBIENT, COUNTS, spelled
 from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.files import MOST_NAME
-from ...core.plausible import UnitWarning, doubt, outside
-from ...core.quantities import quantity
+from ...core.quantities import UnitWarning, doubt, outside, quantity
 from .cells import (
     LABELS,
     NAMES,

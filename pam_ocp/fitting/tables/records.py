@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ...core.arguments import with_kinds
 from ...core.calibration import AMBIENT, scale_of
-from ...core.errors import InputError, UnknownNameError, require_positive
+from ...core.errors import InputError, UnknownNameError, require_positive, with_kinds
 from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit

@@ -17,8 +17,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from ...core.arguments import with_kinds
-from ...core.errors import InputError, UnknownNameError, require_count
+from ...core.errors import InputError, UnknownNameError, require_count, with_kinds
 from ...core.expressions import expression_of, polynomial
 from ...core.stop import turns
 from ..law import LAWS, ForceLaw, clamp, coefficient

@@ -13,12 +13,22 @@ import casadi as ca
 from ...core.errors import InputError, require_positive
 from ...core.quantities import is_quantity
 from ...core.variables import Variable
-from ...judge.costs import COSTS
-from ...judge.statement import Cyclic, Statement, Stop, subject, times_seconds
+from ...judge.statement import COSTS, Cyclic, Statement, Stop, subject, times_seconds
 from ...plants.plant import Plant, require_plant
 from ...plants.stillness import Position, rate_of, rest_rows, totals
-from .first_stop import left_by_the_past, settled_before, with_draught, with_given_pressures
-from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
+from .limits import (
+    Limits,
+    common_limits,
+    conditions_of,
+    design_ranges,
+    key_of,
+    left_by_the_past,
+    narrowed,
+    range_of,
+    settled_before,
+    with_draught,
+    with_given_pressures,
+)
 from .problem import Condition, Leg, Problem, Range, Symbols, budget, objective
 
 DURATIONS: Range = (1e-3, 10.0)

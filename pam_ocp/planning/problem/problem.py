@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.variables import Variable
-from ...judge.costs import COSTS, mechanical_power, muscles_of
-from ...judge.statement import TIME, Profile, require_expression, subject, times_seconds
+from ...judge.statement import (
+    COSTS,
+    TIME,
+    Profile,
+    mechanical_power,
+    muscles_of,
+    require_expression,
+    subject,
+    times_seconds,
+)
 from ...plants.plant import Plant
 
 Array: TypeAlias = NDArray[np.float64]

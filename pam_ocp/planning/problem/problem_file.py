@@ -11,8 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from ...core.arguments import with_kinds
-from ...core.errors import InputError, UnknownNameError
+from ...core.errors import InputError, UnknownNameError, with_kinds
 from ...core.files import read_toml, reading
 from ...core.quantities import known_keys, pair, quantity, table
 from ...judge.statement import TIME, Avoid, Constraint, Phase, Profile, Stop, subject

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ..transcription.derivatives import Block, entries_of, stage_blocks, stored
 from ..transcription.solution import Places
 from ..transcription.transcription import Group, Program

@@ -15,7 +15,7 @@ from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..problem.problem import Budget, Condition
 from ..transcription.mesh import Collocation, Mesh
 from ..transcription.transcription import Program
-from .ipopt_options import DEFAULTS
+from .ipopt import DEFAULTS
 from .solver import Outcome, limit
 
 Array: TypeAlias = NDArray[np.float64]

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...numerics.buffered import Buffered
+from ...numerics.solvers import Buffered
 from ..transcription.derivatives import entries_of, stored
 from ..transcription.transcription import Program
 from .condensed import Beside, Condensed, Interval, Values

@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import ExportError, InputError, require_flag
-from ...core.plausible import outside
+from ...core.quantities import outside
 from ...core.registry import Registry
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..stages import require_work, written
 from ..transcription.derivatives import derivatives, iteration_cost
 from ..transcription.transcription import Program
-from .ipopt_options import BARRIER_OF_TIME, DAMPED, DEFAULTS, STARTS, WANDERING, Start
+from .ipopt import BARRIER_OF_TIME, DAMPED, DEFAULTS, STARTS, WANDERING, Start
 
 if TYPE_CHECKING:  # loaded with the first re-solve
     from .newton import Newton, Optimality

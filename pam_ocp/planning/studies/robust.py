@@ -20,14 +20,14 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.executors import Place
-from ...core.plausible import outside
 from ...core.progress import counted
+from ...core.quantities import outside
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
 from ...judge.statement import Stop
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
-from ...simulation.simulator import evaluated
+from ...simulation.integrate import evaluated
 from ..planner import SolveKeywords, plan
 from ..result import Plan, Solved
 from .robust_result import (

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from ...core.exceptions import InputError
-from ...core.plausible import outside
-from ...core.quantities import is_quantity, quantity
+from ...core.quantities import is_quantity, outside, quantity
 from ...core.registry import Registry
 from ..plant_fit_problem import listed, values
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from pam_ocp.numerics.blas import SAID
+from pam_ocp.numerics.solvers import SAID
 
 ASKED = """
 import ctypes
