@@ -92,20 +92,37 @@ def equilibrium(
     require_instance("guess", guess, OperatingPoint, "give an OperatingPoint", none=True)
     if guess is not None:
         require_point_of(plant, guess)
+    asked = wanted, free, expressions, memory
     if inversion.all_free(wanted):  # a closed valve's command has no slope, its opening has
         near = None if guess is None else inversion.entered(guess)
         inner = equilibrium(
             inversion.inner, wanted, free=free, expressions=expressions, guess=near, memory=memory
         )
-        left = inversion.left(inner)
-        if len(plant.inputs) != len(inversion.inner.inputs):  # two valves for one opening are exact
-            return left
-        return _polished(left, posed(plant, wanted, free, expressions, memory))
-    search = posed(plant, wanted, free, expressions, memory)
+        return _in_commands(inversion, inner, asked)
+    search = posed(plant, *asked)
     point, nearest = search.solve(guess)
     if point is None:
         raise EquilibriumError(why_not(search, nearest))
     return point
+
+
+def resting_point(plant: Plant, wanted: Values) -> OperatingPoint | None:
+    """The same, and None where there is none: to say why takes longer than to find that out."""
+    inversion = Inversion(plant)
+    asked: Any = wanted, (), None, "virgin"
+    if inversion.all_free(wanted):
+        inner = resting_point(inversion.inner, wanted)
+        return None if inner is None else _in_commands(inversion, inner, asked)
+    return posed(plant, *asked).solve()[0]
+
+
+def _in_commands(inversion: Inversion, inner: OperatingPoint, asked: Any) -> OperatingPoint:
+    left = inversion.left(inner)
+    if len(left.plant.inputs) != len(
+        inversion.inner.inputs
+    ):  # two valves for one opening are exact
+        return left
+    return _polished(left, posed(inversion.plant, *asked))
 
 
 def _polished(near: OperatingPoint, search: Rest) -> OperatingPoint:

@@ -38,6 +38,9 @@ from .transcription.mesh import Mesh
 from .transcription.solution import Solution, pack
 from .transcription.transcription import Program, is_nonsmooth
 
+DEARER = 1e-2
+"""Part of the objective by which a finer mesh may cost more where its least was not found."""
+
 
 class Continuation:
     """Leads candidates to the end; ``taken`` is called with each that solves the user's own
@@ -144,20 +147,27 @@ class Continuation:
         """
         on_path = c.place < 1.0 and not self.meshes.is_coarse(c.mesh)
         starts: tuple[Start, ...] = ("restored", "near") if on_path else ("near",)
-        failed = []
         for mesh, why in meshes:
             for start in starts:
                 finer = self.engine.refined(c, mesh, why, start)
+                if not finer.is_solved:
+                    finer = self._beside(finer, c)
                 if self._leads_on(finer, c):
                     return finer
-                failed.append(finer)
-        for each in failed:
-            near = self.engine.beside(each.solved, ("mesh", "where the solver stopped"))
-            if near is not None:
-                return replace(each, solved=near)
         mesh, why = meshes[0]
         finer = self.engine.refined(c, mesh, why, "feasible")
         return finer if self._leads_on(finer, c) else None
+
+    def _beside(self, failed: Candidate, c: Candidate) -> Candidate:
+        """The motion next to where a solver stopped, if it costs no more than the coarser mesh's
+        but for a little; else what failed.
+        """
+        found, why = failed.solved, ("mesh", "where the solver stopped")
+        if found.outcome.stopped:
+            return failed
+        near = self._at(found, failed.mesh, c.place, "feasible", why)
+        dearer = near.outcome.objective - c.objective > DEARER * c.scale
+        return failed if dearer else replace(failed, solved=near)
 
     @staticmethod
     def _leads_on(finer: Candidate, c: Candidate) -> bool:
@@ -207,7 +217,10 @@ class Continuation:
         if there == 1.0 or (last and not found.outcome.success):
             near = found if found.outcome.success or there < 1.0 else c.solved
             least = self._at(near, c.mesh, there, "last", why)
-            found = least if least.outcome.ended else found
+            if not least.outcome.ended:  # the motion next to where it stopped
+                least = self._at(least, c.mesh, there, "feasible", why)
+            if least.outcome.ended and not _costs_less(found, least):
+                found = least
             for start in PROJECTIONS:
                 if not found.outcome.ended:
                     found = self._at(c.solved, c.mesh, there, start, why)
@@ -236,6 +249,7 @@ class Continuation:
     def _at(
         self, near: Solved, mesh: Mesh, place: float, start: Start, why: tuple[str, str]
     ) -> Solved:
+        """On the same mesh, from another solution there."""
         outcome, program = near.outcome, self.engine.program(mesh)
         return self.engine.solve(program, place, outcome.w, start, why, outcome)
 
@@ -248,6 +262,11 @@ class Continuation:
         if not found.outcome.success:
             return None
         return replace(c, solved=found, place=place, coarser=None, rounds=c.rounds + 1)
+
+
+def _costs_less(found: Solved, other: Solved) -> bool:
+    """Whether one is solved, and costs less than another."""
+    return found.outcome.success and found.outcome.objective < other.outcome.objective
 
 
 # ---- the relaxation of valves -------------------------------------------------------------------

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,7 +21,7 @@ from ..judge.statement import COSTS, Statement
 from .candidate import Candidate, Checked, Engine, renewed, same_form
 from .continuation import Continuation, ValveOpenings
 from .mesh_sequence import MeshSequence
-from .problem.problem import regularised
+from .problem.problem import Problem, regularised
 from .replay import accuracy
 from .result import Solved
 from .solvers.diagnosis import Conflict, elastic, resolving
@@ -35,8 +37,8 @@ from .transcription.transcription import Program, has_relaxed, is_nonsmooth, tra
 Array: TypeAlias = NDArray[np.float64]
 Guess: TypeAlias = tuple[str, Callable[[], Array | None], Start]
 
-GIVEN, LAST = -1, 99
-"""Numbers of the candidates from a given plan, and from openings: before and behind all starts."""
+GIVEN = -1
+"""Number of the candidate from a given plan: before all starts."""
 BLOCKED = "no way from wider smoothing to the plant's own terms"
 SPENT = "the iterations that are allowed ended on the way to the plant's own terms"
 """Statuses of a search whose starts are solved, while none is led to the end."""
@@ -104,6 +106,9 @@ class Search:
         self._stopped: list[Solved] = []
         """Where solvers stopped from a start."""
         self._first_seconds = 0.0
+        self._problems: dict[tuple[Mesh, float, bool], Problem] = {}
+        self._by_openings = False
+        """Whether openings in place of commands led to the plan."""
 
     def best(
         self, near: Solved | None = None, last: Solved | None = None, finer: Sequence[Program] = ()
@@ -141,39 +146,14 @@ class Search:
         if given is not None:
             self._led(given)
         if given is None or (self.starts or 1) > 1:
-            self._by_ways(near is not None)
-        if self._is_enough():
-            return
-        if self.met or (self.tolerance is None and self.found.best is not None):
-            return
-        for count, c in enumerate(self._fallbacks(), 1):
-            self._led(c)
-            if self.met or count >= self.settings.candidates:
-                return  # before the next one is solved
-
-    def _by_ways(self, known: bool) -> None:
-        """With what is relaxed led along the path and without, until there is a plan: first along,
-        where there are roundings to be narrowed anyway.
-        """
-        smooth = not self.nonsmooth
-        ways = (not smooth, smooth) if has_relaxed(self.problem) else (False,)
-        for relaxed in ways:
-            self._goes(relaxed)
-            self._start(known)
-            if self.met:
-                return
-        self._goes(relaxed=False)
+            for candidates in self._batches(given is not None):
+                self._lead(candidates)
+                if self._is_enough():
+                    return
 
     def _goes(self, relaxed: bool) -> None:
         self.engine.relaxed, self._began = relaxed, []
         self.place = 0.0 if self.nonsmooth or relaxed else 1.0
-
-    def _start(self, known: bool) -> None:
-        """From all starts until that is enough; known : whether a plan is given as well."""
-        for candidates in self._batches(known):
-            self._lead(candidates)
-            if self._is_enough():
-                return
 
     def _lead(self, candidates: list[Candidate]) -> None:
         """To the end: of those that tie the earliest start first, and only what began better than
@@ -275,33 +255,71 @@ class Search:
         return self.settings.tie * max(abs(objective), 1e-9)
 
     def _batches(self, known: bool) -> Iterator[list[Candidate]]:
-        """From the usual guess, from openings, from other starts, on the first mesh of the
-        sequence: each batch is led before the next one is solved, so that there is a plan early.
-        With costs of work or air openings alone lead anywhere.
+        """What one start comes to, until there is a plan: from the usual guess, from others. Then
+        from further starts. Each batch is led before the next one is solved, so that there is a
+        plan early, and what fewer starts find is found by more, too.
 
         known : whether a plan is given as well.
         """
-        count = (self.starts or number_of_starts(self.problem.plant)) - known
-        if self._costly and not known:
-            opened = self._from_openings()
-            if opened is not None:
-                yield [opened]
+        others = (self.starts or number_of_starts(self.problem.plant)) - 1
+        if not known:
+            yield from self._one()
+        if others > 0 and not (self._costly and self._opened is not None):
+            for _ in (1,) if self.met else self._ways():
+                yield self._further(0 if known else 1, others)
+                if self.met:
+                    return
+        if self.found.best is None:
+            yield from ([c] for c in self._feasible())
+
+    def _one(self) -> Iterator[list[Candidate]]:
+        """From the usual guess, in openings first; where that leads to no plan, from other guesses
+        and by way of coarser meshes.
+        """
+        for _ in self._ways():
+            yield self._from_openings(0, 1)
+            self._by_openings = self._opened is not None and self.found_plan
+            if not self.found_plan:
+                yield self._solved(self._tasks(1), 0)
+            if self.found_plan:
                 return
-        first, *others = self._tasks(max(count, 1))
-        yield self._solved([first], 0)
-        if others and not known:
-            opened = self._from_openings()
-            if opened is not None:
-                self.found.opened = (opened.solved.outcome,)
-                others.pop()
-                yield [opened]
-        if others:
-            yield self._solved(others, 1)
+        self._goes(relaxed=False)
+        for count, c in enumerate(self._fallbacks(), 1):
+            yield [c]
+            if self.found_plan or count >= self.settings.candidates:
+                return  # before the next one is solved
+
+    def _ways(self) -> Iterator[bool]:
+        """With what is relaxed led along the path and without: first along, where there are
+        roundings to be narrowed anyway.
+        """
+        smooth = not self.nonsmooth
+        for relaxed in (not smooth, smooth) if has_relaxed(self.problem) else (False,):
+            self._goes(relaxed)
+            yield relaxed
+
+    @property
+    def found_plan(self) -> bool:
+        """Whether there is one; without a tolerance, a solution."""
+        return self.met or (self.tolerance is None and self.found.best is not None)
+
+    def _further(self, begin: int, count: int) -> list[Candidate]:
+        """From so many further starts, in openings where these led to a plan."""
+        if self._by_openings:
+            return self._from_openings(begin, count)
+        return self._solved(self._tasks(begin + count)[begin:], 1)
 
     def _tasks(self, count: int) -> list[Task]:
         mesh = self.meshes.ladder[0]
-        program = self.engine.smoothed(self.engine.program(mesh), self.place)
-        return tasks(program.problem, mesh, count)
+        return tasks(self._problem_on(mesh), mesh, count)
+
+    def _problem_on(self, mesh: Mesh) -> Problem:
+        """At the place where starts begin: one object, so that its points of rest are known."""
+        key = mesh, self.place, self.engine.relaxed
+        if key not in self._problems:
+            program = self.engine.smoothed(self.engine.program(mesh), self.place)
+            self._problems[key] = program.problem
+        return self._problems[key]
 
     def _solved(self, starts: list[Task], number: int) -> list[Candidate]:
         """Solutions from these starts on the first mesh; ``number`` of the first of them."""
@@ -375,69 +393,94 @@ class Search:
     def _of_air(self) -> bool:
         return any(t in COSTS and COSTS[t].from_supply for t in self.statement.weights)
 
-    def _from_openings(self) -> Candidate | None:
-        """From the solution with openings as inputs; None where there are none, or it leads to
-        nothing. Where work or air counts that is the plan but for the names of its inputs; else,
-        since terms on inputs count openings there, a start.
-        """
-        costly = self._costly
+    @cached_property
+    def _opened(self) -> tuple[ValveOpenings, Search] | None:
+        """The problem with openings as inputs, and its own search; None where there are none."""
+        costly, s = self._costly, self.settings
         opened = ValveOpenings.of(self.problem.plant, self.statement, costly and self._of_air)
         if opened is None:
             return None
-        s, reason = self.settings, "in place of commands, which have dead zones"
         part = replace(s, all_work=SHARE * s.all_work, most_work=SHARE * s.most_work)
         engine = self.engine.of(opened.problem, settings=part)
-        inner = Search(engine, self.statement, self.starts if costly else 1, self.tolerance)
-        c = None
-        with stage("valve openings", reason), limited(part.most_work), suppress(WorkIsSpent):
-            if costly:
-                c = inner.best().best
+        return opened, Search(engine, self.statement, self.starts if costly else 1, self.tolerance)
+
+    def _from_openings(self, begin: int, count: int) -> list[Candidate]:
+        """From solutions with openings as inputs, by so many starts; none where there are no
+        openings, or they lead to nothing. Where work or air counts that is the plan but for the
+        names of its inputs; else, since terms on inputs count openings there, these are starts.
+        """
+        if self._opened is None:
+            return []
+        opened, inner = self._opened
+        limit, found = inner.settings.most_work, list[Candidate]()
+        reason = "in place of commands, which have dead zones"
+        with stage("valve openings", reason), limited(limit), suppress(WorkIsSpent):
+            if self._costly:
+                best = inner.best().best
+                found = [] if best is None else [replace(best, gap=inner.meshes.gap(best))]
             else:
-                c = next(iter(inner._solved(inner._tasks(1), 0)), None) or next(
-                    inner._guessed(engine.first.mesh, 1), None
-                )
-        if c is None:
-            return None
-        program = self.engine.program(c.mesh)
-        if costly:
-            c = replace(c, gap=inner.meshes.gap(c), number=LAST, rounds=0)
-        sent, same = opened.in_commands(program, c.solved) if costly else None, None
-        if sent is not None:
-            same = replace(c, solved=sent)
-            self._take(same)
+                inner._goes(self.engine.relaxed)
+                found = inner._sorted(inner._solved(inner._tasks(begin + count)[begin:], begin))
+                if not found and not begin:
+                    found = list(islice(inner._guessed(inner.engine.first.mesh, 1), 1))
+                self.found.opened += tuple(c.solved.outcome for c in found)
+        back = (self._in_commands(opened, c) for c in inner._apart(found))
+        return [c for c in back if c is not None]
+
+    def _apart(self, candidates: list[Candidate]) -> list[Candidate]:
+        """One of each motion, by their objectives, which rise."""
+        return [
+            c
+            for before, c in zip([None, *candidates], candidates, strict=False)
+            if before is None or c.objective - before.objective > self._tie(before.objective)
+        ]
+
+    def _in_commands(self, opened: ValveOpenings, c: Candidate) -> Candidate | None:
+        """A candidate in openings as one in commands."""
+        program, same = self.engine.program(c.mesh), None
+        if self._costly:
+            c = replace(c, rounds=0)
+            sent = opened.in_commands(program, c.solved)
+            if sent is not None:
+                same = replace(c, solved=sent)
+                self._take(same)
         guess = opened.guess(self.problem, c.mesh, c.solved.solution)
         why = ("valve openings", "back to commands")
         found = self.engine.solve(program, c.place, guess, "near", why)
-        return replace(c, solved=found, number=LAST) if found.outcome.success else same
+        return replace(c, solved=found) if found.outcome.success else same
 
     # ---- where no start leads anywhere ----------------------------------------------------------
     def _fallbacks(self) -> Iterator[Candidate]:
         """From other guesses and by way of coarser meshes; where all that leads to nothing, from
-        where solvers stopped beside the constraints, and from a point that meets them all.
+        where solvers stopped beside the constraints.
         """
         asked, usual = self.engine.first.mesh, tuple(self.meshes.ladder)
         ways = [usual, (asked,)]
         if self.tolerance is not None:
             ways.append((*(merged(asked, count) for count in PARTS), asked))
-        for way in dict.fromkeys(tuple(dict.fromkeys(meshes)) for meshes in ways):
-            self.meshes.ladder = list(way)
-            yield from self._guessed(way[0])
-        self.meshes.ladder = list(usual)
+        try:
+            for way in dict.fromkeys(tuple(dict.fromkeys(meshes)) for meshes in ways):
+                self.meshes.ladder = list(way)
+                yield from self._guessed(way[0])
+        finally:
+            self.meshes.ladder = list(usual)
         for end in sorted(self._stopped, key=lambda end: end.outcome.objective):
             near = self.engine.beside(end, ("other guesses", "where a solver stopped"))
             if near is not None:
                 yield self._candidate(near, self.place)
-        if self.found.best is not None:
-            return
+
+    def _feasible(self) -> Iterator[Candidate]:
+        """From a point that meets all constraints."""
         feasible = self.diagnosed()
         if feasible is not None:
             name = "a point that meets all constraints"
-            yield from self._from_guesses(asked, [(name, lambda: feasible, "adaptive")])
+            guesses: list[Guess] = [(name, lambda: feasible, "adaptive")]
+            yield from self._from_guesses(self.engine.first.mesh, guesses)
 
     def _guessed(self, mesh: Mesh, most: int | None = None) -> Iterator[Candidate]:
         """Solutions on a mesh from guesses that take longer to make; ``most``: from the first."""
         problem, usual = self.problem, wants_balance(self.problem)
-        wide = self.engine.smoothed(self.engine.program(mesh), self.place).problem
+        wide = self._problem_on(mesh)
         guesses: list[Guess] = [
             ("a simulated motion along the stops", lambda: by_leading(wide, mesh), "near"),
             ("a small cost of the inputs", lambda: self._regularised(mesh), "near"),

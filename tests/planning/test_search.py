@@ -290,6 +290,52 @@ def test_where_a_mesh_for_the_costs_leads_nowhere_the_tolerance_is_met_all_the_s
     assert left[0].check.miss > 1e-3
 
 
+def test_more_starts_are_never_worse_than_one() -> None:
+    """The usual guess leads nowhere here, another one further than the other starts."""
+    muscle, losses = pam.muscle("DMSP-20-400N"), (pam.losses.BoucWen(10.7, 0.0073),)
+    plant = pam.RegulatedLoad(muscle, 24.0, gain=1.3e6, lag=0.088, losses=losses)
+    stops = [{"x": 0.0546}, {"x": 0.0731}]
+    one, four = (pam.plan(plant, stops, starts=starts) for starts in (1, 4))
+    assert one.verified
+    assert four.verified
+    assert four.objective <= one.objective * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("reason", "cost", "taken"),
+    [
+        ("place 1.00", 0.5, True),
+        ("place 1.00", 2.0, False),
+        ("a mesh", 1.005, True),
+        ("a mesh", 1.1, False),
+    ],
+)
+def test_what_a_solver_had_where_its_work_ended_is_taken_where_it_is_worth_it(
+    reason: str, cost: float, taken: bool, monkeypatch: Any
+) -> None:
+    """At the end of the path, and on a finer mesh: the motion next to where it stopped."""
+    search = search_of(planner())
+    engine, continuation = search.engine, search.continuation
+    c = search._candidate(solved(planner()), 1.0)
+
+    def solve(
+        program: Any, place: float, guess: Any, start: str, why: Any, warm: Any = None
+    ) -> Any:
+        late = start in ("last", "near", "finer")
+        objective = c.objective * (cost if warm is not None and warm.objective == 7.0 else 1.0)
+        given = {"success": not late, "status": "Maximum_Iterations_Exceeded" if late else SETTLED}
+        outcome = replace(c.solved.outcome, objective=7.0 if late else objective, **given)
+        return replace(c.solved, outcome=outcome)
+
+    monkeypatch.setattr(engine, "solve", solve)
+    if reason == "a mesh":
+        finer = continuation._finer(c, [(engine.first.mesh, reason)])
+    else:
+        finer = continuation._further(c, 1.0, last=False)
+    assert finer is not None
+    assert finer.objective == pytest.approx(c.objective * (cost if taken else 1.0))
+
+
 @pytest.mark.parametrize(("costs", "starts"), [(1.0, ["feasible"]), (5.0, ["feasible", "finer"])])
 def test_the_motion_next_to_a_flat_optimum_is_taken_where_it_is_the_same(
     costs: float, starts: list[str], monkeypatch: Any

@@ -16,6 +16,7 @@ from ...core.errors import InputError, PamError
 from ...judge.statement import subject
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ...operating.held import held_names
+from ...operating.resting_point import resting_point
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows, totals
 from ..problem.problem import Problem, limits
@@ -69,7 +70,7 @@ def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: floa
     """
     shortest, longest = np.array([leg.duration for leg in problem.legs]).T
     durations = np.clip(stretch * problem.time_nominals, shortest, longest)
-    path = Path(problem, [_node(problem, stop, balanced) for stop in problem.stops], durations)
+    path = Path(problem, _stops(problem, balanced), durations)
     inputs = path.driving_inputs() if balanced else path.inputs
     return sampled_along(problem, mesh, durations, path.states, inputs)
 
@@ -98,10 +99,16 @@ def sampled_along(
     return _sampled(problem, mesh, durations, states, inputs, _design(problem), peaks)
 
 
-@lru_cache(maxsize=4)  # each mesh of a search asks, and where nothing rests that takes seconds
+@lru_cache(maxsize=8)  # each start and mesh of a search asks; where nothing rests it takes seconds
+def _stops(problem: Problem, balanced: bool) -> list[Point]:
+    """(states, inputs) at each stop."""
+    return [_node(problem, stop, balanced) for stop in problem.stops]
+
+
+@lru_cache(maxsize=4)
 def _rests(problem: Problem) -> list[Point]:
     """(states, inputs) at each stop and at the places between; where none rests, on a line."""
-    nodes = [_node(problem, stop, balanced=True) for stop in problem.stops]
+    nodes = _stops(problem, balanced=True)
     found = nodes[:1]
     for (a, b), (one, other) in zip(pairwise(problem.stops), pairwise(nodes), strict=True):
         ends = {n: (_middle(a[n]), _middle(b[n])) for n in a if n in b}
@@ -127,8 +134,10 @@ def _rest(plant: Plant, known: dict[str, float], completed: bool = False) -> Poi
     more = range(len(controls) + 1 if completed else 1)  # two valves of a muscle count as one
     for added in chain.from_iterable(combinations(open_ones, count) for count in more):
         try:
-            point = plant.equilibrium(**known, **{v.name: v.start for v in added})
+            point = resting_point(plant, {**known, **{v.name: v.start for v in added}})
         except PamError:
+            continue
+        if point is None:
             continue
         x, u = ([point[v.name] for v in kind] for kind in (plant.states, plant.inputs))
         return np.array(x), np.array(u)
