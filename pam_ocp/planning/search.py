@@ -145,8 +145,9 @@ class Search:
         given = None if near is None else self._from_near(near)
         if given is not None:
             self._led(given)
-        if given is None or (self.starts or 1) > 1:
-            for candidates in self._batches(given is not None):
+        known = given is not None and self._has_plan()
+        if not known or (self.starts or 1) > 1:
+            for candidates in self._batches(known):
                 self._lead(candidates)
                 if self._is_enough():
                     return
@@ -259,7 +260,7 @@ class Search:
         from further starts. Each batch is led before the next one is solved, so that there is a
         plan early, and what fewer starts find is found by more, too.
 
-        known : whether a plan is given as well.
+        known : whether a plan that was given led to one.
         """
         others = (self.starts or number_of_starts(self.problem.plant)) - 1
         if not known:
@@ -278,15 +279,16 @@ class Search:
         """
         for _ in self._ways():
             yield self._from_openings(0, 1)
-            self._by_openings = self._opened is not None and self.found_plan
-            if not self.found_plan:
-                yield self._solved(self._tasks(1), 0)
-            if self.found_plan:
+            if self._has_plan():
+                self._by_openings = True
+                return
+            yield self._solved(self._tasks(1), 0)
+            if self._has_plan():
                 return
         self._goes(relaxed=False)
         for count, c in enumerate(self._fallbacks(), 1):
             yield [c]
-            if self.found_plan or count >= self.settings.candidates:
+            if self._has_plan() or count >= self.settings.candidates:
                 return  # before the next one is solved
 
     def _ways(self) -> Iterator[bool]:
@@ -298,8 +300,7 @@ class Search:
             self._goes(relaxed)
             yield relaxed
 
-    @property
-    def found_plan(self) -> bool:
+    def _has_plan(self) -> bool:
         """Whether there is one; without a tolerance, a solution."""
         return self.met or (self.tolerance is None and self.found.best is not None)
 
