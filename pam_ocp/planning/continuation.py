@@ -189,8 +189,7 @@ class Continuation:
                 return c
             now = self.engine.corrected(c, start)
             if start == "feasible" and (now is None or is_elsewhere(now.solved, c.solved)):
-                start = "last"
-                now = self.engine.corrected(c, start)
+                now = self.engine.corrected(c, "last")
             if now is None:
                 return c
             self.taken(now)

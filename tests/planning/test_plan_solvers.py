@@ -235,7 +235,9 @@ def test_starts_near_an_optimum_keep_constraints_and_the_residual_they_promise(
 
 @pytest.mark.slow
 def test_more_starts_keep_the_best(slide):
-    """Valves: many local optima. The first of the objectives is that of the planner's own start."""
+    """Valves: many local optima. The first of the objectives is that of the planner's own start; they
+    are of solutions in openings, which IPOPT ends at once more in commands.
+    """
     plant = pam.AntagonisticSlide(
         pam.muscle("DMSP-20-400N"), 8.5, 0.10, feed=pam.feeds.SpoolValve()
     )
@@ -244,8 +246,8 @@ def test_more_starts_keep_the_best(slide):
     best = pam.plan(plant, **task, starts=6)
     found = [end["objective"] for end in best.statistics["starts"] if end["solved"]]
     assert len(found) > 3
-    assert found[0] == pytest.approx(own.objective, rel=1e-9)
-    assert best.statistics["objective_on_mesh"] == min(found)
+    assert found[0] == pytest.approx(own.objective, rel=1e-8)
+    assert best.statistics["objective_on_mesh"] == pytest.approx(min(found), rel=1e-8)
     assert best.objective <= own.objective * (1 + 1e-9)
     assert max(found) > min(found) * (1 + 1e-4)  # they differ here, or there were nothing to choose
     assert best.replay_error < 0.01

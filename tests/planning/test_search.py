@@ -280,6 +280,7 @@ def test_where_a_mesh_for_the_costs_leads_nowhere_the_tolerance_is_met_all_the_s
         return replace(better, solved=replace(better.solved, outcome=outcome))
 
     monkeypatch.setattr(Engine, "refined", refined)
+    monkeypatch.setattr(Continuation, "_beside", lambda self, failed, c: failed)
     monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, corrections=0))
     plant = pam.HangingLoad("DMSP-20-200N", 8.0, feed=pam.feeds.Regulator())
     wish: dict[str, Any] = {"duration": 0.3, "minimise": "work", "method": Collocation(10, 3)}
