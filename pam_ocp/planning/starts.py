@@ -112,7 +112,7 @@ def number_of_starts(plant: Plant) -> int:
     Valves are inputs that act more or less as the state is (a flow by the pressures beside it) or
     as they are themselves; a load on a spring moves by way of another position only.
     """
-    return SETTINGS.several if _throttled(plant) or _in_series(plant) else 1
+    return SETTINGS.several if _throttled(plant) or in_series(plant) else 1
 
 
 def _throttled(plant: Plant) -> bool:
@@ -128,7 +128,7 @@ def _throttled(plant: Plant) -> bool:
     return bool(ca.depends_on(slopes, ca.vertcat(plant.x, plant.u)))
 
 
-def _in_series(plant: Plant) -> bool:
+def in_series(plant: Plant) -> bool:
     """Whether the inputs reach a velocity by way of another position only."""
     xdot = plant.function(plant.x, plant.u, plant.p)[0]
     by_state = np.array(ca.DM(ca.jacobian_sparsity(xdot, plant.x), 1.0), bool)

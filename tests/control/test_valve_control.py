@@ -401,7 +401,7 @@ def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
         plant, [{"x": 0.05}, {"x": 0.075}], bounds=bounds, method=pam.Collocation(15, 3)
     )
     search = search_of(planner)
-    near, (first, *_) = search._from_openings(), search._solved(search._tasks(1), 0)
+    (near,), (first, *_) = search._from_openings(0, 1), search._solved(search._tasks(1), 0)
     assert near.objective < 1.01 * first.objective
     low, high = (bounds or {"muscle.command": (-1.0, 1.0)})["muscle.command"]
     solution = near.solved.solution
@@ -415,4 +415,4 @@ def test_a_wish_about_commands_is_not_planned_in_openings():
     planner = pam.Planner(
         plant, [{"x": 0.05}, {"x": 0.06}], minimise={"time": 1.0, "square(muscle.command)": 0.1}
     )
-    assert search_of(planner)._from_openings() is None
+    assert search_of(planner)._from_openings(0, 1) == []

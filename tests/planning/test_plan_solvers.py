@@ -13,6 +13,7 @@ from conftest import hardening_cart as cart
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
 from pam_ocp.planning import Shooting
+from pam_ocp.planning.continuation import ValveOpenings
 from pam_ocp.planning.solvers.solver import Ipopt, Outcome
 from pam_ocp.planning.transcription.derivatives import derivatives
 from pam_ocp.planning.transcription.guess import by_stops
@@ -234,25 +235,27 @@ def test_starts_near_an_optimum_keep_constraints_and_the_residual_they_promise(
 
 
 @pytest.mark.slow
-def test_more_starts_keep_the_best(slide):
-    """Valves: many local optima. The first of the objectives is that of the planner's own start; they
-    are of solutions in openings, which IPOPT ends at once more in commands.
+def test_more_starts_keep_the_best(slide, monkeypatch):
+    """Valves: many local optima, by their commands. The first of the objectives is that of the
+    planner's own start; with openings as inputs the first start finds what six find here.
     """
     plant = pam.AntagonisticSlide(
         pam.muscle("DMSP-20-400N"), 8.5, 0.10, feed=pam.feeds.SpoolValve()
     )
     task = {"stops": [{"x": -0.01}, {"x": 0.012}], "method": pam.Collocation(20, 3)}
+    monkeypatch.setattr(ValveOpenings, "of", lambda *_: None)
     own = pam.plan(plant, **task, starts=1)
     best = pam.plan(plant, **task, starts=6)
     found = [end["objective"] for end in best.statistics["starts"] if end["solved"]]
     assert len(found) > 3
-    assert found[0] == pytest.approx(own.objective, rel=1e-8)
-    assert best.statistics["objective_on_mesh"] == pytest.approx(min(found), rel=1e-8)
+    assert found[0] == pytest.approx(own.objective, rel=1e-9)
+    assert best.statistics["objective_on_mesh"] == min(found)
     assert best.objective <= own.objective * (1 + 1e-9)
     assert max(found) > min(found) * (1 + 1e-4)  # they differ here, or there were nothing to choose
-    assert best.replay_error < 0.01
-    everywhere = pam.plan(slide, STOPS, cyclic="mirrored", method=pam.Collocation(20, 3), starts=12)
-    assert everywhere.statistics["starts_apart"] < 1e-5  # with regulators there is one optimum
+    monkeypatch.undo()
+    opened = pam.plan(plant, **task, starts=1)
+    assert opened.verified
+    assert opened.objective <= best.objective * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("starts", [0, 13, 2.0, "all", True])
