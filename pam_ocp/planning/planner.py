@@ -162,8 +162,9 @@ def plan(
     guess : another plan to start from.
     starts : 1 to 12: how many starts are tried (other durations, states and barrier strategies of
         the first guess), side by side in processes where that pays; the best plan is kept, and
-        ``statistics["starts"]`` says where each ended. None: 4 where local optima are many (a load on
-        a tendon, valves whose openings lead nowhere; 2 with valves) and no guess is given, else 1.
+        ``statistics["starts"]`` says where each ended. None: 4 where local optima are many (a load
+        on a tendon, valves whose openings lead nowhere), 2 with other valves, 1 with a guess and
+        for all else.
     executor : where they are tried, as for :func:`pam_ocp.each`; what comes of them is the same
         everywhere. None: here, and by processes of our own where that pays, on any system. The
         first start is tried here, and so are all where another solver than IPOPT is named.
