@@ -291,6 +291,28 @@ def test_where_a_mesh_for_the_costs_leads_nowhere_the_tolerance_is_met_all_the_s
     assert left[0].check.miss > 1e-3
 
 
+def test_the_same_motion_in_commands_is_a_candidate_where_no_solver_gets_there(
+    monkeypatch: Any,
+) -> None:
+    """From openings, by the inverse of the dead zone."""
+    usual = Engine.solve
+
+    def solve(
+        self: Engine, program: Any, place: float, guess: Any, start: Any, why: Any, *more: Any
+    ) -> Any:
+        found = usual(self, program, place, guess, start, why, *more)
+        if why[1] != "back to commands":
+            return found
+        return replace(found, outcome=replace(found.outcome, success=False))
+
+    monkeypatch.setattr(Engine, "solve", solve)
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), 2.0, 0.1, feed=pam.feeds.SpoolValve())
+    plan = pam.plan(plant, [{"x": -0.01}, {"x": 0.01}], method=Collocation(15, 3), starts=1)
+    assert plan.verified
+    assert all(s["name"].startswith("valve openings") for s in plan.statistics["stages"][:2])
+    assert not any(s["name"] == "starts" for s in plan.statistics["stages"])
+
+
 def test_more_starts_are_never_worse_than_one() -> None:
     """The usual guess leads nowhere here, another one further than the other starts."""
     muscle, losses = pam.muscle("DMSP-20-400N"), (pam.losses.BoucWen(10.7, 0.0073),)
