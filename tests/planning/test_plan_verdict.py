@@ -504,7 +504,7 @@ UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
 def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatch):
     from pam_ocp.planning import starts as side_by_side
 
-    alone = pam.plan(by_valve, **UP)
+    alone = pam.plan(by_valve, **UP, starts=4)
     workers = []
     began = side_by_side._Worker.__init__
 
@@ -516,7 +516,7 @@ def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatc
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
     monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
     monkeypatch.setattr(side_by_side.Ipopt, "__call__", _slowly(side_by_side.Ipopt.__call__))
-    beside = pam.plan(by_valve, **UP)
+    beside = pam.plan(by_valve, **UP, starts=4)
     assert len(alone.statistics["starts"]) == len(beside.statistics["starts"]) == 4
     for one, two in zip(alone.statistics["starts"], beside.statistics["starts"], strict=True):
         assert one["status"] == two["status"]
