@@ -545,7 +545,7 @@ def test_where_no_process_can_be_started_all_starts_are_solved_here(by_valve, mo
     monkeypatch.setattr(side_by_side, "PAYS", 0.0)
     monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
     monkeypatch.setattr(side_by_side.subprocess, "Popen", refused)
-    assert len(pam.plan(by_valve, **UP).statistics["starts"]) == 4
+    assert len(pam.plan(by_valve, **UP, starts=4).statistics["starts"]) == 4
 
 
 def test_several_starts_are_for_valves_and_tendons_only():
