@@ -27,11 +27,13 @@ PLACES = 41
 """Values of a state, all over its range, at which it is asked whether it would stay."""
 APART = 0.05
 """Distance from where it came to, scaled by nominals, that counts as elsewhere."""
+RELEASED = 5e-3
+"""The same where it went there at once."""
 IDLE = 1e-6
 """Rates [nominal/s] at which a plant stays."""
 CREEPS = 1e-8
 """The same for what has settled: what still creeps moves others, which would not count as idle."""
-QUICK, SLOW = 1.0, 0.1
+QUICK, SLOW = 0.03, 0.02
 """Rates [nominal/s] of what relaxes at once, and of what has."""
 FAR = 100.0
 """Distance in nominals to which it is asked."""
@@ -98,7 +100,8 @@ def at_rest(
             return float(plant.function(here, u, p)[0][i]) / v.nominal  # noqa: B023
 
         came = _came_to(rate, value, (v.min, v.max), v.nominal)
-        if abs(came - value) > APART * v.nominal:
+        apart = RELEASED if abs(rate(value)) >= QUICK else APART
+        if abs(came - value) > apart * v.nominal:
             found[name] = came
     return found
 

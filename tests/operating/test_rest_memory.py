@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 import pam_ocp as pam
 from pam_ocp import InputError, vibration
 from pam_ocp.operating import EquilibriumError
-from pam_ocp.operating.held import carried, held
+from pam_ocp.operating.held import at_rest, carried, held
 from pam_ocp.operating.several import equilibria, equilibrium_branch, equilibrium_path
 from pam_ocp.plants.regulated import RegulatedLoad
 
@@ -421,3 +421,21 @@ def test_a_leaking_pair_rests_at_commands_that_feed_the_leaks(leak):
         start=dict(zip((v.name for v in plant.states), point.x, strict=True)),
     )
     assert run["muscle1.pressure"][-1] == pytest.approx(2.5e5, abs=10.0)
+
+
+@pytest.mark.parametrize("short", [0.02, 0.03, 0.1])
+def test_a_play_that_has_slid_fully_is_at_its_present_envelope(short):
+    """C (1 + 2 kappa), as a part of the largest: what lies above has been let go at once."""
+    muscle = pam.muscle("DMSP-20-400N")
+    top = muscle.contraction_range[1]
+    kappa = top - short
+    losses = (pam.losses.PrandtlIshlinskii(),)
+    plant = pam.HangingLoad(muscle, 8.0, feed=pam.feeds.Regulator(), losses=losses)
+    point = plant.equilibrium(x=kappa * float(muscle.rest_length), memory="below")
+    wanted = held(plant, "below")
+    x = np.array([wanted.get(v.name, point[v.name]) for v in plant.states])
+    u = np.array([point[v.name] for v in plant.inputs])
+    found = at_rest(plant, x, wanted, u)
+    envelope = (1 + 2 * kappa) / (1 + 2 * top)
+    assert set(wanted.values()) == {1.0}
+    assert all(envelope <= value <= envelope + 5e-3 for value in found.values())
