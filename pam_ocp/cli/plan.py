@@ -23,7 +23,7 @@ A problem file (TOML). Values are numbers in SI, or texts with a unit; plain key
   minimise = { time = 1.0, effort = 1e-4 }   # or one term, as "time"
   duration = { min = "20 ms", max = "1 s" }  # of each leg; or "0.2 s", "free", or a list
   tolerance = 1e-6                  # of the verdict (1e-3): the mesh is refined until it is met
-  starts = 1                        # how many starts to try (4 with a tendon, 2 with valves, else 1)
+  starts = 1                        # how many starts (4 with a tendon, 2 with valves, else 1)
 
   [plant]
   arrangement = "AntagonisticSlide" # HangingLoad, AntagonisticJoint, ..., or FILE.py:NAME
