@@ -109,14 +109,16 @@ def notebook(path: Path) -> Any:
     return made
 
 
-def run(name: str, made: Any, folder: Path) -> Path:
-    """``folder/NAME.ipynb`` with its outputs, and ``NAME.png``; kept while the example stays."""
+def run(name: str, made: Any, folder: Path, anew: bool = False) -> Path:
+    """``folder/NAME.ipynb`` with its outputs, and ``NAME.png``; kept while the example stays, but
+    for ``anew``.
+    """
     import nbformat
     from nbclient import NotebookClient
 
     target, picture = folder / f"{name}.ipynb", folder / f"{name}.png"
     before = nbformat.read(target, as_version=4) if target.is_file() else None
-    if before is None or before.metadata.get("source") != made.metadata.source:
+    if anew or before is None or before.metadata.get("source") != made.metadata.source:
         with tempfile.TemporaryDirectory() as place:
             NotebookClient(made, timeout=1800, resources={"metadata": {"path": place}}).execute()
         for cell in made.cells:
@@ -150,14 +152,14 @@ def small(png: bytes) -> bytes:
     return min(png, made.getvalue(), key=len)
 
 
-def make(folder: Path, names: list[str] | None = None) -> list[Path]:
+def make(folder: Path, names: list[str] | None = None, anew: bool = False) -> list[Path]:
     """Run examples, two at a time."""
     folder.mkdir(parents=True, exist_ok=True)
     chosen = names or [name for group in groups().values() for name in group]
     # before the threads: Python 3.11 parses in one alone
     made = [notebook(EXAMPLES / f"{name}.py") for name in chosen]
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(partial(run, folder=folder), chosen, made))
+        return list(pool.map(partial(run, folder=folder, anew=anew), chosen, made))
 
 
 def index(folder: Path) -> None:
@@ -245,15 +247,17 @@ def source_of(codes: list[tuple[str, str]]) -> str:
     return hashlib.sha256(json.dumps(plain).encode()).hexdigest()
 
 
-def run_page(name: str, folder: Path) -> Path:
-    """``folder/NAME.json``: what each block printed, and its pictures; kept while blocks stay."""
+def run_page(name: str, folder: Path, anew: bool = False) -> Path:
+    """``folder/NAME.json``: what each block printed, and its pictures; kept while blocks stay, but
+    for ``anew``.
+    """
     from nbclient import NotebookClient
     from nbformat import v4
 
     codes = blocks_of(name)
     source = source_of(codes)
     target = folder / f"{name}.json"
-    if target.is_file() and json.loads(target.read_text("utf-8"))["source"] == source:
+    if not anew and target.is_file() and json.loads(target.read_text("utf-8"))["source"] == source:
         return target
     made = v4.new_notebook(
         cells=[v4.new_code_cell(code) for code in (READY, *(c for _, c in codes))]
@@ -305,19 +309,17 @@ def with_shown(page: str, shown: list[dict[str, Any]]) -> str:
     return "".join([*parts, page[end:]])
 
 
-def make_pages(folder: Path) -> None:
+def make_pages(folder: Path, anew: bool = False) -> None:
     """Run pages, two at a time."""
     folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(partial(run_page, folder=folder), PAGES))
+        list(pool.map(partial(run_page, folder=folder, anew=anew), PAGES))
 
 
 if __name__ == "__main__":
     where, *chosen = [a for a in sys.argv[1:] if a != "--anew"] or [HERE / "gallery"]
-    if "--anew" in sys.argv:
-        for path in [*Path(where).glob("*.ipynb"), *(HERE / "outputs").glob("*")]:
-            path.unlink()
+    again = "--anew" in sys.argv
     if not chosen:
-        make_pages(HERE / "outputs")
-    for path in make(Path(where), chosen):
+        make_pages(HERE / "outputs", again)
+    for path in make(Path(where), chosen, again):
         print(path)

@@ -34,7 +34,7 @@ IDLE = 1e-6
 CREEPS = 1e-8
 """The same for what has settled: what still creeps moves others, which would not count as idle."""
 QUICK, SLOW = 0.03, 0.02
-"""Rates [nominal/s] of what relaxes at once, and of what has."""
+"""Rates [nominal/s] of what relaxes at once, and of what has: rounded laws creep more slowly."""
 FAR = 100.0
 """Distance in nominals to which it is asked."""
 NOTHING = 1e-9

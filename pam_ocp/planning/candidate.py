@@ -262,18 +262,17 @@ class Engine:
             return found
         return self.solve(program, place, guess, start, why)
 
-    def beside(self, found: Solved, why: tuple[str, str]) -> Solved | None:
-        """The motion next to where a solver stopped beside the constraints; None where it did not,
-        or there is none.
+    def beside(self, found: Solved, why: tuple[str, str], far: bool = False) -> Solved | None:
+        """The motion next to where a solver stopped beside the constraints, or ``far`` from them;
+        None where it did not, or there is none.
         """
         program, outcome = found.program, found.outcome
-        if not outcome.beside:
+        if outcome.ended or not (far or outcome.beside):
             return None
-        with stage(*why):
-            near = self.solver_of(program)(program, outcome.w, "feasible", outcome)
-        if not near.success:
+        near = self.solve(program, 1.0, outcome.w, "feasible", why, outcome)
+        if not near.outcome.success:
             return None
-        return self.solved(program, replace(near, warning=STUCK.format(outcome.status)))
+        return replace(near, outcome=replace(near.outcome, warning=STUCK.format(outcome.status)))
 
     def refined(self, c: Candidate, mesh: Mesh, why: str, start: Start = "near") -> Candidate:
         """A candidate on a finer mesh, solved or not."""

@@ -38,9 +38,6 @@ from .transcription.mesh import Mesh
 from .transcription.solution import Solution, pack
 from .transcription.transcription import Program, is_nonsmooth
 
-DEARER = 1e-2
-"""Part of the objective by which a finer mesh may cost more where its least was not found."""
-
 
 class Continuation:
     """Leads candidates to the end; ``taken`` is called with each that solves the user's own
@@ -162,12 +159,11 @@ class Continuation:
         """The motion next to where a solver stopped, if it costs no more than the coarser mesh's
         but for a little; else what failed.
         """
-        found, why = failed.solved, ("mesh", "where the solver stopped")
-        if found.outcome.stopped:
+        why = ("mesh", "where the solver stopped")
+        near = self.engine.beside(failed.solved, why, far=True)
+        if near is None or near.outcome.objective - c.objective > self.settings.dearer * c.scale:
             return failed
-        near = self._at(found, failed.mesh, c.place, "feasible", why)
-        dearer = near.outcome.objective - c.objective > DEARER * c.scale
-        return failed if dearer else replace(failed, solved=near)
+        return replace(failed, solved=near)
 
     @staticmethod
     def _leads_on(finer: Candidate, c: Candidate) -> bool:
@@ -216,8 +212,7 @@ class Continuation:
         if there == 1.0 or (last and not found.outcome.success):
             near = found if found.outcome.success or there < 1.0 else c.solved
             least = self._at(near, c.mesh, there, "last", why)
-            if not least.outcome.ended:  # the motion next to where it stopped
-                least = self._at(least, c.mesh, there, "feasible", why)
+            least = self.engine.beside(least, why, far=True) or least
             if least.outcome.ended and not _costs_less(found, least):
                 found = least
             for start in PROJECTIONS:

@@ -64,6 +64,9 @@ class Settings:
     """Of different starts that are led to the end, at most, until one is verified."""
     tie: float = 1e-4
     """Relative difference of two objectives up to which they count as one optimum."""
+    dearer: float = 1e-2
+    """Part of the objective by which a finer mesh may cost more where its least was not found: what
+    a solver had is kept, and the next mesh not tried."""
     work: float = 40.0
     """Processor seconds of a common machine (``iteration_cost``) for one candidate before, on and
     behind its path each, and of a search that has found a plan."""

@@ -167,10 +167,11 @@ def test_where_costs_lead_nowhere_the_next_motion_that_keeps_the_constraints_goe
     solve = Engine.solve
 
     def projected(
-        engine: Engine, program: Any, place: float, guess: Any, start: str, *rest: Any
+        engine: Engine, program: Any, place: float, guess: Any, start: str, why: Any, *rest: Any
     ) -> Any:
-        found = solve(engine, program, place, guess, start, *rest)
-        if 0.5 < place < 1.0 and start != projection:
+        found = solve(engine, program, place, guess, start, why, *rest)
+        at = re.match(r"place ([\d.]+) of the path", why[1])
+        if at and 0.5 < float(at[1]) < 1.0 and start != projection:
             return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
         return found
 
