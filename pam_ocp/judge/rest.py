@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import SimulationError
-from ..operating.held import Memory, at_rest, held
+from ..operating.held import Memory
 from ..plants.plant import Plant
 from ..plants.stillness import settled_names, store_names, totals
 from ..simulation.simulator import simulate
@@ -42,6 +42,10 @@ BISECTIONS = 40
 """Between two of these."""
 SPEED = 10.0
 """Times its nominal in a second: the unit of a state's rate."""
+CREEP = 0.03
+"""Rate of a held memory [nominal/s] below which it stays: rounded laws creep."""
+FOREVER = 1e5
+"""Seconds in which a memory comes to where it would stay for good."""
 
 
 Row: TypeAlias = "tuple[str, ca.SX, float, bool]"
@@ -237,8 +241,9 @@ def begun(
     names = [v.name for v in plant.states]
     places = {p.name for p in plant.resting(_spoken(plant, [point]))}
     said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
-    kept_by = held(plant, memory)
-    given = kept_by | _sums(plant)
+    memories = [v.name for v in plant.states if v.memory == "held"]
+    sums = _sums(plant)
+    given = {*memories, *sums}
     stores = {*store_names(plant)}
     kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies} - stores]
     rates = plant.function(plant.x, plant.u, plant.p)[0]
@@ -246,13 +251,14 @@ def begun(
     every = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
     unsaid = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in free))
     still = _still(plant, x, u, (every, unsaid), limits, point.time)
-    if not isinstance(memory, Mapping):
-        given |= at_rest(plant, x, kept_by, still)
-    for name, value in given.items():
+    said_of = sums.items() | {(n, _remembered(plant, n, memory, x, still)) for n in memories}
+    for name, value in sorted(said_of):
         if name in plant.copies:
             continue
-        i = names.index(name)
-        off = abs(float(x[i]) - value) / float(nominal[i])
+        i, ends = names.index(name), (value, value)
+        if name in memories and not isinstance(memory, Mapping):
+            ends = _left(plant, i, value, x, still)
+        off = max(min(ends) - float(x[i]), float(x[i]) - max(ends), 0.0) / float(nominal[i])
         yield f"{point.label}: {name} at the start", off, name in said
     moving = any(n.startswith("der(") for n in point.stop.values)
     # what a stop names is as it says, wherever it goes; the rest has settled beside it
@@ -264,6 +270,68 @@ def begun(
         if name in plant.copies:
             continue
         yield f"{point.label}: {name} as its surroundings leave it", off, name in said
+
+
+def _remembered(plant: Plant, name: str, memory: Memory, x: Array, u: Array) -> float:
+    """What a held memory is said to hold: its start value, what is given, or the end of its range
+    to which it is driven while all positions come from "above" or "below".
+    """
+    variable = plant.variable(name)
+    start = float(variable.start or 0.0)
+    if isinstance(memory, Mapping):
+        named = {plant.variable(n).name: float(value) for n, value in memory.items()}
+        return named.get(name, start)
+    if memory == "virgin":
+        return start
+    i, p = [v.name for v in plant.states].index(name), plant.vector("parameter")
+    standing = np.array(x, float)
+    standing[i] = (variable.min + variable.max) / 2
+    rising = _rising(plant, standing, u)
+    drive = float(np.diff([_rate(plant, i, at, u, p) for at in (standing, rising)])[0])
+    if memory == "above":
+        drive = -drive
+    return variable.max if drive > 0 else variable.min if drive < 0 else start
+
+
+def _rising(plant: Plant, x: Array, u: Array) -> Array:
+    """The state with velocities at which every position rises by its nominal in a second."""
+    names = [v.name for v in plant.states]
+    moved = np.array(x, float)
+    for position in plant.resting():
+        rate = plant.expression(f"der({position.name})")
+        velocities = [names.index(n) for n in position.velocities]
+        function = ca.Function("slopes", [plant.x, plant.u, plant.p], [ca.jacobian(rate, plant.x)])
+        slopes = np.asarray(function(x, u, plant.vector("parameter")), float)[0, velocities]
+        if np.any(slopes):
+            moved[velocities] += slopes * plant.variable(position.name).nominal / (slopes @ slopes)
+    return moved
+
+
+def _rate(plant: Plant, i: int, x: Array, u: Array, p: Array) -> float:
+    return float(plant.function(x, u, p)[0][i])
+
+
+def _left(plant: Plant, i: int, value: float, x: Array, u: Array) -> tuple[float, float]:
+    """The ends of what a memory that held a value may hold after rest, all else standing as it
+    does: from where it has slowed to a creep to where it stays for good.
+    """
+    from scipy.integrate import solve_ivp  # takes 0.1 s to load
+
+    p, here, nominal = plant.vector("parameter"), np.array(x, float), plant.states[i].nominal
+
+    def rate(t: float, z: Array) -> list[float]:
+        here[i] = z[0] * nominal
+        return [_rate(plant, i, here, u, p) / nominal]
+
+    def slowed(t: float, z: Array) -> float:
+        return abs(rate(t, z)[0]) - CREEP
+
+    begin = np.array([value / nominal])
+    tight = {"rtol": 1e-9, "atol": 1e-12}
+    run = solve_ivp(rate, (0.0, FOREVER), begin, "LSODA", events=slowed, **tight)
+    last, slow = float(run.y[0, -1]), [float(z[0]) for z in run.y_events[0]]
+    first = begin[0] if slowed(0.0, begin) <= 0 else slow[0] if slow else last
+    return float(first) * nominal, last * nominal
 
 
 def _still(

@@ -288,6 +288,33 @@ def test_a_spool_held_beside_its_middle_has_not_moved_in_its_play():
         assert judge(plant, said, Motion(start, held, (0.5,))).violation < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("part", "memory", "wrong"),
+    [(1.0, "below", False), (1.06, "below", True), (0.9, "below", True), (1.0, "above", True)],
+)
+def test_a_play_stands_at_the_envelope_of_its_place_and_side(part, memory, wrong):
+    """C = contracting (1 + 2 kappa), as a part of that at full contraction: above, a play has let
+    go before the motion begins; below, or on the other side, nothing has brought it.
+    """
+    muscle = pam.muscle("DMSP-20-400N")
+    kappa, top = 0.2, muscle.contraction_range[1]
+    losses = (pam.losses.PrandtlIshlinskii(),)
+    plant = pam.HangingLoad(muscle, 8.0, feed=pam.feeds.Regulator(), losses=losses)
+    plays = [v.name for v in plant.states if v.memory == "held"]
+    envelope = (1 + 2 * kappa) / (1 + 2 * top)
+    x = kappa * float(muscle.rest_length)
+    rest = plant.equilibrium(x=x)
+    stands = dict.fromkeys(plays, part * envelope)
+    start = np.array([stands.get(v.name, rest[v.name]) for v in plant.states], float)
+    held = PiecewisePolynomial(np.array([0.0, 0.5]), np.full((1, 1, 1), rest["muscle.command"]))
+    verdict = judge(
+        plant, Statement([{"x": x}, {"x": x}], memory=memory), Motion(start, held, (0.5,))
+    )
+    off = [f for f in verdict.findings if f.label.endswith("at the start") and f.by > 1e-2]
+    assert bool(off) == wrong
+    assert {f.label.split()[2] for f in off} <= set(plays)
+
+
 def test_a_plan_from_a_file_is_judged_by_the_words_in_it(tmp_path):
     plant = cart()
     limit = pam.Constraint(plant.expression("x") * pam.planning.TIME, high=2.0, name="late and far")
