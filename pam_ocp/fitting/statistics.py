@@ -24,6 +24,8 @@ from ..numerics.elementwise import Elementwise
 Array: TypeAlias = NDArray[np.float64]
 RANK_TOLERANCE = 1e-9
 """Singular values below this times the largest count as zero (columns of unit length)."""
+BISECTIONS = 60
+"""Of the half width of an interval: to the rounding of its ends."""
 BLOCK, SMALLEST_BLOCK = 16384, 256
 """Values that are held for each operation of a law's functions; places at least."""
 NEARLY_DEPENDENT = 100.0
@@ -259,16 +261,15 @@ class SerialErrors:
 
     def reach(self, level: float) -> float:
         """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
-        from scipy.optimize import brentq
         from scipy.special import stdtr
 
-        plain = student_t(level, self.dof)
         roots = np.sqrt(self.sizes)
-
-        def missing(half: float) -> float:
-            return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
-
-        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
+        low, high = student_t(level, self.dof) * np.array([roots.min(), roots.max()])
+        for _ in range(BISECTIONS):  # scipy.optimize would take a quarter of a second to load
+            half = (low + high) / 2
+            below = self.weights @ stdtr(self.dof, half / roots) < (1 + level) / 2
+            low, high = (half, high) if below else (low, half)
+        return float((low + high) / 2)
 
 
 @dataclass(frozen=True, eq=False)
