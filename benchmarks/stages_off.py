@@ -31,6 +31,8 @@ from pam_ocp.planning.transcription.mesh import doubled
 
 SAME = 2e-3
 """Relative difference of objectives that counts."""
+LEAST = 1e-2
+"""An objective below it is taken for as much: next to nothing has no parts."""
 
 
 def none(was: Any, *given: Any, **named: Any) -> None:
@@ -139,7 +141,7 @@ def change(usual: harness.Row, row: harness.Row) -> float:
     """Of the objective, as a part of it; 0 where one is not verified."""
     if {usual["verdict"], row["verdict"]} != {verdict_study.RIGHT}:
         return 0.0
-    return float((row["objective"] - usual["objective"]) / max(abs(usual["objective"]), 1e-9))
+    return float((row["objective"] - usual["objective"]) / max(abs(usual["objective"]), LEAST))
 
 
 def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:

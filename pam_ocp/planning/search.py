@@ -429,7 +429,10 @@ class Search:
                 found = [] if best is None else [replace(best, gap=inner.meshes.gap(best))]
             else:
                 inner._goes(self.engine.relaxed)
+                known = min((o.objective for o in inner.found.outcomes if o.success), default=None)
                 found = inner._sorted(inner._solved(inner._tasks(begin + count)[begin:], begin))
+                if begin and known is not None:  # others lead to the plan that there is
+                    found = [c for c in found if c.objective < known - inner._tie(known)]
                 if not found and not begin:
                     found = list(islice(inner._guessed(inner.engine.first.mesh, 1), 1))
                 self.found.opened = tuple(inner.found.outcomes)
