@@ -55,6 +55,8 @@ ROOMS: dict[str, tuple[str, tuple[str, ...]]] = {
     "simulation": ("simulation", ("pam_ocp/simulation/*.py",)),
     "core": ("core", ("pam_ocp/core/*.py",)),
     "rig": ("rig", ("pam_ocp/rig/**/*.py",)),
+    "operating": ("operating", ("pam_ocp/operating/*.py",)),
+    "vibration": ("vibration", ("pam_ocp/vibration/*.py",)),
     "fits": (
         "fitting",
         (

@@ -22,6 +22,7 @@ from .statement import (
     TIME,
     Avoid,
     Constraint,
+    Duration,
     Phase,
     Profile,
     Statement,
@@ -100,7 +101,7 @@ class Asked:
     sums: tuple[Sum, ...]
     goal: Goal
     times: dict[str, tuple[float, float, float]]
-    """{leg: (its duration, shortest, longest)} [s]."""
+    """{"duration of" a leg: (it, shortest, longest)} [s]."""
     design: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -128,13 +129,13 @@ def asked(plant: Plant, statement: Statement, durations: Sequence[float]) -> Ask
     lengths = statement.duration
     each = lengths if isinstance(lengths, list) else [lengths] * (len(route) - 1)
     spans, times = [], {}
-    for begin, end, leg, held in legs:
-        phase = None if held else phases[leg]
+    for leg in legs:
+        phase = None if leg.number is None else phases[leg.number]
         limits = common
         if isinstance(phase, Phase):
             limits = _limits(plant, phase.bounds, phase.constraints, common)
-        spans.append(Span(begin, end, (*limits.values(), *held)))
-        wanted = each[leg] if not held else None
+        spans.append(Span(leg.begin, leg.end, (*limits.values(), *leg.held)))
+        wanted = leg.dwell if leg.number is None else each[leg.number]
         wanted = phase.duration if phase is not None and phase.duration is not None else wanted
         if wanted is not None:
             low, high = wanted if isinstance(wanted, tuple) else (wanted, wanted)
@@ -142,7 +143,7 @@ def asked(plant: Plant, statement: Statement, durations: Sequence[float]) -> Ask
                 end if v is None else require_finite("duration", v, "s")
                 for v, end in ((low, 0.0), (high, INF))
             )
-            times[f"duration of leg {leg + 1}"] = (end - begin, low, high)
+            times[f"duration of {leg.label}"] = (leg.end - leg.begin, low, high)
     sums = tuple(s for t, v in (statement.budgets or {}).items() for s in [_sum(plant, t, v)])
     design = {
         plant.variable(n).name: _ends(plant.variable(n), f"design[{n!r}]", v)
@@ -152,7 +153,18 @@ def asked(plant: Plant, statement: Statement, durations: Sequence[float]) -> Ask
     return Asked(tuple(points), tuple(spans), sums, goal, times, design)  # type: ignore[arg-type]
 
 
-_Leg: TypeAlias = "tuple[float, float, int, tuple[Limit, ...]]"
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """From one time to another [s]. number : among the motions, None of a dwell, which lasts
+    ``dwell`` and holds some values.
+    """
+
+    label: str
+    begin: float
+    end: float
+    number: int | None
+    dwell: Duration = None
+    held: tuple[Limit, ...] = ()
 
 
 def _laid_out(
@@ -161,7 +173,7 @@ def _laid_out(
     route: Sequence[tuple[str, Stop]],
     durations: Sequence[float],
 ) -> tuple[list[Point], list[_Leg]]:
-    """(points, legs (begin, end, number among motions, what a dwell holds)) in time."""
+    """(points, legs) in time."""
     last = len(route) - 1
     dwells = [
         s.dwells and not (statement.cyclic is True and i == last) for i, (_, s) in enumerate(route)
@@ -183,12 +195,12 @@ def _laid_out(
                 replace(c, label=f"dwell at {c.label}", low=c.low - m, high=c.high + m)  # type: ignore[operator]
                 for c, m in zip(named, margins, strict=True)
             )
-            legs.append((now, then, min(i, last - 1), held))
+            legs.append(_Leg(f"the dwell at {label}", now, then, None, stop.dwell, held))
             now = then
             points.append(Point(now, label, stop, still, named))
         if i < last:
             then = now + next(rest)
-            legs.append((now, then, i, ()))
+            legs.append(_Leg(f"leg {i + 1}", now, then, i))
             now = then
     return points, legs
 

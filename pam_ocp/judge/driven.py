@@ -57,8 +57,7 @@ SPLITS = 4
 class Driven:
     """A motion in cells between jumps; the points of a cell hold its ends, seen from inside.
 
-    t : (cells, 5) times [s]. x : (nx, cells, 5) states. u, slope : (nu, cells, 5) inputs, and their
-        rates.
+    t : (cells, 5) times [s]. x : (nx, cells, 5) states. u : (nu, cells, 5) inputs.
     """
 
     plant: Plant
@@ -66,7 +65,6 @@ class Driven:
     t: Array
     x: Array
     u: Array
-    slope: Array
     inputs: PiecewisePolynomial
 
     @cached_property
@@ -75,8 +73,6 @@ class Driven:
 
     def values(self, expressions: Sequence[ca.SX]) -> Array:
         """(expressions, cells, 5) values of expressions of the plant's symbols and TIME."""
-        if not expressions:
-            return np.zeros((0, *self.t.shape))
         column = ca.densify(ca.vertcat(*expressions))
         function = ca.Function("along", self._arguments, [column])
         p = self.plant.vector("parameter")
@@ -118,8 +114,7 @@ class Driven:
         if states is None:
             return None
         x = _by_cells(run.at(every, states), len(t))
-        u, slope = _inputs(self.inputs, t)
-        return Driven(self.plant, self.trajectory, t, x, u, slope, self.inputs)
+        return Driven(self.plant, self.trajectory, t, x, _inputs(self.inputs, t), self.inputs)
 
     def summed(self, values: Array) -> Array:
         """(n,) integrals of values (n, cells, 5)."""
@@ -135,14 +130,14 @@ class Driven:
         # else the coarser run has come through
         return float((fine or self).values([expression]).max())
 
-    def sides(self, time: float) -> list[tuple[Array, Array, Array]]:
-        """(states, inputs, their rates) at the ends of the cells that meet at a time."""
+    def sides(self, time: float) -> list[tuple[Array, Array]]:
+        """(states, inputs) at the ends of the cells that meet at a time."""
         near = 1e-9 * max(float(self.t[-1, -1]), 1e-9)
         found = []
         for place in (-1, 0):
             for cell in np.flatnonzero(np.abs(self.t[:, place] - time) <= near):
                 at = (slice(None), cell, place)
-                found.append((self.x[at], self.u[at], self.slope[at]))
+                found.append((self.x[at], self.u[at]))
         return found
 
 
@@ -174,13 +169,13 @@ def driven(
             run, known = _integrated(plant, start, inputs, _every(t), others)
         states = run.at(_every(t), known)
         x = _by_cells(states, len(t))
-        u, slope = _inputs(inputs, t)
+        u = _inputs(inputs, t)
         rough = _unresolved(plant, t, x, u)
         if splits == SPLITS or not rough.any():
             break
         ends = _quartered(ends, rough)
     trajectory = evaluated(plant, _every(t), states, inputs)
-    return Driven(plant, trajectory, t, x, u, slope, inputs), run.at(asked, known)
+    return Driven(plant, trajectory, t, x, u, inputs), run.at(asked, known)
 
 
 def roughly(plant: Plant, start: Array, inputs: PiecewisePolynomial, times: Array) -> Array | None:
@@ -252,14 +247,10 @@ def _apart(times: Array, near: float) -> Array:
     return np.array(kept)
 
 
-def _inputs(inputs: PiecewisePolynomial, t: Array) -> tuple[Array, Array]:
-    """(values, rates) (nu, cells, 5) of each cell's own piece of the inputs."""
-    middle = np.clip(t.mean(axis=1), inputs.breaks[0], inputs.breaks[-1])
-    piece = np.clip(np.searchsorted(inputs.breaks, middle, side="right") - 1, 0, None)
-    piece = np.minimum(piece, len(inputs.breaks) - 2)
+def _inputs(inputs: PiecewisePolynomial, t: Array) -> Array:
+    """(nu, cells, 5) values of each cell's own piece of the inputs."""
+    piece = np.searchsorted(inputs.breaks, t.mean(axis=1), side="right") - 1
+    piece = np.clip(piece, 0, len(inputs.breaks) - 2)
     since = (t - inputs.breaks[piece][:, None])[..., None]
-    powers = np.arange(inputs.degree + 1)
-    c = inputs.coefficients[piece]
-    values = np.einsum("cpj,cji->icp", since**powers, c)
-    rates = np.einsum("cpj,cji->icp", powers[1:] * since ** (powers[1:] - 1), c[:, 1:])
-    return values, rates
+    powers = since ** np.arange(inputs.degree + 1)
+    return np.asarray(np.einsum("cpj,cji->icp", powers, inputs.coefficients[piece]))

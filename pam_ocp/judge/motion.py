@@ -21,7 +21,7 @@ from ..plants.plant import Given, Plant, require_plant
 from ..plants.stillness import totals
 from .asked import Asked, Goal, Limit, Span, asked
 from .driven import Driven, driven, roughly
-from .rest import begun, rest_at, rows_of
+from .rest import begun, end_at, rest_at, rows_of
 from .statement import Profile, Statement
 
 Array: TypeAlias = NDArray[np.float64]
@@ -251,7 +251,7 @@ def _stops(run: Driven, statement: Statement, wanted: Asked) -> Iterator[tuple[s
         plant, p = run.plant, run.plant.vector("parameter")
         column = ca.vertcat(*(limit.expression for limit in point.limits))
         function = ca.Function("stop", [plant.x, plant.u, plant.p], [column])
-        for x, u, _ in sides[-1:]:
+        for x, u in sides[-1:]:
             values = np.asarray(function(x, u, p), float).ravel()
             for limit, value in zip(point.limits, values, strict=True):
                 yield limit.label, _at(limit, value, point.time)
@@ -266,8 +266,7 @@ def _key(plant: Plant, name: str) -> str:
 
 
 def _at(limit: Limit, value: float, time: float) -> float:
-    low, high = (float(e(time)) if isinstance(e, Profile) else e for e in (limit.low, limit.high))
-    return _excess(value, low, high) / limit.nominal
+    return _excess(value, end_at(limit.low, time), end_at(limit.high, time)) / limit.nominal
 
 
 def _inputs_and_path(run: Driven, span: Span) -> list[Limit]:

@@ -107,12 +107,12 @@ def rest_at(
     if direct:
         every = ca.vertcat(*(e / nominal for _, e, nominal, _ in direct))
         function = ca.Function("moving", [plant.x, plant.u, plant.p], [every])
-        for x, u, _ in run.sides(point.time):
+        for x, u in run.sides(point.time):
             values = np.abs(np.asarray(function(x, u, p), float).ravel())
             yield from ((label(row[0]), float(v)) for row, v in zip(direct, values, strict=True))
     jumping = [row for row in rows if row[3]]
     if jumping:
-        x, u, _ = run.sides(point.time)[-1]
+        x, u = run.sides(point.time)[-1]
         every = ca.vertcat(*(e / nominal for _, e, nominal, _ in jumping))
         best = _holding(plant, every, x, u, limits, point.time)[1]
         yield from ((label(row[0]), float(v)) for row, v in zip(jumping, best, strict=True))
@@ -132,14 +132,14 @@ def _holding(
     free = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
     nominal = plant.vector("input", attribute="nominal")[free]
     ends = [(own[plant.inputs[i].name].low, own[plant.inputs[i].name].high) for i in free]
-    low, high = (np.array([_end(e, time) for e in side]) for side in zip(*ends, strict=True))
+    low, high = (np.array([end_at(e, time) for e in side]) for side in zip(*ends, strict=True))
     moving = ca.vertcat(*(plant.u[i] for i in free))
     others = [c for c in limits if c.label not in own and ca.depends_on(c.expression, moving)]
     column = ca.vertcat(wanted, *(c.expression / c.nominal for c in others))
     arguments = [plant.x, plant.u, plant.p, TIME]
     function = ca.Function("held", arguments, [column, ca.jacobian(column, moving)])
-    floor = np.array([_end(c.low, time) / c.nominal for c in others])
-    roof = np.array([_end(c.high, time) / c.nominal for c in others])
+    floor = np.array([end_at(c.low, time) / c.nominal for c in others])
+    roof = np.array([end_at(c.high, time) / c.nominal for c in others])
     rows = wanted.numel()
 
     def at(w: Array) -> tuple[Array, Array]:
@@ -224,7 +224,8 @@ def _least_squares(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
     return np.asarray(found.x, float)
 
 
-def _end(end: float | Profile, time: float) -> float:
+def end_at(end: float | Profile, time: float) -> float:
+    """An end of a limit at a time [s]."""
     return float(end(time)) if isinstance(end, Profile) else float(end)
 
 
@@ -236,7 +237,7 @@ def begun(
     says so).
     """
     plant = run.plant
-    x, u, _ = run.sides(point.time)[-1]
+    x, u = run.sides(point.time)[-1]
     nominal = plant.vector("state", attribute="nominal")
     names = [v.name for v in plant.states]
     places = {p.name for p in plant.resting(_spoken(plant, [point]))}

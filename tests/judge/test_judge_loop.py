@@ -74,12 +74,32 @@ def test_noise_that_the_controller_sees_is_nobodys_fault():
     assert judge_loop(run, wanted=goal(0.02), inputs=["u"], noise={"x": 1e-4})
 
 
-def test_limits_are_those_of_the_variable_and_those_given():
-    run = signals(0.055 * np.sin(np.pi * T))
-    assert judge_loop(run, inputs=["u"]).broken == {"x": pytest.approx(0.005, rel=1e-9)}
-    narrow = judge_loop(run, inputs=["u"], limits={"x": (-1.0, 0.03)})
-    assert narrow.broken == {"x": pytest.approx(0.025, rel=1e-9)}
-    assert "x leaves its range by 25 mm" in str(narrow)
+@pytest.mark.parametrize(
+    ("size", "limits", "by"),
+    [
+        (0.055, {}, 0.005),
+        (-0.055, {}, 0.005),
+        (0.055, {"x": (-1.0, 0.03)}, 0.025),
+        (-0.055, {"x": (-0.03, 1.0)}, 0.025),
+        (0.05009, {}, 0.0),  # a hundredth of nominal is 0.1 mm
+        (0.05011, {}, 0.00011),
+    ],
+)
+def test_limits_are_those_of_the_variable_and_those_given(size, limits, by):
+    run = signals(size * np.sin(np.pi * T), 3.0)  # the input acts within its range, whatever it is
+    verdict = judge_loop(run, inputs=["u"], limits=limits)
+    assert verdict.broken == ({"x": pytest.approx(by, rel=1e-6)} if by else {})
+    assert ("limits kept" in verdict.kept) == (not by)
+    assert not by or f"x leaves its range by {1e3 * by:.3g} mm" in str(verdict)
+
+
+def test_the_stroke_is_the_whole_way_of_what_was_wanted():
+    """From -20 mm to 20 mm, from the middle: 0.3 mm are less than a hundredth of 40 mm."""
+    wanted = goal(np.where(T < 0.5, -0.02, 0.02))
+    run = signals(np.where(T < 0.5, 0.0, 0.0203))
+    assert judge_loop(run, wanted=wanted, inputs=["u"])
+    off = judge_loop(signals(np.where(T < 0.5, 0.0, 0.0205)), wanted=wanted, inputs=["u"])
+    assert off.missed == {"x": pytest.approx(0.0125)}
 
 
 @pytest.mark.parametrize(
@@ -92,16 +112,32 @@ def test_a_fifth_of_the_solves_may_be_unfinished_and_none_may_fail(left, failed,
     assert verdict.unconverged == (left + failed) / 100
 
 
-def test_predictions_are_measured_by_the_changes_over_a_sample():
+@pytest.mark.parametrize(
+    ("step", "noise", "share"),
+    [(1, 0.0, 0.3), (2, 0.0, 0.3), (1, 1e-5, 0.15), (1, 2.2e-5, 0.0), (1, 7e-5, None)],
+)
+def test_predictions_are_measured_by_the_changes_over_a_sample(step, noise, share):
+    """Each is 30 % of its change beside it: 60 um of 200 um, of which noise excuses three times."""
     x = 0.02 * T
-    told = x[1:] + 0.3 * 0.02 * 0.01  # 30 % of each change beside it
-    verdict = judge_loop(signals(x), inputs=["u"], predicted={"x": told}, sample_time=0.01)
-    assert verdict.prediction == pytest.approx(0.3, rel=1e-9)
-    assert str(verdict) == (
-        "not as asked: predictions of x over one sample miss 30 % of its changes"
-    )
-    near = x[1:] + 0.1 * 0.02 * 0.01
-    assert judge_loop(signals(x), inputs=["u"], predicted={"x": near}, sample_time=0.01)
+    told = x[step::step] + 0.3 * 0.02 * 0.01 * step
+    told[3] = np.nan  # that one was not told
+    arguments = {"sample_time": 0.01 * step, "noise": {"x": noise}, "inputs": ["u"]}
+    verdict = judge_loop(signals(x), predicted={"x": told, "u": [np.nan]}, **arguments)
+    assert verdict.prediction == (None if share is None else pytest.approx(share, abs=1e-9))
+    assert bool(verdict) == (share != 0.3)
+    if share == 0.3:
+        assert str(verdict) == (
+            "not as asked: predictions of x over one sample miss 30 % of its changes"
+        )
+    if share == 0.15:
+        assert "predictions of x miss 15.0 % of its changes" in str(verdict)
+
+
+def test_of_several_predictions_the_worst_is_told():
+    x, u = 0.02 * T, 0.5 * T
+    near = {"x": x[1:] + 0.2 * 0.02 * 0.01, "u": u[1:] + 0.1 * 0.5 * 0.01}
+    verdict = judge_loop(signals(x, u), inputs=["u"], predicted=near, sample_time=0.01)
+    assert verdict.prediction == pytest.approx(0.2)
 
 
 def test_at_rest_predictions_tell_nothing():
@@ -113,18 +149,24 @@ def test_at_rest_predictions_tell_nothing():
 
 
 @pytest.mark.parametrize(
-    ("u", "words"),
+    ("u", "x", "known", "idle", "words"),
     [
-        (0.0, "u had no influence on x"),
-        (1.0, "u stood at an end of the range all the time"),
-        (np.sin(20 * T), "u had no influence on x"),
+        (0.0, 0.0, (), ("u",), "u had no influence on x"),
+        (0.0, 0.01 * T, (), ("u",), "u had no influence on x"),
+        (1.0, 0.0, (), ("u",), "u stood at an end of the range all the time"),
+        (-1.0, 0.0, (), ("u",), "u stood at an end of the range all the time"),
+        (np.sin(20 * T), 0.0, (), ("u",), "u had no influence on x"),
+        (np.sin(20 * T), 0.01 * T, ("u",), ("u",), "u had no influence on x"),
+        (np.sin(20 * T), 0.01 * T, (), (), "(55 % of the stroke)"),
+        (np.where(T < 0.76, 1.0, 0.0), 0.01 * T, (), (), "u is at its limits 51 % of the time"),
+        (np.where(T < 0.74, -1.0, 0.0), 0.01 * T, (), (), "(55 % of the stroke)"),
     ],
 )
-def test_an_input_that_does_nothing_is_named_where_something_was_missed(u, words):
-    verdict = judge_loop(signals(0.0, u), wanted=goal(0.02), inputs=["u"])
-    assert verdict.idle == ("u",)
-    assert words in str(verdict)
-    assert judge_loop(signals(0.02, u), wanted=goal(0.02), inputs=["u"])
+def test_an_input_that_does_nothing_is_named_where_something_was_missed(u, x, known, idle, words):
+    verdict = judge_loop(signals(x, u), wanted=goal(0.02), inputs=["u"], idle=known)
+    assert verdict.idle == idle
+    assert str(verdict).endswith(words)
+    assert judge_loop(signals(0.02, u), wanted=goal(0.02), inputs=["u"], idle=known)
 
 
 def test_an_input_at_its_limits_says_why_a_set_point_was_missed():

@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp, trapezoid
+from scipy.integrate import quad, solve_ivp, trapezoid
 from scipy.optimize import brentq
 
 from pam_ocp.core.errors import InputError
@@ -21,7 +21,10 @@ from pam_ocp.muscles.gas import (
     conductance_from_flow,
     iso6358,
     muscle_volume,
+    specific_exergy,
 )
+from pam_ocp.muscles.gas import energy_balance as balance
+from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer
 from pam_ocp.muscles.laws.braid import CorrectedLaw, GeometricLaw, ThickWallLaw
 from pam_ocp.muscles.pneumatic_muscle import Muscle
 from pam_ocp.plants.damping import ConstantDamping, StiffnessDamping
@@ -213,8 +216,46 @@ def test_conductance_from_a_catalogue_flow():
     # and back: with rho0 at the reference state, 700 l/min of it flow from 6 to 5 bar gauge
     mass_flow = float(iso6358(7.013e5, 6.013e5, conductance_from_flow(700), 0.3))
     assert mass_flow / RHO0 * 60e3 == pytest.approx(700, rel=1e-12)
+    assert conductance_from_flow(600, 0.5, 6e5, 2e5) == pytest.approx(0.01 / 6e5)  # choked
+    for ratio in (-0.1, 1.0):
+        with pytest.raises(InputError, match=r"must lie in 0 \.\. 1"):
+            conductance_from_flow(600, ratio)
     with pytest.raises(InputError, match="must be above downstream"):
         conductance_from_flow(700, upstream=1e5, downstream=2e5)
+
+
+# ---- energy of the air ---------------------------------------------------------------------------
+
+
+def test_pressure_and_temperature_change_as_mass_and_energy_do():
+    """m = p V/(R T) and U = cv m T a moment later, by the mass and the enthalpy that came."""
+    p, warm, volume, grown, flow, carried, heat = 4e5, 310.0, 2e-4, 3e-4, 1e-3, 0.28, 5.0
+    cv, step = R / 0.4, 1e-7
+    mass = p * volume / (R * warm)
+    energy = cv * mass * warm + step * (1.4 * cv * carried - p * grown + heat)
+    mass, volume_then = mass + step * flow, volume + step * grown
+    then = 0.4 * energy / volume_then, energy / (cv * mass)
+    rates = balance(p, warm, volume, grown, flow, carried, heat)
+    assert rates == pytest.approx(((then[0] - p) / step, (then[1] - warm) / step), rel=1e-5)
+
+
+def test_exergy_is_the_work_of_an_engine_between_the_air_and_its_surroundings():
+    for own in (250.0, 293.15, 400.0):
+        warmth = quad(lambda x: 3.5 * R * (1 - 290.0 / x), 290.0, own, epsrel=1e-12)[0]
+        expected = R * 290.0 * math.log(6.0) + warmth
+        assert specific_exergy(6e5, 1e5, 290.0, own) == pytest.approx(expected, rel=1e-9)
+    assert specific_exergy(6e5, 1e5, 290.0) == pytest.approx(R * 290.0 * math.log(6.0))
+
+
+def test_heat_transfer_rises_with_the_root_of_pressure_and_temperature():
+    absolute, temperature = ca.SX(4e5), ca.SX(310.0)
+    for law, expected in (
+        (PressureHeatTransfer(40.0), 40 * math.sqrt(4e5 * 310.0 / (101325 * 293.15))),
+        (PressureHeatTransfer(40.0, 1.0, 2e5), 40 * 2 * 310.0 / 293.15),
+        (ConstantHeatTransfer(40.0), 40.0),
+    ):
+        found = law.coefficient(absolute, temperature, lambda name, value, **_: value)
+        assert float(found) == pytest.approx(expected)
 
 
 # ---- filling -------------------------------------------------------------------------------------
