@@ -394,9 +394,12 @@ class Search:
     @property
     def _costly(self) -> bool:
         """Whether work or air counts, and meshes may be refined: work says nothing of a valve that
-        is closed, nor has its dead zone a slope.
+        is closed, nor has its dead zone a slope. Terms on the inputs give it one, and count
+        openings there.
         """
-        return self.tolerance is not None and ("work" in self.statement.weights or self._of_air)
+        weights = self.statement.weights
+        costs = "work" in weights or self._of_air
+        return self.tolerance is not None and costs and not {"effort", "rate"} & weights.keys()
 
     @property
     def _of_air(self) -> bool:
