@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.dead_zone import smooth_step
 from ..muscles.gas import (
     HEAT_CAPACITY,
@@ -129,16 +129,9 @@ class Warmth:
 
 
 def _temperature_state(plant: Declares, name: str, start: float, words: str) -> ca.SX:
-    return plant.state(
-        name,
-        unit="K",
-        min=LEAST_TEMPERATURE,
-        max=LARGEST_TEMPERATURE,
-        start=start,
-        nominal=30.0,
-        memory="settling",
-        description=words,
-    )
+    low, high = LEAST_TEMPERATURE, LARGEST_TEMPERATURE
+    scope = Scope(plant).of("K", 30.0, min=low, max=high, start=start, memory="settling")
+    return scope.state(name, words)
 
 
 def air_temperature(plant: Declares, name: str, gas: Gas, chamber: Chamber) -> ca.SX:
@@ -197,9 +190,7 @@ def declaring(plant: Declares, prefix: str, whose: str) -> Callable[..., Any]:
 
     def declare(key: str, value: float, **attributes: Any) -> ca.SX:
         words = attributes.pop("description", key.replace("_", " "))
-        return plant.parameter(
-            f"{prefix}.{key}", value, description=f"{words} {whose}", **attributes
-        )
+        return Scope(plant, prefix).of(**attributes).parameter(key, value, f"{words} {whose}")
 
     return declare
 
@@ -207,9 +198,7 @@ def declaring(plant: Declares, prefix: str, whose: str) -> Callable[..., Any]:
 def show(plant: Declares, name: str, *shown: tuple[str, ca.SX, str, float, str]) -> None:
     """Declare outputs ``<name>.<key>``: (key, value, unit, nominal, words) of each."""
     for key, value, unit, nominal, words in shown:
-        plant.output(
-            f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
-        )
+        Scope(plant, name).of(unit, nominal).output(key, value, f"{words} ({name})")
 
 
 def _rubber(

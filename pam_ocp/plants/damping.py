@@ -14,7 +14,7 @@ from typing import Protocol
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import DAMPINGS, LOSSES
@@ -61,15 +61,8 @@ class ConstantDamping:
     def coefficient(
         self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
     ) -> ca.SX:
-        return plant.parameter(
-            "damping",
-            self.value,
-            unit=unit,
-            min=0.0,
-            nominal=10.0,
-            tunable=True,
-            description="viscous damping coefficient",
-        )
+        scope = Scope(plant).of(unit, 10.0, min=0.0, tunable=True)
+        return scope.parameter("damping", self.value, "viscous damping coefficient")
 
 
 @DAMPINGS.register()
@@ -97,13 +90,10 @@ class StiffnessDamping:
     def coefficient(
         self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
     ) -> ca.SX:
-        ratio = plant.parameter(
-            "damping_ratio",
-            self.ratio,
-            min=0.0,
-            nominal=0.1,
-            tunable=True,
-            description="damping ratio zeta of c = 2 zeta sqrt(m k)",
+        ratio = (
+            Scope(plant)
+            .of("1", 0.1, min=0.0, tunable=True)
+            .parameter("damping_ratio", self.ratio, "damping ratio zeta of c = 2 zeta sqrt(m k)")
         )
         rounded = (stiffness + ca.sqrt(stiffness**2 + STIFFNESS_FLOOR**2)) / 2
         return 2 * ratio * ca.sqrt(mass * rounded)
@@ -210,20 +200,15 @@ class DirectionalDamping:
 
     def _damping(self, plant: Declares, name: str, way: str, pressure: ca.SX) -> ca.SX:
         largest = ca.SX(0)
+        scope = Scope(plant, name)
         for i, (constant, slope) in enumerate(getattr(self, way), start=1):
-            b0 = plant.parameter(
-                f"{name}.{way}{i}",
-                constant,
-                unit="N.s/m",
-                nominal=1e3,
-                description=f"damping of {name} while {way}, line {i}",
+            b0 = scope.of("N.s/m", 1e3).parameter(
+                f"{way}{i}", constant, f"damping of {name} while {way}, line {i}"
             )
-            b1 = plant.parameter(
-                f"{name}.{way}{i}_per_pressure",
+            b1 = scope.of("N.s/(m.Pa)", 1e-3).parameter(
+                f"{way}{i}_per_pressure",
                 slope,
-                unit="N.s/(m.Pa)",
-                nominal=1e-3,
-                description=f"damping of {name} while {way}, line {i}, per pressure",
+                f"damping of {name} while {way}, line {i}, per pressure",
             )
             largest = largest + clamp(b0 + b1 * pressure - largest, self.rounding)
         return largest
@@ -270,17 +255,11 @@ class CoulombFriction:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
+        scope = Scope(plant, name)
         constant, slope, excess, speed, stribeck = (
-            plant.parameter(
-                f"{name}.friction_{key}",
-                getattr(self, key),
-                unit=unit,
-                min=low,
-                nominal=nominal,
-                tunable=True,
-                description=f"{words} ({name})",
-                widest=WIDEST_SPEED if key == "speed" else 0.0,
-            )
+            scope.of(
+                unit, nominal, min=low, tunable=True, widest=WIDEST_SPEED if key == "speed" else 0.0
+            ).parameter(f"friction_{key}", getattr(self, key), f"{words} ({name})")
             for key, unit, low, nominal, words in (
                 ("constant", "N", 0.0, 10.0, "dry friction"),
                 ("per_pressure", "N/Pa", 0.0, 1e-4, "dry friction per pressure"),

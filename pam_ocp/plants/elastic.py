@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..core.errors import require_finite, require_positive
+from ..core.system import Scope
 from ..muscles.law import SLACK_WIDTH, clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
@@ -61,31 +62,23 @@ class SpringOverMuscle(Plant):
         super().__init__(name, "a pneumatic muscle inside a bias spring")
         muscle = as_muscle(muscle)
         x, v, m = moved_mass(self, muscle, mass)
-        k_som = self.parameter(
+        scope = Scope(self)
+        k_som = scope.of("N/m", 1e3, min=1e-9).parameter(
             "spring_stiffness",
             require_positive("spring_stiffness", spring_stiffness, "N/m"),
-            unit="N/m",
-            min=1e-9,
-            nominal=1e3,
-            description="stiffness of the spring over the muscle",
+            "stiffness of the spring over the muscle",
         )
-        f0 = self.parameter(
+        f0 = scope.of("N", 100.0).parameter(
             "preload",
             require_finite("preload", preload, "N"),
-            unit="N",
-            nominal=100.0,
-            description="force of the spring at x = 0, against contraction",
+            "force of the spring at x = 0, against contraction",
         )
         attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed, losses=losses)
-        spring = self.output(
-            "spring_force", f0 + k_som * x, unit="N", nominal=100.0, description="of the spring"
-        )
-        stiffness = self.output(
+        spring = scope.of("N", 100.0).output("spring_force", f0 + k_som * x, "of the spring")
+        stiffness = scope.of("N/m", 1e4).output(
             "stiffness",
             attached.stiffness + k_som,
-            unit="N/m",
-            nominal=1e4,
-            description="stiffness of muscle and spring at constant pressure",
+            "stiffness of muscle and spring at constant pressure",
         )
         c = as_damping(damping, StiffnessDamping()).coefficient(self, m, stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
@@ -142,49 +135,33 @@ class SeriesLoad(Plant):
         muscle = as_muscle(muscle)
         x, v, m = moved_mass(self, muscle, mass, slack=0.1)
         low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
-        y = self.state(
-            "muscle.shortening",
-            unit="m",
-            min=low,
-            max=high,
-            start=max(low, 0.0),
-            nominal=0.01,
-            description="shortening of the muscle",
+        scope = Scope(self)
+        y = scope.of("m", 0.01, min=low, max=high, start=max(low, 0.0)).state(
+            "muscle.shortening", "shortening of the muscle"
         )
-        w = self.state("muscle.velocity", unit="m/s", nominal=0.1, description="of its shortening")
-        end = self.parameter(
+        w = scope.of("m/s", 0.1).state("muscle.velocity", "of its shortening")
+        end = scope.of("kg", 0.1, min=1e-6).parameter(
             "fitting_mass",
             require_positive("fitting_mass", fitting_mass, "kg"),
-            unit="kg",
-            min=1e-6,
-            nominal=0.1,
-            description="mass of the muscle's moving end",
+            "mass of the muscle's moving end",
         )
-        k_t = self.parameter(
+        k_t = scope.of("N/m", 1e5, min=1e-9).parameter(
             "tendon_stiffness",
             require_positive("tendon_stiffness", tendon_stiffness, "N/m"),
-            unit="N/m",
-            min=1e-9,
-            nominal=1e5,
-            description="stiffness of the tendon",
+            "stiffness of the tendon",
         )
-        c_t = self.parameter(
+        c_t = scope.of("N.s/m", 10.0, min=0.0).parameter(
             "tendon_damping",
             require_positive("tendon_damping", tendon_damping, "N.s/m", zero=True),
-            unit="N.s/m",
-            min=0.0,
-            nominal=10.0,
-            description="damping of the tendon",
+            "damping of the tendon",
         )
         attached = self.add_muscle("muscle", muscle, shortening=y, rate=w, feed=feed, losses=losses)
         pull = clamp(k_t * (y - x) + c_t * (w - v), SLACK_WIDTH)
-        self.output("tendon_force", pull, unit="N", nominal=100.0, description="in the tendon")
-        self.output(
+        scope.of("N", 100.0).output("tendon_force", pull, "in the tendon")
+        scope.of("N/m", 1e4).output(
             "stiffness",
             attached.stiffness * k_t / (attached.stiffness + k_t),
-            unit="N/m",
-            nominal=1e4,
-            description="stiffness of muscle and tendon in series",
+            "stiffness of muscle and tendon in series",
         )
         c = as_damping(damping, ConstantDamping(50.0)).coefficient(self, end, attached.stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from .damping import Motion
 from .kinds import LOSSES
 
@@ -61,14 +61,10 @@ class ForceVelocity:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
+        scope = Scope(plant, name)
         a0, a1, r0, r1, half, turn = (
-            plant.parameter(
-                f"{name}.velocity_{key}",
-                getattr(self, key),
-                unit=unit,
-                min=low,
-                nominal=nominal,
-                description=f"force-velocity relation of {name}: {words}",
+            scope.of(unit, nominal, min=low).parameter(
+                f"velocity_{key}", getattr(self, key), f"force-velocity relation of {name}: {words}"
             )
             for key, unit, low, nominal, words in (
                 ("contracting", "N", 0.0, 10.0, "lost at high speed while contracting"),

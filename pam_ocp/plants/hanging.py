@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from ..core.errors import require_finite, require_positive
+from ..core.system import Scope
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
 from .damping import Damping, Loss, StiffnessDamping
@@ -25,42 +26,27 @@ def moved_mass(
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Declare position (within the muscle's stroke, wider by ``slack`` m below), velocity, mass."""
     low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
-    x = plant.state(
-        "x",
-        unit="m",
-        min=low - slack,
-        max=high,
-        start=max(low - slack, 0.0),
-        nominal=0.01,
-        description="position of the load, in the direction of contraction",
+    scope = Scope(plant)
+    x = scope.of("m", 0.01, min=low - slack, max=high, start=max(low - slack, 0.0)).state(
+        "x", "position of the load, in the direction of contraction"
     )
-    v = plant.state("v", unit="m/s", nominal=0.1, description="velocity of the load")
-    m = plant.parameter(
-        "mass",
-        require_positive("mass", mass, "kg"),
-        unit="kg",
-        min=1e-6,
-        nominal=1.0,
-        tunable=True,
-        description="load",
+    v = scope.of("m/s", 0.1).state("v", "velocity of the load")
+    m = scope.of("kg", 1.0, min=1e-6, tunable=True).parameter(
+        "mass", require_positive("mass", mass, "kg"), "load"
     )
     return x, v, m
 
 
 def weight(plant: Plant, mass: ca.SX, inclination: float | None = None) -> ca.SX:
     """Weight against +x [N]: of a vertical motion, or times sin(inclination) of an inclined one."""
-    g = plant.parameter(
-        "gravity", GRAVITY, unit="m/s2", min=0.0, nominal=10.0, description="gravity"
-    )
+    scope = Scope(plant)
+    g = scope.of("m/s2", 10.0, min=0.0).parameter("gravity", GRAVITY, "gravity")
     if inclination is None:
         return ca.SX(mass * g)
-    angle = plant.parameter(
+    angle = scope.of("rad", min=-1.5708, max=1.5708).parameter(
         "inclination",
         require_finite("inclination", inclination, "rad"),
-        unit="rad",
-        min=-1.5708,
-        max=1.5708,
-        description="of the direction of motion above the horizontal",
+        "of the direction of motion above the horizontal",
     )
     return ca.SX(mass * g * ca.sin(angle))
 
@@ -147,10 +133,6 @@ class HangingLoad(Plant):
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
         self.der(v, (attached.force - against - c * v + outside) / (m + own + added))
-        self.output(
-            "stiffness",
-            attached.stiffness,
-            unit="N/m",
-            nominal=1e4,
-            description="stiffness felt by the load at constant pressure",
+        Scope(self).of("N/m", 1e4).output(
+            "stiffness", attached.stiffness, "stiffness felt by the load at constant pressure"
         )

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from .damping import Motion
 from .kinds import LOSSES
@@ -80,15 +80,10 @@ class BoucWen:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
+        scope = Scope(plant, name)
         friction, width, beta, order = (
-            plant.parameter(
-                f"{name}.hysteresis_{key}",
-                value,
-                unit=unit,
-                min=low,
-                max=high,
-                nominal=nominal,
-                description=f"Bouc-Wen hysteresis of {name}: {words}",
+            scope.of(unit, nominal, min=low, max=high).parameter(
+                f"hysteresis_{key}", value, f"Bouc-Wen hysteresis of {name}: {words}"
             )
             for key, value, unit, low, high, nominal, words in (
                 ("force", self.friction, "N", 0.0, ca.inf, 10.0, "force when sliding"),
@@ -97,12 +92,8 @@ class BoucWen:
                 ("order", self.order, "1", 1.0, 50.0, 1.0, "sharpness"),
             )
         )
-        z = plant.state(
-            f"{name}.hysteresis",
-            min=-1.0,
-            max=1.0,
-            memory="held",
-            description=f"Bouc-Wen state of {name}: force/friction",
+        z = scope.of(min=-1.0, max=1.0, memory="held").state(
+            "hysteresis", f"Bouc-Wen state of {name}: force/friction"
         )
         scale = PressureScale.of(plant, name, "hysteresis", self.per_pressure, motion)
         full = ca.SX(1) if scale is None else scale.present / scale.largest
@@ -171,15 +162,11 @@ class MaxwellSlip:
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         rate, speed = motion.rate, rounded_speed(plant, name, "slip", motion.rate)
-        edge = plant.parameter(
-            f"{name}.slip_edge",
+        scope = Scope(plant, name)
+        edge = scope.of("1", 0.1, min=1e-6, max=1.0, widest=1.0).parameter(
+            "slip_edge",
             self.edge,
-            min=1e-6,
-            max=1.0,
-            nominal=0.1,
-            widest=1.0,
-            description=f"Maxwell-slip of {name}: passage from sticking to sliding, as part of "
-            "the force",
+            f"Maxwell-slip of {name}: passage from sticking to sliding, as part of the force",
         )
         scale = PressureScale.of(plant, name, "slip", self.per_pressure, motion)
         full = ca.SX(1) if scale is None else scale.present / scale.largest
@@ -188,28 +175,14 @@ class MaxwellSlip:
         for i, (force, width) in enumerate(
             zip(self.friction, self.yield_contraction, strict=True), start=1
         ):
-            friction = plant.parameter(
-                f"{name}.slip{i}_force",
-                force,
-                unit="N",
-                min=0.0,
-                nominal=10.0,
-                description=f"Maxwell-slip element {i} of {name}: force when sliding",
+            friction = scope.of("N", 10.0, min=0.0).parameter(
+                f"slip{i}_force", force, f"Maxwell-slip element {i} of {name}: force when sliding"
             )
-            yielding = plant.parameter(
-                f"{name}.slip{i}_yield",
-                width,
-                min=1e-9,
-                nominal=0.01,
-                display_unit="%",
-                description=f"Maxwell-slip element {i} of {name}: contraction to slide",
+            yielding = scope.of("1", 0.01, min=1e-9, display_unit="%").parameter(
+                f"slip{i}_yield", width, f"Maxwell-slip element {i} of {name}: contraction to slide"
             )
-            z = plant.state(
-                f"{name}.slip{i}",
-                min=-1.0,
-                max=1.0,
-                memory="held",
-                description=f"Maxwell-slip element {i} of {name}: force/friction",
+            z = scope.of(min=-1.0, max=1.0, memory="held").state(
+                f"slip{i}", f"Maxwell-slip element {i} of {name}: force/friction"
             )
             passing = limits.passing(z, rate, speed, edge)
             if scale is None:
@@ -280,29 +253,16 @@ def creep_force(
     key : of what is declared, ``<name>.<key>1``, ... words : what the times are.
     """
     total = ca.SX(0)
+    scope = Scope(plant, name)
     for i, (value, time) in enumerate(zip(stiffnesses, times, strict=True), start=1):
-        stiffness = plant.parameter(
-            f"{name}.{key}{i}_stiffness",
-            value,
-            unit="N",
-            min=0.0,
-            nominal=1e3,
-            description=f"creep element {i} of {name}: force per contraction",
+        stiffness = scope.of("N", 1e3, min=0.0).parameter(
+            f"{key}{i}_stiffness", value, f"creep element {i} of {name}: force per contraction"
         )
-        tau = plant.parameter(
-            f"{name}.{key}{i}_time",
-            time,
-            unit="s",
-            min=1e-6,
-            nominal=1.0,
-            description=f"creep element {i} of {name}: {words}",
+        tau = scope.of("s", 1.0, min=1e-6).parameter(
+            f"{key}{i}_time", time, f"creep element {i} of {name}: {words}"
         )
-        settled = plant.state(
-            f"{name}.{key}{i}",
-            nominal=0.1,
-            display_unit="%",
-            memory="settling",
-            description=f"creep element {i} of {name}: contraction to which it has settled",
+        settled = scope.of("1", 0.1, display_unit="%", memory="settling").state(
+            f"{key}{i}", f"creep element {i} of {name}: contraction to which it has settled"
         )
         plant.der(settled, quicker * (motion.contraction - settled) / tau)
         total += stiffness * (motion.contraction - settled)
@@ -358,13 +318,11 @@ class LoadCreep:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
-        load = plant.parameter(
-            f"{name}.creep_load",
+        scope = Scope(plant, name)
+        load = scope.of("N", 100.0, min=1e-3).parameter(
+            "creep_load",
             self.load,
-            unit="N",
-            min=1e-3,
-            nominal=100.0,
-            description=f"tension at which {name} creeps twice as quickly as without",
+            f"tension at which {name} creeps twice as quickly as without",
         )
         muscle = motion.muscle
         carried = clamp(muscle.tension(motion.pressure, motion.contraction), muscle.slack_width)

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from ..core.errors import InputError, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.pneumatic_muscle import Muscle
 from .dead_time import DeadTime
 from .kinds import FEEDS
@@ -73,22 +73,13 @@ class PairRegulator(Regulator):
                 f"PairRegulator.base = {self.base:g} Pa must lie below the largest pressure, "
                 f"{attributes['max']:g} Pa"
             )
-        command = plant.input(
-            COMMAND,
-            unit=self.unit if self.gain else "Pa",
-            min=-reach,
-            max=reach,
-            nominal=1.0 if self.gain else 1e5,
-            description="command of the pair: raises the first pressure, lowers the second",
+        scope = Scope(plant)
+        unit, nominal = (self.unit, 1.0) if self.gain else ("Pa", 1e5)
+        command = scope.of(unit, nominal, min=-reach, max=reach).input(
+            COMMAND, "command of the pair: raises the first pressure, lowers the second"
         )
-        base = plant.parameter(
-            "base_pressure",
-            self.base,
-            unit="Pa",
-            min=0.0,
-            nominal=1e5,
-            tunable=True,
-            description="pressure of both muscles at difference zero",
+        base = scope.of("Pa", 1e5, min=0.0, tunable=True).parameter(
+            "base_pressure", self.base, "pressure of both muscles at difference zero"
         )
         effect = command
         if isinstance(self.dead_time, DeadTime):

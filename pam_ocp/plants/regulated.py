@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .damping import Damping, Loss
@@ -73,32 +73,17 @@ class PositionFeedback:
         """Declare the loop; return the gauge pressure [Pa]."""
         attributes = pressure_attributes(muscle, self.max_pressure)
         top = attributes["max"]
-        pressure = plant.state(
-            f"{name}.pressure",
-            **attributes,
-            description=f"gauge pressure in {name}",
+        scope = Scope(plant, name)
+        pressure = scope.of(**attributes).state("pressure", f"gauge pressure in {name}")
+        middle = scope.of(**attributes).input(
+            "set_pressure", f"commanded gauge pressure of {name} at its reference"
         )
-        middle = plant.input(
-            f"{name}.set_pressure",
-            **attributes,
-            description=f"commanded gauge pressure of {name} at its reference",
-        )
-        reference = plant.input(
-            f"{name}.reference",
-            unit="m",
-            nominal=0.01,
-            description=f"shortening of {name} at which the set pressure is commanded",
+        reference = scope.of("m", 0.01).input(
+            "reference", f"shortening of {name} at which the set pressure is commanded"
         )
         gain, derivative_gain, lag, largest, rounding = (
-            plant.parameter(
-                f"{name}.{key}",
-                value,
-                unit=unit,
-                min=low,
-                nominal=nominal,
-                display_unit=shown,
-                tunable=True,
-                description=f"{words} ({name})",
+            scope.of(unit, nominal, min=low, display_unit=shown, tunable=True).parameter(
+                key, value, f"{words} ({name})"
             )
             for key, value, unit, shown, low, nominal, words in (
                 ("gain", self.gain, "Pa/m", "bar/m", -math.inf, 1e6, "feedback of position"),
@@ -130,13 +115,7 @@ class PositionFeedback:
         )
         command = clamp(wanted, rounding) - clamp(wanted - largest, rounding)
         plant.der(pressure, (command - pressure) / lag)
-        plant.output(
-            f"{name}.command",
-            command,
-            unit="Pa",
-            nominal=1e5,
-            description=f"commanded gauge pressure of {name}",
-        )
+        scope.of("Pa", 1e5).output("command", command, f"commanded gauge pressure of {name}")
         return pressure
 
 

@@ -21,7 +21,7 @@ import casadi as ca
 
 from ..core import units
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .dead_time import DeadTime, as_dead_time
@@ -120,11 +120,8 @@ class Regulator:
     # ---- parts, which other regulators share ----------------------------------------------------
     def chamber(self, plant: Declares, name: str, muscle: Muscle) -> ca.SX:
         """Declare the pressure in the muscle, a state."""
-        return plant.state(
-            f"{name}.pressure",
-            **pressure_attributes(muscle, self.max_pressure),
-            description=f"gauge pressure in {name}",
-        )
+        scope = Scope(plant, name).of(**pressure_attributes(muscle, self.max_pressure))
+        return scope.state("pressure", f"gauge pressure in {name}")
 
     def _command(self, name: str, muscle: Muscle) -> dict[str, Any]:
         """What the command is called, and its range: pressures from 0 to the largest."""
@@ -142,24 +139,14 @@ class Regulator:
     def calibrated(self, plant: Declares, name: str, effect: ca.SX, base: Any = None) -> ca.SX:
         """The pressure that a command asks for: base + gain effect + bias. base : [Pa] or None."""
         wanted = effect
+        scope = Scope(plant, name)
         if self.gain is not None:
-            wanted = wanted * plant.parameter(
-                f"{name}.gain",
-                self.gain,
-                unit=_per("Pa", self.unit),
-                min=1e-6 * self.gain,
-                nominal=self.gain,
-                tunable=True,
-                description=f"pressure per command ({name})",
-            )
+            wanted = wanted * scope.of(
+                _per("Pa", self.unit), self.gain, min=1e-6 * self.gain, tunable=True
+            ).parameter("gain", self.gain, f"pressure per command ({name})")
         if self.bias is not None:
-            wanted = wanted + plant.parameter(
-                f"{name}.bias",
-                self.bias,
-                unit="Pa",
-                nominal=1e4,
-                tunable=True,
-                description=f"pressure at command zero ({name})",
+            wanted = wanted + scope.of("Pa", 1e4, tunable=True).parameter(
+                "bias", self.bias, f"pressure at command zero ({name})"
             )
         return wanted if base is None else base + wanted
 
@@ -169,41 +156,28 @@ class Regulator:
         change = self._limited(plant, name, self._lagging(plant, name, error))
         plant.der(pressure, change)
         if self.max_rate is not None:
-            plant.constraint(
-                f"{name}.pressure_rate",
-                change,
-                unit="Pa/s",
-                nominal=1e6,
-                min=-self.max_rate,
-                max=self.max_rate,
-                description=f"rate of the pressure in {name}",
+            Scope(plant, name).of("Pa/s", 1e6, min=-self.max_rate, max=self.max_rate).constraint(
+                "pressure_rate", change, f"rate of the pressure in {name}"
             )
 
     def _lagging(self, plant: Declares, name: str, error: ca.SX) -> ca.SX:
         """error/lag, the lag that of filling or of venting."""
 
         def lag(key: str, value: float, words: str) -> ca.SX:
-            return plant.parameter(
-                f"{name}.{key}",
-                value,
-                unit="s",
-                min=1e-6,
-                nominal=0.1,
-                description=f"time constant of the pressure regulator of {name}{words}",
+            scope = Scope(plant, name)
+            return scope.of("s", 0.1, min=1e-6).parameter(
+                key, value, f"time constant of the pressure regulator of {name}{words}"
             )
 
         if self.venting_lag is None:
             return ca.SX(error / lag("lag", self.lag, ""))
         filling = lag("lag", self.lag, " while filling")
         venting = lag("venting_lag", self.venting_lag, " while venting")
-        width = plant.parameter(
-            f"{name}.switch_width",
+        scope = Scope(plant, name)
+        width = scope.of("Pa", 1e4, min=1.0, widest=1e5).parameter(
+            "switch_width",
             SWITCH_WIDTH,
-            unit="Pa",
-            min=1.0,
-            nominal=1e4,
-            widest=1e5,
-            description=f"half width of the passage from venting to filling ({name})",
+            f"half width of the passage from venting to filling ({name})",
         )
         # a share, not a sum of two clamps: at error zero the rate is zero, too
         share = _step(error / width)
@@ -215,41 +189,27 @@ class Regulator:
             return change
 
         def limit(key: str, value: float, words: str) -> ca.SX:
-            return plant.parameter(
-                f"{name}.{key}",
-                value,
-                unit="Pa/s",
-                min=1.0,
-                nominal=1e6,
-                display_unit="bar/s",
-                description=f"largest rate of the pressure of {name}{words}",
-            )
+            scope = Scope(plant, name).of("Pa/s", 1e6, min=1.0, display_unit="bar/s")
+            return scope.parameter(key, value, f"largest rate of the pressure of {name}{words}")
 
         if self.venting_slew is None:
             up = down = limit("slew", self.slew, "")
         else:
             up = limit("slew", self.slew, " while filling")
             down = limit("venting_slew", self.venting_slew, " while venting")
-        part = plant.parameter(
-            f"{name}.slew_rounding",
+        scope = Scope(plant, name)
+        part = scope.of("1", 0.1, min=1e-6, max=1.0, widest=1.0).parameter(
+            "slew_rounding",
             SLEW_ROUNDING,
-            min=1e-6,
-            max=1.0,
-            nominal=0.1,
-            widest=1.0,
-            description=f"passage to a limit of the rate, half width in parts of it ({name})",
+            f"passage to a limit of the rate, half width in parts of it ({name})",
         )
         return ca.SX(clamp(change + down, part * down) - clamp(change - up, part * up) - down)
 
 
 def show_set_pressure(plant: Declares, name: str, wanted: ca.SX) -> None:
     """Declare the output ``<name>.set_pressure``."""
-    plant.output(
-        f"{name}.set_pressure",
-        wanted,
-        unit="Pa",
-        nominal=1e5,
-        description=f"gauge pressure that the command asks for, in {name}",
+    Scope(plant, name).of("Pa", 1e5).output(
+        "set_pressure", wanted, f"gauge pressure that the command asks for, in {name}"
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from .damping import Motion
 from .kinds import LOSSES
 from .slip import rounded_speed
@@ -63,15 +63,10 @@ class Preconditioning:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
+        scope = Scope(plant, name)
         stiffness, softening, width = (
-            plant.parameter(
-                f"{name}.softening_{key}",
-                value,
-                unit=unit,
-                min=low,
-                max=high,
-                nominal=nominal,
-                description=f"rubber of {name}: {words}",
+            scope.of(unit, nominal, min=low, max=high).parameter(
+                f"softening_{key}", value, f"rubber of {name}: {words}"
             )
             for key, value, unit, low, high, nominal, words in (
                 ("stiffness", self.stiffness, "N", 0.0, ca.inf, 100.0, "force per contraction"),
@@ -79,16 +74,9 @@ class Preconditioning:
                 ("width", self.width, "1", 1e-6, 1.0, 0.01, "contraction over which it is lost"),
             )
         )
-        reached = plant.state(
-            f"{name}.reached",
-            start=self.reached,
-            min=0.0,
-            max=LARGEST,
-            nominal=0.1,
-            display_unit="%",
-            memory="held",
-            description=f"largest contraction of {name} so far",
-        )
+        reached = scope.of(
+            "1", 0.1, start=self.reached, min=0.0, max=LARGEST, display_unit="%", memory="held"
+        ).state("reached", f"largest contraction of {name} so far")
         kappa, rate = motion.contraction, motion.rate
         size = ca.sqrt(kappa**2 + 1e-12)
         outward = rate * kappa / size

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.dead_zone import smooth_step
 from ..muscles.gas import GAS_CONSTANT, conductance_from_flow
 from .airflow import Air, Place, Stream, between, holding, through
@@ -154,12 +154,10 @@ class LumpedTube:
         after = far
         for i in range(int(self.segments), 0, -1):
             node = around.pressure_state(f"{around.name}.tube_pressure{i}")
-            flow = plant.state(
-                f"{around.name}.tube_flow{i}",
-                unit="kg/s",
-                nominal=1e-3,
-                memory="settling",
-                description=f"air out of segment {i} of the tube of {around.name}",
+            flow = (
+                Scope(plant, around.name)
+                .of("kg/s", 1e-3, memory="settling")
+                .state(f"tube_flow{i}", f"air out of segment {i} of the tube of {around.name}")
             )
             place, net = holding(plant, Air(node + around.ambient, around.temperature))
             between(place, after, flow)
