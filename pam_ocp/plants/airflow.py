@@ -188,9 +188,16 @@ def balance(
 def declaring(plant: Declares, prefix: str, whose: str) -> Callable[..., Any]:
     """What declares parameters ``<prefix>.<key>``, described by its key unless by other words."""
 
-    def declare(key: str, value: float, **attributes: Any) -> ca.SX:
-        words = attributes.pop("description", key.replace("_", " "))
-        return Scope(plant, prefix).of(**attributes).parameter(key, value, f"{words} {whose}")
+    def declare(
+        key: str,
+        value: float,
+        unit: str = "1",
+        nominal: float = 1.0,
+        description: str = "",
+        **attributes: Any,
+    ) -> ca.SX:
+        scope = Scope(plant, prefix).of(unit, nominal, **attributes)
+        return scope.parameter(key, value, f"{description or key.replace('_', ' ')} {whose}")
 
     return declare
 
@@ -211,13 +218,13 @@ def _rubber(
 ) -> Warmth:
     """The wall's own temperature, and its effect."""
     capacity, outward, stiffening, reference, share = (
-        declare(f"rubber_{key}", value, **attributes)
-        for key, value, attributes in (
-            ("capacity", rubber.capacity, {"unit": "J/K", "min": 1e-6, "nominal": 100.0}),
-            ("outward", rubber.outward, {"unit": "W/K", "min": 0.0}),
-            ("stiffening", rubber.stiffening, {"unit": "1/K", "nominal": 1e-3}),
-            ("reference", rubber.reference, {"unit": "K", "min": 1.0, "nominal": 300.0}),
-            ("warming", rubber.warming, {"min": 0.0}),
+        declare(f"rubber_{key}", value, unit, nominal, min=low)
+        for key, value, unit, nominal, low in (
+            ("capacity", rubber.capacity, "J/K", 100.0, 1e-6),
+            ("outward", rubber.outward, "W/K", 1.0, 0.0),
+            ("stiffening", rubber.stiffening, "1/K", 1e-3, -ca.inf),
+            ("reference", rubber.reference, "K", 300.0, 1.0),
+            ("warming", rubber.warming, "1", 1.0, 0.0),
         )
     )
     lost, warm = plant.gathered()

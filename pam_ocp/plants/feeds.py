@@ -19,9 +19,8 @@ from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
 from .dead_time import DeadTime
 from .kinds import FEEDS
-from .pair_regulator import PairRegulator
 from .receiver import Compressor, PressureRegulator, Receiver
-from .regulator import Regulator, in_si, pressure_attributes
+from .regulator import PairRegulator, Regulator, in_si, pressure_attributes
 from .servo_valve import ServoValve
 from .spools import FirstOrderSpool, SecondOrderSpool
 from .tubes import LumpedTube, QuickExhaust, Tube

@@ -19,8 +19,8 @@ from .feeds import Feed
 from .hanging import GRAVITY
 from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied, as_loads
-from .pair_regulator import feeds_of_pair
 from .plant import Plant
+from .regulator import feeds_of_pair
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box
 from .slide import mirrored_pair, reach
 

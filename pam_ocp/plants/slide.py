@@ -13,8 +13,8 @@ from .damping import ConstantDamping, Damping, Loss
 from .feeds import Feed
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied, as_loads
-from .pair_regulator import COMMAND, feeds_of_pair
 from .plant import Plant
+from .regulator import COMMAND, feeds_of_pair
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
 

@@ -253,23 +253,12 @@ class GasFeed(ABC):
         """Where the air comes from; the exergy of its air [J/kg] where that stays as it is."""
         if not isinstance(self.supply, float | int):
             return self.supply.connect(plant), None
-        gauge = declare(
-            "supply",
-            self.supply,
-            unit="Pa",
-            min=0.0,
-            nominal=1e5,
-            description="gauge supply pressure",
-        )
+        gauge = declare("supply", self.supply, "Pa", 1e5, "gauge supply pressure", min=0.0)
         absolute, warm = chamber.ambient + gauge, None
         if self.supply_temperature is not None:
+            words = "temperature of the supply's air"
             warm = declare(
-                "supply_temperature",
-                self.supply_temperature,
-                unit="K",
-                min=1.0,
-                nominal=300.0,
-                description="temperature of the supply's air",
+                "supply_temperature", self.supply_temperature, "K", 300.0, words, min=1.0
             )
         t0 = chamber.temperature
         place = boundless(Air(absolute, t0 if warm is None else warm))
@@ -293,16 +282,10 @@ class GasFeed(ABC):
             "leak": (self.leak, "sonic conductance of the leak"),
         }
         inlet, outlet, leak = (
-            declare(k, v, unit="m3/(s.Pa)", min=0.0, nominal=1e-8, description=words)
-            for k, (v, words) in ways.items()
+            declare(k, v, "m3/(s.Pa)", 1e-8, words, min=0.0) for k, (v, words) in ways.items()
         )
-        b = declare(
-            "critical_ratio",
-            self.critical_ratio,
-            min=0.0,
-            max=0.99,
-            description="critical pressure ratio b",
-        )
+        words = "critical pressure ratio b"
+        b = declare("critical_ratio", self.critical_ratio, description=words, min=0.0, max=0.99)
         filling, venting = self.openings(plant, name)
         drawn = through(source, port, inlet, b, filling)
         vented = through(port, outside, outlet, b, venting)
