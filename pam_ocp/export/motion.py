@@ -20,9 +20,8 @@ from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import source
 from .assembly import Content, write_fmu
-from .documentation import table
-from .layout import PlantLayout
-from .settings import FmiVersion, checked
+from .description import table
+from .layout import FmiVersion, PlantLayout, checked
 
 Array: TypeAlias = NDArray[np.float64]
 
