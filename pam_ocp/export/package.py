@@ -13,8 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.block import Block
-from ..core.errors import InputError, require_flag
-from ..core.renamed import renamed
+from ..core.errors import InputError, renamed, require_flag
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
