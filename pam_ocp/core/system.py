@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import require_positive
 from .variables import Causality, Variable
 
 Way = Literal["filling", "venting"]
@@ -92,6 +93,13 @@ class Scope:
     def parameter(self, name: str, value: float, words: str) -> ca.SX:
         """A parameter and its value."""
         return self.plant.parameter(self._of(name), value, description=words, **self.attributes)
+
+    def positive(self, name: str, value: Any, words: str, zero: bool = False) -> ca.SX:
+        """A parameter of an argument's name, and its value: > 0 (>= 0 with ``zero``), or an
+        InputError.
+        """
+        unit = self.attributes["unit"]
+        return self.parameter(name, require_positive(name, value, unit, zero), words)
 
     def output(self, name: str, value: Any, words: str) -> ca.SX:
         """An output and its expression."""

@@ -126,32 +126,18 @@ def _limit_strength(
 ) -> None:
     """Declare the path constraints of burst and pull-off where the muscle says what it bears."""
     scope = Scope(plant, name)
-    for key, largest, value, unit, nominal, words in (
-        (
-            "to_burst",
-            muscle.burst_pressure,
-            pressure,
-            "Pa",
-            1e5,
-            "left of pressure before it bursts",
-        ),
-        (
-            "to_pull_off",
-            muscle.pull_off,
-            force,
-            "N",
-            100.0,
-            "left of force before an end comes off",
-        ),
+    for key, largest, value, unit, nominal, what, end in (
+        ("burst", muscle.burst_pressure, pressure, "Pa", 1e5, "pressure", "it bursts"),
+        ("pull_off", muscle.pull_off, force, "N", 100.0, "force", "an end comes off"),
     ):
         if largest is None:
             continue
         limit = scope.of(unit, nominal, min=1e-6).parameter(
-            key.removeprefix("to_"),
-            largest,
-            f"{'pressure' if unit == 'Pa' else 'force'} that {name} just bears",
+            key, largest, f"{what} that {name} just bears"
         )
-        scope.of(unit, nominal, min=0.0).constraint(key, limit - value, f"{words} ({name})")
+        scope.of(unit, nominal, min=0.0).constraint(
+            f"to_{key}", limit - value, f"left of {what} before {end} ({name})"
+        )
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from ..core.errors import require_finite, require_positive
+from ..core.errors import require_finite
 from ..core.system import Scope
 from ..muscles.law import SLACK_WIDTH, clamp
 from ..muscles.pneumatic_muscle import Muscle
@@ -32,9 +32,7 @@ def moved_mass(
         "x", "position of the load, in the direction of contraction"
     )
     v = scope.of("m/s", 0.1).state("v", "velocity of the load")
-    m = scope.of("kg", 1.0, min=1e-6, tunable=True).parameter(
-        "mass", require_positive("mass", mass, "kg"), "load"
-    )
+    m = scope.of("kg", 1.0, min=1e-6, tunable=True).positive("mass", mass, "load")
     return x, v, m
 
 
@@ -184,10 +182,8 @@ class SpringOverMuscle(Plant):
         muscle = as_muscle(muscle)
         x, v, m = moved_mass(self, muscle, mass)
         scope = Scope(self)
-        k_som = scope.of("N/m", 1e3, min=1e-9).parameter(
-            "spring_stiffness",
-            require_positive("spring_stiffness", spring_stiffness, "N/m"),
-            "stiffness of the spring over the muscle",
+        k_som = scope.of("N/m", 1e3, min=1e-9).positive(
+            "spring_stiffness", spring_stiffness, "stiffness of the spring over the muscle"
         )
         f0 = scope.of("N", 100.0).parameter(
             "preload",
@@ -261,20 +257,14 @@ class SeriesLoad(Plant):
             "muscle.shortening", "shortening of the muscle"
         )
         w = scope.of("m/s", 0.1).state("muscle.velocity", "of its shortening")
-        end = scope.of("kg", 0.1, min=1e-6).parameter(
-            "fitting_mass",
-            require_positive("fitting_mass", fitting_mass, "kg"),
-            "mass of the muscle's moving end",
+        end = scope.of("kg", 0.1, min=1e-6).positive(
+            "fitting_mass", fitting_mass, "mass of the muscle's moving end"
         )
-        k_t = scope.of("N/m", 1e5, min=1e-9).parameter(
-            "tendon_stiffness",
-            require_positive("tendon_stiffness", tendon_stiffness, "N/m"),
-            "stiffness of the tendon",
+        k_t = scope.of("N/m", 1e5, min=1e-9).positive(
+            "tendon_stiffness", tendon_stiffness, "stiffness of the tendon"
         )
-        c_t = scope.of("N.s/m", 10.0, min=0.0).parameter(
-            "tendon_damping",
-            require_positive("tendon_damping", tendon_damping, "N.s/m", zero=True),
-            "damping of the tendon",
+        c_t = scope.of("N.s/m", 10.0, min=0.0).positive(
+            "tendon_damping", tendon_damping, "damping of the tendon", zero=True
         )
         attached = self.add_muscle("muscle", muscle, shortening=y, rate=w, feed=feed, losses=losses)
         pull = clamp(k_t * (y - x) + c_t * (w - v), SLACK_WIDTH)

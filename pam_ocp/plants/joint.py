@@ -103,10 +103,8 @@ class AntagonisticJoint(Plant):
             "theta", "angle of the joint, towards the flexor"
         )
         omega = scope.of("rad/s", 1.0).state("omega", "angular velocity")
-        moment = scope.of("kg.m2", 0.1, min=1e-9, tunable=True).parameter(
-            "inertia",
-            require_positive("inertia", inertia, "kg.m2"),
-            "moment of inertia about the joint",
+        moment = scope.of("kg.m2", 0.1, min=1e-9, tunable=True).positive(
+            "inertia", inertia, "moment of inertia about the joint"
         )
         k0 = scope.of("1", 0.1, min=0.0, max=0.45, display_unit="%").parameter(
             "pre_contraction", pre_contraction, "contraction of both muscles at theta = 0"
@@ -208,13 +206,11 @@ class AntagonisticJoint(Plant):
             "stiffness", stiffness, "stiffness of the joint at constant pressures"
         )
         g = scope.of("m/s2", 10.0, min=0.0).parameter("gravity", GRAVITY, "gravity")
-        mass = scope.of("kg", min=0.0, tunable=True).parameter(
-            "link_mass", require_positive("link_mass", link[0], "kg", zero=True), "mass of the link"
+        mass = scope.of("kg", min=0.0, tunable=True).positive(
+            "link_mass", link[0], "mass of the link", zero=True
         )
-        length = scope.of("m", 0.1, min=0.0).parameter(
-            "link_length",
-            require_positive("link_length", link[1], "m", zero=True),
-            "from the joint to the link's centre of mass",
+        length = scope.of("m", 0.1, min=0.0).positive(
+            "link_length", link[1], "from the joint to the link's centre of mass", zero=True
         )
         stops = (
             []

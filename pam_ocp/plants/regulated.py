@@ -81,32 +81,17 @@ class PositionFeedback:
         reference = scope.of("m", 0.01).input(
             "reference", f"shortening of {name} at which the set pressure is commanded"
         )
+        slope = self.derivative_gain
         gain, derivative_gain, lag, largest, rounding = (
-            scope.of(unit, nominal, min=low, display_unit=shown, tunable=True).parameter(
-                key, value, f"{words} ({name})"
-            )
-            for key, value, unit, shown, low, nominal, words in (
-                ("gain", self.gain, "Pa/m", "bar/m", -math.inf, 1e6, "feedback of position"),
-                (
-                    "derivative_gain",
-                    self.derivative_gain,
-                    "Pa.s/m",
-                    "bar.s/m",
-                    -math.inf,
-                    1e5,
-                    "feedback of velocity",
-                ),
-                ("lag", self.lag, "s", "s", 1e-6, 0.1, "time constant of the regulator"),
-                ("max_pressure", top, "Pa", "bar", 1.0, 1e5, "largest pressure of the regulator"),
-                (
-                    "rounding",
-                    self.rounding,
-                    "Pa",
-                    "bar",
-                    1.0,
-                    1e4,
-                    "rounding of the command's ends",
-                ),
+            scope.of(
+                unit, nominal, min=low, display_unit=unit.replace("Pa", "bar"), tunable=True
+            ).parameter(key, value, f"{words} ({name})")
+            for key, value, unit, low, nominal, words in (
+                ("gain", self.gain, "Pa/m", -math.inf, 1e6, "feedback of position"),
+                ("derivative_gain", slope, "Pa.s/m", -math.inf, 1e5, "feedback of velocity"),
+                ("lag", self.lag, "s", 1e-6, 0.1, "time constant of the regulator"),
+                ("max_pressure", top, "Pa", 1.0, 1e5, "largest pressure of the regulator"),
+                ("rounding", self.rounding, "Pa", 1.0, 1e4, "rounding of the command's ends"),
             )
         )
         length = muscle.rest_length
