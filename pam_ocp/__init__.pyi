@@ -67,9 +67,9 @@ from .planning.transcription.mesh import Collocation as Collocation
 from .plants import feeds as feeds
 from .plants import loads as loads
 from .plants import losses as losses
-from .plants.elastic import SeriesLoad as SeriesLoad
-from .plants.elastic import SpringOverMuscle as SpringOverMuscle
 from .plants.hanging import HangingLoad as HangingLoad
+from .plants.hanging import SeriesLoad as SeriesLoad
+from .plants.hanging import SpringOverMuscle as SpringOverMuscle
 from .plants.joint import AntagonisticJoint as AntagonisticJoint
 from .plants.plant import Plant as Plant
 from .plants.regulated import RegulatedLoad as RegulatedLoad

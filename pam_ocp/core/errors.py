@@ -13,9 +13,20 @@ import numbers
 import reprlib
 import sys
 import types
+import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from numbers import Integral
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,6 +239,8 @@ def require_positive(argument: str, value: Any, unit: str = "", zero: bool = Fal
 # Nothing is refused beforehand: what works, works. But where Python's own words would come out of
 # the depth of a call (``'int' object is not iterable``), the signature tells whose fault it is.
 F = TypeVar("F", bound=Callable[..., Any])
+P = ParamSpec("P")
+R = TypeVar("R")
 RAW = (TypeError, ValueError, AttributeError, LookupError, RuntimeError)
 """What Python and its libraries raise of a value that is of the wrong kind."""
 MOST = 100
@@ -318,6 +331,29 @@ def require_known_keywords(
         f"{name.removesuffix('.__init__')}() has no argument {wrong!r}; "
         + (f"did you mean {has}?" if near else f"it has {has}")
     )
+
+
+def renamed(since: str, **names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Arguments go on under their former names: each ``old=new`` of ``names`` is taken under its
+    old name, too, with a DeprecationWarning.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        @functools.wraps(function)
+        def called(*args: P.args, **kwargs: P.kwargs) -> R:
+            for old in names.keys() & kwargs.keys():
+                new, name = names[old], function.__name__
+                warnings.warn(
+                    f"{name}({old}=...) is {name}({new}=...) since version {since}",
+                    DeprecationWarning,
+                    stacklevel=2,
+                )
+                kwargs.setdefault(new, kwargs.pop(old))
+            return function(*args, **kwargs)
+
+        return called
+
+    return decorate
 
 
 def _hint(annotation: Any, names: _Names) -> Any:

@@ -17,9 +17,8 @@ from .. import __version__
 from ..core.files import atomic_path, require_ending
 from ..core.trajectory import Trajectory
 from . import compile as compiler
-from . import description, documentation, source
-from .layout import Entry, Layout
-from .settings import Settings
+from . import description, source
+from .layout import Entry, Layout, Settings
 from .source import C_KEYWORDS, MAIN_SOURCE, c_text
 
 _DATE = (2000, 1, 1, 0, 0, 0)
@@ -59,7 +58,7 @@ def write_fmu(
         files |= _binaries(libraries, identifier, settings.fmi)
         files |= _icons(settings.fmi)
         if content.reference is not None:
-            files["documentation/reference.png"] = documentation.picture(content.reference)
+            files["documentation/reference.png"] = description.picture(content.reference)
         write_archive(temporary, files)
     return Path(path)
 
@@ -107,16 +106,16 @@ def _pages(layout: Layout, settings: Settings, identifier: str, content: Content
         f"{icons}/terminalsAndIcons.xml": terminals(layout),
     }
     pages = {
-        "documentation/index.html": documentation.page(
+        "documentation/index.html": description.page(
             layout, _notes(settings, content), content.equations(), reference is not None
         ),
         f"{folder}/license.txt": c_text("LICENSE.sources"),
         f"{folder}/fmi-headers.txt": c_text("LICENSE.fmi-headers"),
-        f"{icons}/icon.svg": documentation.icon_svg(),
+        f"{icons}/icon.svg": description.icon_svg(),
     }
     if reference is not None:
         for suffix, entries in (("in", layout.of("input")), ("ref", layout.outputs)):
-            table = documentation.reference_table(reference, {e.name for e in entries})
+            table = description.reference_table(reference, {e.name for e in entries})
             pages[f"documentation/{identifier}_{suffix}.csv"] = table
         trees[f"{extra}/fmi-ls-manifest.xml"] = references(identifier)
         trees[f"{extra}/experiments.xml"] = experiments(identifier, reference, settings)
@@ -160,7 +159,7 @@ def _binaries(libraries: Mapping[str, bytes], identifier: str, fmi: str) -> dict
 
 
 def _icons(fmi: str) -> dict[str, bytes]:
-    pictures = {name: documentation.stored(name) for name in ("icon.png", f"{SIGNAL_ICON}.png")}
+    pictures = {name: description.stored(name) for name in ("icon.png", f"{SIGNAL_ICON}.png")}
     icons = {f"terminalsAndIcons/{name}": content for name, content in pictures.items()}
     return icons | ({"model.png": pictures["icon.png"]} if fmi == "2.0" else {})
 

@@ -17,8 +17,7 @@ from ..core.trajectory import Trajectory
 from .archive import printable
 from .compile import PLATFORMS, native
 from .isolation import Tell
-from .replay import replay
-from .runner import Kind, Runner, UnpackedFmu, note_calls, pointer
+from .runner import Kind, Runner, UnpackedFmu, note_calls, pointer, replay
 from .symbols import exported_symbols
 
 Array: TypeAlias = NDArray[np.float64]

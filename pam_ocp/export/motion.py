@@ -15,14 +15,14 @@ from ..core.errors import InputError, kind_of, with_kinds
 from ..core.files import atomic_path, require_ending
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
+from ..core.system import Scope
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import source
 from .assembly import Content, write_fmu
-from .documentation import table
-from .layout import PlantLayout
-from .settings import FmiVersion, checked
+from .description import table
+from .layout import FmiVersion, PlantLayout, checked
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -185,24 +185,14 @@ def _rows(played: PiecewisePolynomial, motion: Trajectory, names: Sequence[str])
 def player(name: str, motion: Trajectory, names: Sequence[str]) -> Plant:
     """The variables of the FMU. The expressions say only that outputs depend on the clock."""
     plant = Plant(name, "plays a motion")
-    clock = plant.state(
-        "clock",
-        start=float(motion.t[0]),
-        unit="s",
-        nominal=max(1.0, float(np.max(np.abs(motion.t)))),
-        description="time in the motion",
-    )
+    scope = Scope(plant)
+    size = max(1.0, float(np.max(np.abs(motion.t))))
+    clock = scope.of("s", size, start=float(motion.t[0])).state("clock", "time in the motion")
     plant.der(clock, 1.0)
     for column in names:
         known: Variable = motion.variable(column)
-        plant.output(
-            column,
-            ca.sin(clock),
-            unit=known.unit,
-            nominal=known.nominal,
-            display_unit=known.display_unit,
-            description=known.description,
-        )
+        shown = scope.of(known.unit, known.nominal, display_unit=known.display_unit)
+        shown.output(column, ca.sin(clock), known.description)
     return plant
 
 
@@ -222,8 +212,5 @@ def _code(
             "",
         ]
     )
-    files = {
-        "plant.c": source.c_text("motion.c"),
-        "motion_data.h": data,
-    }
+    files = {"plant.c": source.c_text("motion.c"), "motion_data.h": data}
     return source.ModelCode(files, _WORK)

@@ -13,8 +13,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.block import Block
-from ..core.errors import InputError, require_flag
-from ..core.renamed import renamed
+from ..core.errors import InputError, renamed, require_flag
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -25,11 +24,10 @@ from ..plants.damping import Loss
 from ..plants.feeds import Feed
 from ..plants.plant import Plant, require_plant
 from ..plants.undelayed import attributes_of
-from . import documentation, sampled, source
+from . import description, sampled, source
 from .assembly import Content, write_fmu
-from .layout import PlantLayout
+from .layout import FmiVersion, PlantLayout, Settings, checked, checked_about
 from .sampled import as_block
-from .settings import FmiVersion, Settings, checked, checked_about
 
 
 @renamed("0.3", plant="system")
@@ -160,7 +158,7 @@ def export_fmu(
     content = Content(
         "fmu",
         lambda: source.plant_sources(offered),
-        lambda: documentation.equations(offered),
+        lambda: description.equations(offered),
         reference=reference,
     )
     return write_fmu(

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 
 from ..plants.plant import Plant
-from .layout import Layout, Role
-from .settings import Settings
+from .layout import Layout, Role, Settings
 
 if TYPE_CHECKING:
     from importlib.abc import Traversable

@@ -21,10 +21,10 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import assembly, description, quantities
+from .layout import FmiVersion, checked
 from .motion import export_motion, player
 from .package import checked_shapes, export_fmu, write_block
 from .sampled import BlockLayout, as_block, as_booleans
-from .settings import FmiVersion, checked
 from .ssv import SPACE, parameter_set
 
 LATE = 0.1

@@ -3,9 +3,9 @@ from . import feeds as feeds
 from . import loads as loads
 from . import losses as losses
 from .alone import muscle_alone as muscle_alone
-from .elastic import SeriesLoad as SeriesLoad
-from .elastic import SpringOverMuscle as SpringOverMuscle
 from .hanging import HangingLoad as HangingLoad
+from .hanging import SeriesLoad as SeriesLoad
+from .hanging import SpringOverMuscle as SpringOverMuscle
 from .inversion import Inversion as Inversion
 from .joint import AntagonisticJoint as AntagonisticJoint
 from .limbs import Limb as Limb

@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi as ca
 
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.dead_zone import smooth_step
 from ..muscles.gas import (
     HEAT_CAPACITY,
@@ -129,16 +129,9 @@ class Warmth:
 
 
 def _temperature_state(plant: Declares, name: str, start: float, words: str) -> ca.SX:
-    return plant.state(
-        name,
-        unit="K",
-        min=LEAST_TEMPERATURE,
-        max=LARGEST_TEMPERATURE,
-        start=start,
-        nominal=30.0,
-        memory="settling",
-        description=words,
-    )
+    low, high = LEAST_TEMPERATURE, LARGEST_TEMPERATURE
+    scope = Scope(plant).of("K", 30.0, min=low, max=high, start=start, memory="settling")
+    return scope.state(name, words)
 
 
 def air_temperature(plant: Declares, name: str, gas: Gas, chamber: Chamber) -> ca.SX:
@@ -195,11 +188,16 @@ def balance(
 def declaring(plant: Declares, prefix: str, whose: str) -> Callable[..., Any]:
     """What declares parameters ``<prefix>.<key>``, described by its key unless by other words."""
 
-    def declare(key: str, value: float, **attributes: Any) -> ca.SX:
-        words = attributes.pop("description", key.replace("_", " "))
-        return plant.parameter(
-            f"{prefix}.{key}", value, description=f"{words} {whose}", **attributes
-        )
+    def declare(
+        key: str,
+        value: float,
+        unit: str = "1",
+        nominal: float = 1.0,
+        description: str = "",
+        **attributes: Any,
+    ) -> ca.SX:
+        scope = Scope(plant, prefix).of(unit, nominal, **attributes)
+        return scope.parameter(key, value, f"{description or key.replace('_', ' ')} {whose}")
 
     return declare
 
@@ -207,9 +205,7 @@ def declaring(plant: Declares, prefix: str, whose: str) -> Callable[..., Any]:
 def show(plant: Declares, name: str, *shown: tuple[str, ca.SX, str, float, str]) -> None:
     """Declare outputs ``<name>.<key>``: (key, value, unit, nominal, words) of each."""
     for key, value, unit, nominal, words in shown:
-        plant.output(
-            f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
-        )
+        Scope(plant, name).of(unit, nominal).output(key, value, f"{words} ({name})")
 
 
 def _rubber(
@@ -222,13 +218,13 @@ def _rubber(
 ) -> Warmth:
     """The wall's own temperature, and its effect."""
     capacity, outward, stiffening, reference, share = (
-        declare(f"rubber_{key}", value, **attributes)
-        for key, value, attributes in (
-            ("capacity", rubber.capacity, {"unit": "J/K", "min": 1e-6, "nominal": 100.0}),
-            ("outward", rubber.outward, {"unit": "W/K", "min": 0.0}),
-            ("stiffening", rubber.stiffening, {"unit": "1/K", "nominal": 1e-3}),
-            ("reference", rubber.reference, {"unit": "K", "min": 1.0, "nominal": 300.0}),
-            ("warming", rubber.warming, {"min": 0.0}),
+        declare(f"rubber_{key}", value, unit, nominal, min=low)
+        for key, value, unit, nominal, low in (
+            ("capacity", rubber.capacity, "J/K", 100.0, 1e-6),
+            ("outward", rubber.outward, "W/K", 1.0, 0.0),
+            ("stiffening", rubber.stiffening, "1/K", 1e-3, -ca.inf),
+            ("reference", rubber.reference, "K", 300.0, 1.0),
+            ("warming", rubber.warming, "1", 1.0, 0.0),
         )
     )
     lost, warm = plant.gathered()

@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 
 from ..core.stop import verb
+from ..core.system import Scope
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_muscle
 from .damping import Loss
@@ -50,22 +51,12 @@ def attached_alone(
         feed = replace(feed, totals=True)  # a plant without a state is none
     rest, reach = float(muscle.rest_length), float(muscle.contraction_range[1])
     plant = Plant(name, f"{muscle.name or 'a muscle'} alone, moved from outside")
-    length = plant.input(
-        f"{name}.length",
-        start=rest,
-        unit="m",
-        min=0.0,
-        max=2 * rest,
-        nominal=reach * rest,
-        disturbance=True,
-        description=f"length of {name} between its ends",
+    scope = Scope(plant, name)
+    length = scope.of("m", reach * rest, start=rest, min=0.0, max=2 * rest, disturbance=True).input(
+        "length", f"length of {name} between its ends"
     )
-    speed = plant.input(
-        f"{name}.speed",
-        unit="m/s",
-        nominal=reach * rest,
-        disturbance=True,
-        description=f"speed at which {name} grows longer",
+    speed = scope.of("m/s", reach * rest, disturbance=True).input(
+        "speed", f"speed at which {name} grows longer"
     )
     # contraction 1 - length/rest_length, with the parameter that the muscle brings along
     attached = plant.add_muscle(

@@ -1,4 +1,4 @@
-"""Losses without memory: what takes energy out of a muscle's motion.
+"""Losses without memory: damping, dry friction, and what levels off with speed.
 
 Two kinds of component. A :class:`Damping` belongs to a plant (``damping=``) and gives its viscous
 coefficient. A :class:`Loss` belongs to a muscle (``losses=(...)``): it adds its parameters, its
@@ -14,7 +14,7 @@ from typing import Protocol
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import DAMPINGS, LOSSES
@@ -61,15 +61,8 @@ class ConstantDamping:
     def coefficient(
         self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
     ) -> ca.SX:
-        return plant.parameter(
-            "damping",
-            self.value,
-            unit=unit,
-            min=0.0,
-            nominal=10.0,
-            tunable=True,
-            description="viscous damping coefficient",
-        )
+        scope = Scope(plant).of(unit, 10.0, min=0.0, tunable=True)
+        return scope.parameter("damping", self.value, "viscous damping coefficient")
 
 
 @DAMPINGS.register()
@@ -97,13 +90,10 @@ class StiffnessDamping:
     def coefficient(
         self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
     ) -> ca.SX:
-        ratio = plant.parameter(
-            "damping_ratio",
-            self.ratio,
-            min=0.0,
-            nominal=0.1,
-            tunable=True,
-            description="damping ratio zeta of c = 2 zeta sqrt(m k)",
+        ratio = (
+            Scope(plant)
+            .of("1", 0.1, min=0.0, tunable=True)
+            .parameter("damping_ratio", self.ratio, "damping ratio zeta of c = 2 zeta sqrt(m k)")
         )
         rounded = (stiffness + ca.sqrt(stiffness**2 + STIFFNESS_FLOOR**2)) / 2
         return 2 * ratio * ca.sqrt(mass * rounded)
@@ -210,20 +200,15 @@ class DirectionalDamping:
 
     def _damping(self, plant: Declares, name: str, way: str, pressure: ca.SX) -> ca.SX:
         largest = ca.SX(0)
+        scope = Scope(plant, name)
         for i, (constant, slope) in enumerate(getattr(self, way), start=1):
-            b0 = plant.parameter(
-                f"{name}.{way}{i}",
-                constant,
-                unit="N.s/m",
-                nominal=1e3,
-                description=f"damping of {name} while {way}, line {i}",
+            b0 = scope.of("N.s/m", 1e3).parameter(
+                f"{way}{i}", constant, f"damping of {name} while {way}, line {i}"
             )
-            b1 = plant.parameter(
-                f"{name}.{way}{i}_per_pressure",
+            b1 = scope.of("N.s/(m.Pa)", 1e-3).parameter(
+                f"{way}{i}_per_pressure",
                 slope,
-                unit="N.s/(m.Pa)",
-                nominal=1e-3,
-                description=f"damping of {name} while {way}, line {i}, per pressure",
+                f"damping of {name} while {way}, line {i}, per pressure",
             )
             largest = largest + clamp(b0 + b1 * pressure - largest, self.rounding)
         return largest
@@ -270,17 +255,11 @@ class CoulombFriction:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
+        scope = Scope(plant, name)
         constant, slope, excess, speed, stribeck = (
-            plant.parameter(
-                f"{name}.friction_{key}",
-                getattr(self, key),
-                unit=unit,
-                min=low,
-                nominal=nominal,
-                tunable=True,
-                description=f"{words} ({name})",
-                widest=WIDEST_SPEED if key == "speed" else 0.0,
-            )
+            scope.of(
+                unit, nominal, min=low, tunable=True, widest=WIDEST_SPEED if key == "speed" else 0.0
+            ).parameter(f"friction_{key}", getattr(self, key), f"{words} ({name})")
             for key, unit, low, nominal, words in (
                 ("constant", "N", 0.0, 10.0, "dry friction"),
                 ("per_pressure", "N/Pa", 0.0, 1e-4, "dry friction per pressure"),
@@ -292,3 +271,72 @@ class CoulombFriction:
         v = motion.velocity
         kinetic = constant + slope * motion.pressure
         return ca.SX(kinetic * (1 + excess * ca.exp(-((v / stribeck) ** 2))) * ca.tanh(v / speed))
+
+
+@LOSSES.register(
+    units={
+        "contracting": "N",
+        "contracting_per_pressure": "N/Pa",
+        "relaxing": "N",
+        "relaxing_per_pressure": "N/Pa",
+        "speed": "m/s",
+        "turn": "m/s",
+    }
+)
+@dataclass(frozen=True)
+class ForceVelocity:
+    """F = A(p) v/(b + |v|), A = A0 + A1 p: Hill's hyperbola, with one A for each way.
+
+    At small speed a damper A/b, at large speed a force that no more grows; with pressure the whole
+    curve grows. |v| is rounded from above, so that it dissipates at any speed.
+
+    contracting, relaxing : A0 [N]. contracting_per_pressure, relaxing_per_pressure : A1 [N/Pa].
+    speed : b [m/s], at which half of A is lost. turn : below about this speed [m/s] the two ways
+        go over into each other (tanh).
+
+    Source: the hyperbola of A. V. Hill, Proc. R. Soc. B 126 (1938) 136-195, in the form of a loss
+    taken off the static force; that pressure scales it is our choice of form, the straight lines
+    those of Reynolds et al. 2003 (see :class:`DirectionalDamping`). No set of parameters was found.
+
+    Examples
+    --------
+    >>> loss = pam.losses.ForceVelocity(contracting=20.0, relaxing=15.0)
+    >>> run = pam.simulate(pam.HangingLoad(muscle, 10.0, losses=loss), duration=0.5)
+    >>> bool((run["muscle.loss"] * run["v"]).min() > -1e-6)  # it only takes
+    True
+    """
+
+    contracting: float = 20.0
+    contracting_per_pressure: float = 1e-4
+    relaxing: float = 15.0
+    relaxing_per_pressure: float = 5e-5
+    speed: float = 0.1
+    turn: float = 1e-3
+
+    def __post_init__(self) -> None:
+        for argument in ("contracting", "relaxing"):
+            for key, unit in ((argument, "N"), (f"{argument}_per_pressure", "N/Pa")):
+                require_positive(f"ForceVelocity.{key}", getattr(self, key), unit, zero=True)
+        for key in ("speed", "turn"):
+            require_positive(f"ForceVelocity.{key}", getattr(self, key), "m/s")
+
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        scope = Scope(plant, name)
+        a0, a1, r0, r1, half, turn = (
+            scope.of(unit, nominal, min=low).parameter(
+                f"velocity_{key}", getattr(self, key), f"force-velocity relation of {name}: {words}"
+            )
+            for key, unit, low, nominal, words in (
+                ("contracting", "N", 0.0, 10.0, "lost at high speed while contracting"),
+                ("contracting_per_pressure", "N/Pa", 0.0, 1e-4, "the same, per pressure"),
+                ("relaxing", "N", 0.0, 10.0, "lost at high speed while relaxing"),
+                ("relaxing_per_pressure", "N/Pa", 0.0, 1e-4, "the same, per pressure"),
+                ("speed", "m/s", 1e-9, 0.1, "speed at which half of it is lost"),
+                ("turn", "m/s", 1e-9, 1e-3, "speed below which the ways go over"),
+            )
+        )
+        v, p = motion.velocity, ca.fmax(motion.pressure, 0)
+        share = (1 + ca.tanh(v / turn)) / 2
+        full = r0 + r1 * p + (a0 - r0 + (a1 - r1) * p) * share
+        return ca.SX(full * v / (half + ca.sqrt(v**2 + turn**2)))

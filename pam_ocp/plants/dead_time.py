@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..core.variables import Variable
 from ..numerics.collocation import HIGHEST_DEGREE, collocation_matrices, collocation_points
 from .kinds import DEAD_TIMES
@@ -103,25 +103,19 @@ def delay_line(
 
     variable, source : the input that is delayed, and its symbol.
     """
-    time = plant.parameter(
-        f"{name}.dead_time",
-        dead_time.time,
-        unit="s",
-        min=1e-6,
-        nominal=0.01,
-        description=f"dead time from {variable.name} to its effect",
+    scope = Scope(plant, name)
+    time = scope.of("s", 0.01, min=1e-6).parameter(
+        "dead_time", dead_time.time, f"dead time from {variable.name} to its effect"
     )
     places = dead_time.places
     states = [
-        plant.state(
-            f"{name}.delay{i}",
-            unit=variable.unit,
+        scope.of(
+            variable.unit,
+            variable.nominal,
             display_unit=variable.display_unit,
             start=float(variable.start or 0.0),
-            nominal=variable.nominal,
-            memory="settling",  # what plans begin with: a command that stood, not one sent before
-            description=f"{variable.name} as it was {part:.3g} dead times ago",
-        )
+            memory="settling",
+        ).state(f"delay{i}", f"{variable.name} as it was {part:.3g} dead times ago")
         for i, part in enumerate(places, start=1)
     ]
     slopes = collocation_matrices(collocation_points("radau", dead_time.order))[0]

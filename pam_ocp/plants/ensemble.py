@@ -9,6 +9,7 @@ from functools import cached_property
 
 import casadi as ca
 
+from ..core.system import Scope
 from .plant import Plant
 from .stillness import Position
 
@@ -90,14 +91,10 @@ class Ensemble(Plant):
         )
         assert here is not None  # states have symbols, outputs expressions
         assert there is not None
-        self.output(
-            f"{name}.deviation{k}",
-            here - there,
-            unit=variable.unit,
-            nominal=variable.nominal,
-            display_unit=variable.display_unit,
-            description=f"of {name} in draw {k}",
+        scope = Scope(self, name).of(
+            variable.unit, variable.nominal, display_unit=variable.display_unit
         )
+        scope.output(f"deviation{k}", here - there, f"of {name} in draw {k}")
 
     @cached_property
     def positions(self) -> dict[str, str]:

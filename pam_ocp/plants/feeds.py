@@ -11,7 +11,7 @@ import casadi as ca
 
 from ..core.expressions import scalar_expression
 from ..core.stop import turns
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .airflow import show
@@ -19,9 +19,8 @@ from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
 from .dead_time import DeadTime
 from .kinds import FEEDS
-from .pair_regulator import PairRegulator
 from .receiver import Compressor, PressureRegulator, Receiver
-from .regulator import Regulator, in_si, pressure_attributes
+from .regulator import PairRegulator, Regulator, in_si, pressure_attributes
 from .servo_valve import ServoValve
 from .spools import FirstOrderSpool, SecondOrderSpool
 from .tubes import LumpedTube, QuickExhaust, Tube
@@ -70,29 +69,15 @@ def _meter_work(
     """
     power = ca.SX(force * velocity)
     per_mass = [("power_per_mass", power, "W/kg", "mechanical power per mass")]
-    plant.output(
-        f"{name}.power",
-        power,
-        unit="W",
-        nominal=100.0,
-        description=f"mechanical power out of {name}",
-    )
+    scope = Scope(plant, name)
+    scope.of("W", 100.0).output("power", power, f"mechanical power out of {name}")
     work = None
     if totals:
-        work = plant.state(
-            f"{name}.work", unit="J", nominal=10.0, description=f"mechanical work of {name}"
-        )
+        work = scope.of("J", 10.0).state("work", f"mechanical work of {name}")
         plant.der(work, power)
         per_mass.append(("work_per_mass", work, "J/kg", "mechanical work per mass"))
     if mass is not None:
-        own = plant.parameter(
-            f"{name}.own_mass",
-            mass,
-            unit="kg",
-            min=1e-6,
-            nominal=0.1,
-            description=f"mass of {name} itself",
-        )
+        own = scope.of("kg", 0.1, min=1e-6).parameter("own_mass", mass, f"mass of {name} itself")
         show(plant, name, *((k, value / own, unit, 100.0, w) for k, value, unit, w in per_mass))
     return work
 
@@ -106,17 +91,15 @@ def _meter_pneumatics(
     gain : dF/dp = -dV/dl [N/Pa], so that p dV/dt = p gain velocity whatever the volume at rest. In
     this sense a law that is linear in pressure loses nothing over a cycle; losses take their share.
     """
-    spent = plant.state(
-        f"{name}.pneumatic_work",
-        unit="J",
-        nominal=10.0,
-        description=f"pressure times change of volume, put into {name}",
+    scope = Scope(plant, name)
+    spent = scope.of("J", 10.0).state(
+        "pneumatic_work", f"pressure times change of volume, put into {name}"
     )
     plant.der(spent, pressure * gain * velocity)
-    plant.output(
-        f"{name}.efficiency",
+    scope.of().output(
+        "efficiency",
         work / ca.sqrt(spent**2 + EXERGY_FLOOR**2),
-        description=f"work per pneumatic work ({name})",
+        f"work per pneumatic work ({name})",
     )
 
 
@@ -129,14 +112,7 @@ def _moving_half(plant: Declares, name: str, muscle: Muscle, symbolic: Muscle) -
     if not muscle.body_mass:
         return ca.SX(0)
     per_length, ends = (
-        plant.parameter(
-            f"{name}.{key}",
-            value,
-            unit=unit,
-            min=0.0,
-            nominal=0.1,
-            description=f"{words} of {name}",
-        )
+        Scope(plant, name).of(unit, 0.1, min=0.0).parameter(key, value, f"{words} of {name}")
         for key, value, unit, words in (
             ("mass_per_length", muscle.mass_per_length, "kg/m", "mass per length of the body"),
             ("end_mass", muscle.end_mass, "kg", "mass of both ends together"),
@@ -149,41 +125,18 @@ def _limit_strength(
     plant: Declares, name: str, muscle: Muscle, pressure: ca.SX, force: ca.SX
 ) -> None:
     """Declare the path constraints of burst and pull-off where the muscle says what it bears."""
-    for key, largest, value, unit, nominal, words in (
-        (
-            "to_burst",
-            muscle.burst_pressure,
-            pressure,
-            "Pa",
-            1e5,
-            "left of pressure before it bursts",
-        ),
-        (
-            "to_pull_off",
-            muscle.pull_off,
-            force,
-            "N",
-            100.0,
-            "left of force before an end comes off",
-        ),
+    scope = Scope(plant, name)
+    for key, largest, value, unit, nominal, what, end in (
+        ("burst", muscle.burst_pressure, pressure, "Pa", 1e5, "pressure", "it bursts"),
+        ("pull_off", muscle.pull_off, force, "N", 100.0, "force", "an end comes off"),
     ):
         if largest is None:
             continue
-        limit = plant.parameter(
-            f"{name}.{key.removeprefix('to_')}",
-            largest,
-            unit=unit,
-            min=1e-6,
-            nominal=nominal,
-            description=f"{'pressure' if unit == 'Pa' else 'force'} that {name} just bears",
+        limit = scope.of(unit, nominal, min=1e-6).parameter(
+            key, largest, f"{what} that {name} just bears"
         )
-        plant.constraint(
-            f"{name}.{key}",
-            limit - value,
-            unit=unit,
-            nominal=nominal,
-            min=0.0,
-            description=f"{words} ({name})",
+        scope.of(unit, nominal, min=0.0).constraint(
+            f"to_{key}", limit - value, f"left of {what} before {end} ({name})"
         )
 
 
@@ -261,11 +214,8 @@ class IdealPressure:
     def connect(
         self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
-        return plant.input(
-            f"{name}.pressure",
-            **pressure_attributes(muscle, self.max_pressure),
-            description=f"gauge pressure in {name}",
-        )
+        scope = Scope(plant, name).of(**pressure_attributes(muscle, self.max_pressure))
+        return scope.input("pressure", f"gauge pressure in {name}")
 
 
 def as_feed(value: Any) -> Feed:
@@ -317,15 +267,10 @@ def attach(
     shortening = scalar_expression(f"{name}: shortening", shortening)
     rate = scalar_expression(f"{name}: rate", rate)
     symbolic = _with_parameters(plant, name, muscle)
+    scope = Scope(plant, name)
     if not isinstance(pre_contraction, ca.SX):
-        pre_contraction = plant.parameter(
-            f"{name}.pre_contraction",
-            pre_contraction,
-            min=-0.1,
-            max=0.45,
-            nominal=0.1,
-            display_unit="%",
-            description=f"contraction of {name} at zero displacement",
+        pre_contraction = scope.of("1", 0.1, min=-0.1, max=0.45, display_unit="%").parameter(
+            "pre_contraction", pre_contraction, f"contraction of {name} at zero displacement"
         )
     contraction = pre_contraction + shortening / symbolic.rest_length
     relative_rate = rate / symbolic.rest_length
@@ -337,13 +282,7 @@ def attach(
     else:
         pressure = feed.connect(plant, name, symbolic, bounded, relative_rate)
     if f"{name}.pressure" not in {v.name for v in plant.variables}:
-        plant.output(
-            f"{name}.pressure",
-            pressure,
-            unit="Pa",
-            nominal=1e5,
-            description=f"gauge pressure in {name}",
-        )
+        scope.of("Pa", 1e5).output("pressure", pressure, f"gauge pressure in {name}")
     tension = symbolic.tension(pressure, bounded)
     gain = ca.jacobian(tension, pressure)
     force = symbolic.force(pressure, bounded)
@@ -354,12 +293,8 @@ def attach(
     if losses:
         motion = Motion(symbolic, pressure, bounded, relative_rate)
         lost = sum((loss.force(plant, name, motion) for loss in losses), ca.SX(0))
-        plant.output(
-            f"{name}.loss",
-            lost,
-            unit="N",
-            nominal=100.0,
-            description=f"friction, hysteresis and creep of {name} against its contraction",
+        scope.of("N", 100.0).output(
+            "loss", lost, f"friction, hysteresis and creep of {name} against its contraction"
         )
         if air is not None and air.warm is not None:
             air.warm(lost * rate)
@@ -414,59 +349,31 @@ def _with_parameters(plant: Declares, name: str, muscle: Muscle) -> Muscle:
     described = {v.name: v for v in muscle.law.coefficient_variables()}
 
     def symbol(constant: str, value: Any) -> ca.SX:
+        scope = Scope(plant, name)
         if constant in described and constant not in _UNITS:
             variable = described[constant]
-            return plant.parameter(
-                f"{name}.{constant}",
-                value,
-                unit=variable.unit,
-                nominal=variable.nominal,
-                min=variable.min,
-                max=variable.max,
-                description=f"{variable.description} ({muscle.law.name} law of {name})",
+            return scope.of(
+                variable.unit, variable.nominal, min=variable.min, max=variable.max
+            ).parameter(
+                constant, value, f"{variable.description} ({muscle.law.name} law of {name})"
             )
         unit, nominal = _UNITS[constant]
         words = re.sub("_", " ", constant)
-        return plant.parameter(
-            f"{name}.{constant}",
-            value,
-            unit=unit,
-            nominal=nominal,
-            min=1e-6,
-            description=f"{words} of {name}",
-        )
+        return scope.of(unit, nominal, min=1e-6).parameter(constant, value, f"{words} of {name}")
 
     return muscle.substituted(symbol)
 
 
 def _declare_outputs(plant: Declares, attached: AttachedMuscle, tension: ca.SX) -> None:
     name = attached.name
-    plant.output(
-        f"{name}.force",
-        attached.force,
-        unit="N",
-        nominal=100.0,
-        description=f"pulling force of {name}",
+    scope = Scope(plant, name)
+    scope.of("N", 100.0).output("force", attached.force, f"pulling force of {name}")
+    scope.of("1", 0.1, display_unit="%").output(
+        "contraction", attached.contraction, f"contraction ratio of {name}"
     )
-    plant.output(
-        f"{name}.contraction",
-        attached.contraction,
-        nominal=0.1,
-        display_unit="%",
-        description=f"contraction ratio of {name}",
+    scope.of("N/m", 1e4).output(
+        "stiffness", attached.stiffness, f"stiffness of {name} at constant pressure"
     )
-    plant.output(
-        f"{name}.stiffness",
-        attached.stiffness,
-        unit="N/m",
-        nominal=1e4,
-        description=f"stiffness of {name} at constant pressure",
-    )
-    plant.constraint(
-        f"{name}.tension",
-        tension,
-        unit="N",
-        nominal=100.0,
-        min=0.0,
-        description=f"tension of {name} before the clamp at zero: never slack",
+    scope.of("N", 100.0, min=0.0).constraint(
+        "tension", tension, f"tension of {name} before the clamp at zero: never slack"
     )

@@ -11,6 +11,7 @@ import numpy as np
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.expressions import expression_of
 from ..core.quantities import meant_within
+from ..core.system import Scope
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
 from .damping import ConstantDamping, Damping, Loss
@@ -18,8 +19,8 @@ from .feeds import Feed
 from .hanging import GRAVITY
 from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied, as_loads
-from .pair_regulator import feeds_of_pair
 from .plant import Plant
+from .regulator import feeds_of_pair
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box
 from .slide import mirrored_pair, reach
 
@@ -97,32 +98,16 @@ class AntagonisticJoint(Plant):
         arms = (moment_arm, moment_arm if moment_arm2 is None else moment_arm2)
         low, high = _range(muscles, arms, pre_contraction, limits)
         limits = None if limits is None else (low, high)
-        theta = self.state(
-            "theta",
-            unit="rad",
-            min=low,
-            max=high,
-            nominal=0.1,
-            description="angle of the joint, towards the flexor",
+        scope = Scope(self)
+        theta = scope.of("rad", 0.1, min=low, max=high).state(
+            "theta", "angle of the joint, towards the flexor"
         )
-        omega = self.state("omega", unit="rad/s", nominal=1.0, description="angular velocity")
-        moment = self.parameter(
-            "inertia",
-            require_positive("inertia", inertia, "kg.m2"),
-            unit="kg.m2",
-            min=1e-9,
-            nominal=0.1,
-            tunable=True,
-            description="moment of inertia about the joint",
+        omega = scope.of("rad/s", 1.0).state("omega", "angular velocity")
+        moment = scope.of("kg.m2", 0.1, min=1e-9, tunable=True).positive(
+            "inertia", inertia, "moment of inertia about the joint"
         )
-        k0 = self.parameter(
-            "pre_contraction",
-            pre_contraction,
-            min=0.0,
-            max=0.45,
-            nominal=0.1,
-            display_unit="%",
-            description="contraction of both muscles at theta = 0",
+        k0 = scope.of("1", 0.1, min=0.0, max=0.45, display_unit="%").parameter(
+            "pre_contraction", pre_contraction, "contraction of both muscles at theta = 0"
         )
         pair = []
         feeds = feeds_of_pair(self, feed, muscles)
@@ -183,14 +168,12 @@ class AntagonisticJoint(Plant):
 
     def _arm(self, name: str, arm: MomentArm, theta: ca.SX) -> tuple[ca.SX, ca.SX]:
         """(shortening s(theta), moment arm r(theta) = ds/dtheta) of one muscle."""
+        scope = Scope(self, name)
         if not callable(arm):
-            radius = self.parameter(
-                f"{name}.radius",
+            radius = scope.of("m", 0.01, min=1e-6).parameter(
+                "radius",
                 require_positive("moment_arm", arm, "m"),
-                unit="m",
-                min=1e-6,
-                nominal=0.01,
-                description=f"radius of the pulley under {name}",
+                f"radius of the pulley under {name}",
             )
             return radius * theta, radius
         nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE)
@@ -198,13 +181,7 @@ class AntagonisticJoint(Plant):
             (w / 2 * arm(theta * (x + 1) / 2) for x, w in zip(nodes, weights, strict=True)),
             ca.SX(0),
         )
-        radius = self.output(
-            f"{name}.radius",
-            arm(theta),
-            unit="m",
-            nominal=0.01,
-            description=f"moment arm of {name}",
-        )
+        radius = scope.of("m", 0.01).output("radius", arm(theta), f"moment arm of {name}")
         return ca.SX(theta * shortening), radius
 
     def _move(
@@ -223,34 +200,17 @@ class AntagonisticJoint(Plant):
         own masses.
         """
         stiffness = -ca.jacobian(torque, theta)
-        self.output(
-            "torque", torque, unit="N.m", nominal=10.0, description="of both muscles on the joint"
+        scope = Scope(self)
+        scope.of("N.m", 10.0).output("torque", torque, "of both muscles on the joint")
+        scope.of("N.m/rad", 10.0).output(
+            "stiffness", stiffness, "stiffness of the joint at constant pressures"
         )
-        self.output(
-            "stiffness",
-            stiffness,
-            unit="N.m/rad",
-            nominal=10.0,
-            description="stiffness of the joint at constant pressures",
+        g = scope.of("m/s2", 10.0, min=0.0).parameter("gravity", GRAVITY, "gravity")
+        mass = scope.of("kg", min=0.0, tunable=True).positive(
+            "link_mass", link[0], "mass of the link", zero=True
         )
-        g = self.parameter(
-            "gravity", GRAVITY, unit="m/s2", min=0.0, nominal=10.0, description="gravity"
-        )
-        mass = self.parameter(
-            "link_mass",
-            require_positive("link_mass", link[0], "kg", zero=True),
-            unit="kg",
-            min=0.0,
-            tunable=True,
-            description="mass of the link",
-        )
-        length = self.parameter(
-            "link_length",
-            require_positive("link_length", link[1], "m", zero=True),
-            unit="m",
-            min=0.0,
-            nominal=0.1,
-            description="from the joint to the link's centre of mass",
+        length = scope.of("m", 0.1, min=0.0).positive(
+            "link_length", link[1], "from the joint to the link's centre of mass", zero=True
         )
         stops = (
             []

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, kind_of, require_finite, require_flag, require_positive
 from ..core.stop import turns
+from ..core.system import Scope
 from ..muscles.gas import ConsistentVolume, air_mass
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_muscle
@@ -212,45 +213,23 @@ class Limb(Plant):
             force, more = applied(self, loads, Coordinate(q[i], w[i], rotary=joint.rotary))
             outside.append(force)
             added.append(more)
-        gravity = self.parameter(
-            "gravity",
-            float(np.linalg.norm(body.gravity)),
-            unit="m/s2",
-            min=0.0,
-            nominal=10.0,
-            tunable=True,
-            description="gravity",
-        )
+        scope = Scope(self).of("m/s2", 10.0, min=0.0, tunable=True)
+        gravity = scope.parameter("gravity", float(np.linalg.norm(body.gravity)), "gravity")
         mass = body.mass_matrix(q) + ca.diag(ca.vertcat(*added))
         return mass, body.bias(q, w, gravity) - ca.vertcat(*outside)
 
     def _coordinates(self) -> tuple[ca.SX, ca.SX]:
         positions, speeds = [], []
         for joint in self.joints:
-            length = "rad" if joint.rotary else "m"
             near = min(max(0.0, joint.low), joint.high)
-            positions.append(
-                self.state(
-                    joint.name,
-                    unit=length,
-                    min=joint.low,
-                    max=joint.high,
-                    start=near,
-                    nominal=0.3 if joint.rotary else 0.1,
-                    description=f"position of joint {joint.name}",
-                )
-            )
+            unit, nominal = ("rad", 0.3) if joint.rotary else ("m", 0.1)
+            scope = Scope(self).of(unit, nominal, min=joint.low, max=joint.high, start=near)
+            positions.append(scope.state(joint.name, f"position of joint {joint.name}"))
         for joint in self.joints:
-            speeds.append(
-                self.state(
-                    f"{joint.name}.velocity",
-                    unit="rad/s" if joint.rotary else "m/s",
-                    min=-joint.velocity,
-                    max=joint.velocity,
-                    nominal=1.0 if joint.rotary else 0.3,
-                    description=f"velocity of joint {joint.name}",
-                )
-            )
+            unit, nominal = ("rad/s", 1.0) if joint.rotary else ("m/s", 0.3)
+            most = joint.velocity
+            scope = Scope(self, joint.name).of(unit, nominal, min=-most, max=most)
+            speeds.append(scope.state("velocity", f"velocity of joint {joint.name}"))
         return ca.vertcat(*positions), ca.vertcat(*speeds)
 
     def _attach(
@@ -265,13 +244,9 @@ class Limb(Plant):
             offset = rest * (1 - float(one.pre_contraction or 0.0)) - float(at_zero)
         else:
             offset = one.offset
-        own = self.parameter(
-            f"{one.name}.offset",
-            offset,
-            unit="m",
-            nominal=0.1,
-            tunable=True,
-            description=f"length of {one.name} less that of its path",
+        scope = Scope(self, one.name)
+        own = scope.of("m", 0.1, tunable=True).parameter(
+            "offset", offset, f"length of {one.name} less that of its path"
         )
         attached = self.add_muscle(
             one.name,
@@ -283,13 +258,8 @@ class Limb(Plant):
             losses=one.losses,
         )
         low, high = part.contraction_range
-        self.constraint(
-            f"{one.name}.reach",
-            attached.contraction,
-            min=low,
-            max=high,
-            nominal=0.1,
-            description=f"contraction of {one.name} in its measured range",
+        scope.of("1", 0.1, min=low, max=high).constraint(
+            "reach", attached.contraction, f"contraction of {one.name} in its measured range"
         )
         return attached, length, points
 
@@ -315,23 +285,16 @@ class Limb(Plant):
         effort = "N.m" if joint.rotary else "N"
         torque = ca.dot(arms, ca.vertcat(*(a.force for a in attached)))
         of = f"of the muscles on joint {joint.name}"
-        self.output(f"{joint.name}.torque", torque, unit=effort, nominal=10.0, description=of)
-        self.output(
-            f"{joint.name}.stiffness",
+        scope = Scope(self, joint.name)
+        scope.of(effort, 10.0).output("torque", torque, of)
+        scope.of("N.m/rad" if joint.rotary else "N/m", 10.0).output(
+            "stiffness",
             -ca.jacobian(torque, q[i]),
-            unit="N.m/rad" if joint.rotary else "N/m",
-            nominal=10.0,
-            description=f"stiffness of joint {joint.name} at constant pressures",
+            f"stiffness of joint {joint.name} at constant pressures",
         )
         if math.isfinite(joint.effort):
-            self.constraint(
-                f"{joint.name}.effort",
-                torque,
-                unit=effort,
-                min=-joint.effort,
-                max=joint.effort,
-                nominal=10.0,
-                description=f"{of}, which its limit bounds",
+            scope.of(effort, 10.0, min=-joint.effort, max=joint.effort).constraint(
+                "effort", torque, f"{of}, which its limit bounds"
             )
         return torque
 

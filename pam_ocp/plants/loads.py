@@ -14,7 +14,7 @@ import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.stop import turns
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from .components import components
 from .kinds import LOADS
@@ -101,14 +101,8 @@ class ExternalForce:
 
     def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
-        return plant.input(
-            self.name,
-            unit=at.effort,
-            start=self.start,
-            nominal=10.0,
-            disturbance=True,
-            description="from outside, in positive direction",
-        )
+        scope = Scope(plant).of(at.effort, 10.0, start=self.start, disturbance=True)
+        return scope.input(self.name, "from outside, in positive direction")
 
 
 @LOADS.register(units={"stiffness": ("N/m", "N.m/rad"), "rest": ("m", "rad")})
@@ -134,22 +128,12 @@ class Spring:
 
     def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
-        k = plant.parameter(
-            f"{self.name}.stiffness",
-            self.stiffness,
-            unit=f"{at.effort}/{at.length}",
-            min=0.0,
-            nominal=1e3,
-            tunable=True,
-            description=f"stiffness of the {self.name}",
+        scope = Scope(plant, self.name)
+        k = scope.of(f"{at.effort}/{at.length}", 1e3, min=0.0, tunable=True).parameter(
+            "stiffness", self.stiffness, f"stiffness of the {self.name}"
         )
-        rest = plant.parameter(
-            f"{self.name}.rest",
-            self.rest,
-            unit=at.length,
-            nominal=0.1,
-            tunable=True,
-            description=f"position at which the {self.name} is relaxed",
+        rest = scope.of(at.length, 0.1, tunable=True).parameter(
+            "rest", self.rest, f"position at which the {self.name} is relaxed"
         )
         return ca.SX(-k * (at.position - rest))
 
@@ -174,14 +158,10 @@ class Damper:
 
     def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
-        c = plant.parameter(
-            f"{self.name}.coefficient",
-            self.coefficient,
-            unit=f"{at.effort}.s/{at.length}",
-            min=0.0,
-            nominal=10.0,
-            tunable=True,
-            description=f"viscous coefficient of the {self.name}",
+        c = (
+            Scope(plant, self.name)
+            .of(f"{at.effort}.s/{at.length}", 10.0, min=0.0, tunable=True)
+            .parameter("coefficient", self.coefficient, f"viscous coefficient of the {self.name}")
         )
         return ca.SX(-c * at.velocity)
 
@@ -208,23 +188,12 @@ class DryFriction:
 
     def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
-        coulomb = plant.parameter(
-            f"{self.name}.coulomb",
-            self.coulomb,
-            unit=at.effort,
-            min=0.0,
-            nominal=10.0,
-            tunable=True,
-            description=f"Coulomb {self.name} of the guide",
+        scope = Scope(plant, self.name)
+        coulomb = scope.of(at.effort, 10.0, min=0.0, tunable=True).parameter(
+            "coulomb", self.coulomb, f"Coulomb {self.name} of the guide"
         )
-        speed = plant.parameter(
-            f"{self.name}.speed",
-            self.speed,
-            unit=f"{at.length}/s",
-            min=1e-9,
-            nominal=1e-3,
-            widest=WIDEST * self.speed,
-            description=f"speed below which {self.name} is smoothed",
+        speed = scope.of(f"{at.length}/s", 1e-3, min=1e-9, widest=WIDEST * self.speed).parameter(
+            "speed", self.speed, f"speed below which {self.name} is smoothed"
         )
         return ca.SX(-coulomb * ca.tanh(at.velocity / speed))
 
@@ -253,14 +222,8 @@ class Inertia:
 
     def inertia(self, plant: Declares, at: Coordinate) -> ca.SX:
         """What is added to the moving mass."""
-        return plant.parameter(
-            self.name,
-            self.value,
-            unit="kg.m2" if at.rotary else "kg",
-            min=0.0,
-            tunable=True,
-            description="inertia of the load that moves along",
-        )
+        scope = Scope(plant).of("kg.m2" if at.rotary else "kg", min=0.0, tunable=True)
+        return scope.parameter(self.name, self.value, "inertia of the load that moves along")
 
 
 @LOADS.register(
@@ -307,46 +270,22 @@ class Wall:
 
     def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
-        where = plant.parameter(
-            f"{self.name}.position",
-            self.position,
-            unit=at.length,
-            nominal=0.1,
-            tunable=True,
-            description=f"where the {self.name} stands",
+        scope = Scope(plant, self.name)
+        where = scope.of(at.length, 0.1, tunable=True).parameter(
+            "position", self.position, f"where the {self.name} stands"
         )
-        k = plant.parameter(
-            f"{self.name}.stiffness",
-            self.stiffness,
-            unit=f"{at.effort}/{at.length}",
-            min=1e-9,
-            nominal=1e5,
-            description=f"contact stiffness of the {self.name}",
+        k = scope.of(f"{at.effort}/{at.length}", 1e5, min=1e-9).parameter(
+            "stiffness", self.stiffness, f"contact stiffness of the {self.name}"
         )
-        c = plant.parameter(
-            f"{self.name}.damping",
-            self.damping,
-            unit=f"{at.effort}.s/{at.length}",
-            min=0.0,
-            nominal=100.0,
-            description=f"contact damping of the {self.name}",
+        c = scope.of(f"{at.effort}.s/{at.length}", 100.0, min=0.0).parameter(
+            "damping", self.damping, f"contact damping of the {self.name}"
         )
-        width = plant.parameter(
-            f"{self.name}.width",
-            self.width,
-            unit=at.effort,
-            min=1e-6,
-            description=f"contact of the {self.name} begins smoothly over this force",
+        width = scope.of(at.effort, min=1e-6).parameter(
+            "width", self.width, f"contact of the {self.name} begins smoothly over this force"
         )
         penetration = self.side * (at.position - where)
         speed = self.side * at.velocity
-        plant.output(
-            f"{self.name}.gap",
-            -penetration,
-            unit=at.length,
-            nominal=0.01,
-            description=f"distance to the {self.name}",
-        )
+        scope.of(at.length, 0.01).output("gap", -penetration, f"distance to the {self.name}")
         elastic = clamp(k * penetration, width)
         # k d (1 + c d'/(k d)), rounded where k d is small; no contact, no force; the factor never
         # below zero, so a wall that the load leaves quickly does not pull it back

@@ -7,13 +7,12 @@ from .damping import (
     CoulombFriction,
     Damping,
     DirectionalDamping,
+    ForceVelocity,
     Loss,
     StiffnessDamping,
 )
-from .force_velocity import ForceVelocity
-from .memory import BoucWen, Creep, LoadCreep, MaxwellSlip
+from .memory import BoucWen, Creep, LoadCreep, MaxwellSlip, Preconditioning
 from .prandtl_ishlinskii import PrandtlIshlinskii, SlipElements
-from .softening import Preconditioning
 from .strand_friction import StrandFriction
 
 __all__ = [

@@ -1,4 +1,5 @@
-"""Losses with memory: hysteresis (Bouc-Wen, Maxwell-slip) and creep. Each adds states to a muscle.
+"""Losses with memory: hysteresis (Bouc-Wen, Maxwell-slip), creep, and preconditioning (the first
+contractions soften the rubber, up to the largest so far: Mullins). Each adds states to a muscle.
 
 Not in the force law, and of this size when measured: hysteresis 0.6 to 3 % of the largest force
 (isometric), creep 20 % of the stroke over a hold of 3.5 s. Published parameters of the structures
@@ -16,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from .damping import Motion
 from .kinds import LOSSES
@@ -80,15 +81,10 @@ class BoucWen:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
+        scope = Scope(plant, name)
         friction, width, beta, order = (
-            plant.parameter(
-                f"{name}.hysteresis_{key}",
-                value,
-                unit=unit,
-                min=low,
-                max=high,
-                nominal=nominal,
-                description=f"Bouc-Wen hysteresis of {name}: {words}",
+            scope.of(unit, nominal, min=low, max=high).parameter(
+                f"hysteresis_{key}", value, f"Bouc-Wen hysteresis of {name}: {words}"
             )
             for key, value, unit, low, high, nominal, words in (
                 ("force", self.friction, "N", 0.0, ca.inf, 10.0, "force when sliding"),
@@ -97,12 +93,8 @@ class BoucWen:
                 ("order", self.order, "1", 1.0, 50.0, 1.0, "sharpness"),
             )
         )
-        z = plant.state(
-            f"{name}.hysteresis",
-            min=-1.0,
-            max=1.0,
-            memory="held",
-            description=f"Bouc-Wen state of {name}: force/friction",
+        z = scope.of(min=-1.0, max=1.0, memory="held").state(
+            "hysteresis", f"Bouc-Wen state of {name}: force/friction"
         )
         scale = PressureScale.of(plant, name, "hysteresis", self.per_pressure, motion)
         full = ca.SX(1) if scale is None else scale.present / scale.largest
@@ -171,15 +163,11 @@ class MaxwellSlip:
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         rate, speed = motion.rate, rounded_speed(plant, name, "slip", motion.rate)
-        edge = plant.parameter(
-            f"{name}.slip_edge",
+        scope = Scope(plant, name)
+        edge = scope.of("1", 0.1, min=1e-6, max=1.0, widest=1.0).parameter(
+            "slip_edge",
             self.edge,
-            min=1e-6,
-            max=1.0,
-            nominal=0.1,
-            widest=1.0,
-            description=f"Maxwell-slip of {name}: passage from sticking to sliding, as part of "
-            "the force",
+            f"Maxwell-slip of {name}: passage from sticking to sliding, as part of the force",
         )
         scale = PressureScale.of(plant, name, "slip", self.per_pressure, motion)
         full = ca.SX(1) if scale is None else scale.present / scale.largest
@@ -188,28 +176,14 @@ class MaxwellSlip:
         for i, (force, width) in enumerate(
             zip(self.friction, self.yield_contraction, strict=True), start=1
         ):
-            friction = plant.parameter(
-                f"{name}.slip{i}_force",
-                force,
-                unit="N",
-                min=0.0,
-                nominal=10.0,
-                description=f"Maxwell-slip element {i} of {name}: force when sliding",
+            friction = scope.of("N", 10.0, min=0.0).parameter(
+                f"slip{i}_force", force, f"Maxwell-slip element {i} of {name}: force when sliding"
             )
-            yielding = plant.parameter(
-                f"{name}.slip{i}_yield",
-                width,
-                min=1e-9,
-                nominal=0.01,
-                display_unit="%",
-                description=f"Maxwell-slip element {i} of {name}: contraction to slide",
+            yielding = scope.of("1", 0.01, min=1e-9, display_unit="%").parameter(
+                f"slip{i}_yield", width, f"Maxwell-slip element {i} of {name}: contraction to slide"
             )
-            z = plant.state(
-                f"{name}.slip{i}",
-                min=-1.0,
-                max=1.0,
-                memory="held",
-                description=f"Maxwell-slip element {i} of {name}: force/friction",
+            z = scope.of(min=-1.0, max=1.0, memory="held").state(
+                f"slip{i}", f"Maxwell-slip element {i} of {name}: force/friction"
             )
             passing = limits.passing(z, rate, speed, edge)
             if scale is None:
@@ -280,29 +254,16 @@ def creep_force(
     key : of what is declared, ``<name>.<key>1``, ... words : what the times are.
     """
     total = ca.SX(0)
+    scope = Scope(plant, name)
     for i, (value, time) in enumerate(zip(stiffnesses, times, strict=True), start=1):
-        stiffness = plant.parameter(
-            f"{name}.{key}{i}_stiffness",
-            value,
-            unit="N",
-            min=0.0,
-            nominal=1e3,
-            description=f"creep element {i} of {name}: force per contraction",
+        stiffness = scope.of("N", 1e3, min=0.0).parameter(
+            f"{key}{i}_stiffness", value, f"creep element {i} of {name}: force per contraction"
         )
-        tau = plant.parameter(
-            f"{name}.{key}{i}_time",
-            time,
-            unit="s",
-            min=1e-6,
-            nominal=1.0,
-            description=f"creep element {i} of {name}: {words}",
+        tau = scope.of("s", 1.0, min=1e-6).parameter(
+            f"{key}{i}_time", time, f"creep element {i} of {name}: {words}"
         )
-        settled = plant.state(
-            f"{name}.{key}{i}",
-            nominal=0.1,
-            display_unit="%",
-            memory="settling",
-            description=f"creep element {i} of {name}: contraction to which it has settled",
+        settled = scope.of("1", 0.1, display_unit="%", memory="settling").state(
+            f"{key}{i}", f"creep element {i} of {name}: contraction to which it has settled"
         )
         plant.der(settled, quicker * (motion.contraction - settled) / tau)
         total += stiffness * (motion.contraction - settled)
@@ -358,13 +319,11 @@ class LoadCreep:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
-        load = plant.parameter(
-            f"{name}.creep_load",
+        scope = Scope(plant, name)
+        load = scope.of("N", 100.0, min=1e-3).parameter(
+            "creep_load",
             self.load,
-            unit="N",
-            min=1e-3,
-            nominal=100.0,
-            description=f"tension at which {name} creeps twice as quickly as without",
+            f"tension at which {name} creeps twice as quickly as without",
         )
         muscle = motion.muscle
         carried = clamp(muscle.tension(motion.pressure, motion.contraction), muscle.slack_width)
@@ -378,3 +337,78 @@ class LoadCreep:
             quicker=1 + carried / load,
             words="relaxation time without load",
         )
+
+
+LARGEST = 0.45
+"""Of all contractions."""
+AHEAD = 1e-3
+"""Contraction below its largest within which that begins to follow."""
+
+
+@LOSSES.register(units={"stiffness": "N", "width": "1", "reached": "1"})
+@dataclass(frozen=True)
+class Preconditioning:
+    """F = K kappa [1 - s tanh((m - |kappa|)/width)], m the largest contraction so far (Mullins).
+
+    A spring of rubber beside the force law, which on the first way up is K kappa, and below the
+    largest contraction it has seen is softer by up to the part s. A muscle exercised to m =
+    ``reached`` keeps the soft branch up to there; beyond, it goes on along the first one. The state
+    m only rises, so each new contraction dissipates what the rubber lost, and old ones nothing.
+    Where the force law was fitted to an exercised muscle, give K the rubber's share only.
+
+    stiffness : K [N] per unit of contraction. softening : s, 0 .. 1. width : [1].
+    reached : contraction to which it has been exercised before; 0 for a virgin one.
+
+    Rest takes m as it starts, or the contraction at rest where that is larger, whatever the side
+    from which the load came.
+    Source: R. W. Ogden, D. G. Roxburgh, Proc. R. Soc. A 455 (1999) 2861-2877, eta = 1 - (1/r)
+    erf[(Wm - W)/m], with tanh for erf and the contraction in place of the energy W (our
+    simplifications: for one spring both grow together). L. Mullins, Rubber Chem. Technol. 42 (1969)
+    339-362. Neither could be read here: the form is that of the manuals of finite-element codes.
+
+    Examples
+    --------
+    >>> loss = pam.losses.Preconditioning(stiffness=300.0, softening=0.3, reached=0.1)
+    >>> [v.name for v in pam.HangingLoad(muscle, losses=loss).states][-1]
+    'muscle.reached'
+    """
+
+    stiffness: float = 300.0
+    softening: float = 0.3
+    width: float = 0.02
+    reached: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("Preconditioning.stiffness", self.stiffness, "N", zero=True)
+        require_positive("Preconditioning.width", self.width)
+        for argument, most in (("softening", 1.0), ("reached", LARGEST)):
+            value = require_finite(f"Preconditioning.{argument}", getattr(self, argument))
+            if not 0 <= value <= most:
+                raise InputError(
+                    f"Preconditioning.{argument} = {value:g} must lie in 0 .. {most:g}"
+                )
+
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        scope = Scope(plant, name)
+        stiffness, softening, width = (
+            scope.of(unit, nominal, min=low, max=high).parameter(
+                f"softening_{key}", value, f"rubber of {name}: {words}"
+            )
+            for key, value, unit, low, high, nominal, words in (
+                ("stiffness", self.stiffness, "N", 0.0, ca.inf, 100.0, "force per contraction"),
+                ("part", self.softening, "1", 0.0, 1.0, 0.1, "part of it lost by exercise"),
+                ("width", self.width, "1", 1e-6, 1.0, 0.01, "contraction over which it is lost"),
+            )
+        )
+        reached = scope.of(
+            "1", 0.1, start=self.reached, min=0.0, max=LARGEST, display_unit="%", memory="held"
+        ).state("reached", f"largest contraction of {name} so far")
+        kappa, rate = motion.contraction, motion.rate
+        size = ca.sqrt(kappa**2 + 1e-12)
+        outward = rate * kappa / size
+        speed = rounded_speed(plant, name, "softening", outward)
+        ahead = ca.fmax(0, (kappa**2 / size - reached) / AHEAD + 1)
+        plant.der(reached, (outward + speed) / 2 * ca.fmin(ahead, 3) ** 3)
+        below = ca.fmax(reached - size, 0)
+        return ca.SX(stiffness * kappa * (1 - softening * ca.tanh(below / width)))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from .damping import Motion
 from .kinds import LOSSES
 from .memory import require_elements
@@ -104,22 +104,17 @@ class PrandtlIshlinskii:
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         rate, speed = motion.rate, rounded_speed(plant, name, "play", motion.rate)
-        edge = plant.parameter(
-            f"{name}.play_edge",
+        scope = Scope(plant, name)
+        edge = scope.of("1", 0.1, min=1e-6, max=1.0, widest=1.0).parameter(
+            "play_edge",
             self.edge,
-            min=1e-6,
-            max=1.0,
-            nominal=0.1,
-            widest=1.0,
-            description=f"play operators of {name}: passage from sticking to sliding, as part of "
-            "the force",
+            f"play operators of {name}: passage from sticking to sliding, as part of the force",
         )
         growth = [
-            plant.parameter(
-                f"{name}.play_{way}_growth",
+            scope.of(min=-2.0).parameter(
+                f"play_{way}_growth",
                 getattr(self, f"{way}_growth"),
-                min=-2.0,
-                description=f"growth of the friction of {name} while {way}, per contraction",
+                f"growth of the friction of {name} while {way}, per contraction",
             )
             for way in ("contracting", "relaxing")
         ]
@@ -147,31 +142,22 @@ class PrandtlIshlinskii:
     ) -> ca.SX:
         """Force of one element [N]; its state is the force in units of its largest envelope."""
         (up, down), (most_up, most_down) = envelopes
+        scope = Scope(plant, name)
         contracting, relaxing = (
-            plant.parameter(
-                f"{name}.play{i + 1}_{way}",
+            scope.of("N", 10.0, min=1e-6).parameter(
+                f"play{i + 1}_{way}",
                 getattr(self, way)[i],
-                unit="N",
-                min=1e-6,
-                nominal=10.0,
-                description=f"play operator {i + 1} of {name}: friction while {way}",
+                f"play operator {i + 1} of {name}: friction while {way}",
             )
             for way in ("contracting", "relaxing")
         )
-        yielding = plant.parameter(
-            f"{name}.play{i + 1}_yield",
+        yielding = scope.of("1", 0.01, min=1e-9, display_unit="%").parameter(
+            f"play{i + 1}_yield",
             self.yield_contraction[i],
-            min=1e-9,
-            nominal=0.01,
-            display_unit="%",
-            description=f"play operator {i + 1} of {name}: contraction to slide",
+            f"play operator {i + 1} of {name}: contraction to slide",
         )
-        z = plant.state(
-            f"{name}.play{i + 1}",
-            min=-1.0,
-            max=1.0,
-            memory="held",
-            description=f"play operator {i + 1} of {name}: force as part of its largest",
+        z = scope.of(min=-1.0, max=1.0, memory="held").state(
+            f"play{i + 1}", f"play operator {i + 1} of {name}: force as part of its largest"
         )
         largest = ca.fmax(contracting * most_up, relaxing * most_down)
         limits = Limits(contracting * up / largest, relaxing * down / largest)

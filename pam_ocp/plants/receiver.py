@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..core.variables import Variable
 from ..muscles.dead_zone import smooth_step, two_ways
 from ..muscles.gas import (
@@ -238,31 +238,23 @@ class Receiver:
     def _declared(self, plant: Declares) -> Place:
         declare = declaring(plant, self.name, f"of {self.name}")
         highest = 0.0 if self.source is None else self.source.highest
-        pressure = plant.state(
-            f"{self.name}.air_pressure",
-            unit="Pa",
+        scope = Scope(plant, self.name)
+        pressure = scope.of(
+            "Pa",
+            1e5,
             min=0.0,
             max=1.2 * max(self.pressure, highest, 1e5),
             start=self.pressure,
-            nominal=1e5,
             memory="held" if self.source is None else "settling",
-            description=f"gauge pressure in {self.name}",
-        )
+        ).state("air_pressure", f"gauge pressure in {self.name}")
         volume = declare("volume", self.volume, unit="m3", min=1e-9, nominal=1e-3)
         outside = declare("temperature", self.temperature, unit="K", min=1.0, nominal=300.0)
         p0 = declare("ambient", self.ambient, unit="Pa", min=1.0, nominal=1e5)
         warm = outside
         if self.wall_conductance is not None:
-            warm = plant.state(
-                f"{self.name}.air_temperature",
-                unit="K",
-                min=100.0,
-                max=1000.0,
-                start=self.temperature,
-                nominal=30.0,
-                memory="settling",
-                description=f"temperature of the air in {self.name}",
-            )
+            warm = scope.of(
+                "K", 30.0, min=100.0, max=1000.0, start=self.temperature, memory="settling"
+            ).state("air_temperature", f"temperature of the air in {self.name}")
         place, net = holding(plant, Air(pressure + p0, warm))
         inflow = ca.SX(0)
         if self.source is not None:

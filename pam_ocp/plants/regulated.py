@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .damping import Damping, Loss
@@ -73,55 +73,25 @@ class PositionFeedback:
         """Declare the loop; return the gauge pressure [Pa]."""
         attributes = pressure_attributes(muscle, self.max_pressure)
         top = attributes["max"]
-        pressure = plant.state(
-            f"{name}.pressure",
-            **attributes,
-            description=f"gauge pressure in {name}",
+        scope = Scope(plant, name)
+        pressure = scope.of(**attributes).state("pressure", f"gauge pressure in {name}")
+        middle = scope.of(**attributes).input(
+            "set_pressure", f"commanded gauge pressure of {name} at its reference"
         )
-        middle = plant.input(
-            f"{name}.set_pressure",
-            **attributes,
-            description=f"commanded gauge pressure of {name} at its reference",
+        reference = scope.of("m", 0.01).input(
+            "reference", f"shortening of {name} at which the set pressure is commanded"
         )
-        reference = plant.input(
-            f"{name}.reference",
-            unit="m",
-            nominal=0.01,
-            description=f"shortening of {name} at which the set pressure is commanded",
-        )
+        slope = self.derivative_gain
         gain, derivative_gain, lag, largest, rounding = (
-            plant.parameter(
-                f"{name}.{key}",
-                value,
-                unit=unit,
-                min=low,
-                nominal=nominal,
-                display_unit=shown,
-                tunable=True,
-                description=f"{words} ({name})",
-            )
-            for key, value, unit, shown, low, nominal, words in (
-                ("gain", self.gain, "Pa/m", "bar/m", -math.inf, 1e6, "feedback of position"),
-                (
-                    "derivative_gain",
-                    self.derivative_gain,
-                    "Pa.s/m",
-                    "bar.s/m",
-                    -math.inf,
-                    1e5,
-                    "feedback of velocity",
-                ),
-                ("lag", self.lag, "s", "s", 1e-6, 0.1, "time constant of the regulator"),
-                ("max_pressure", top, "Pa", "bar", 1.0, 1e5, "largest pressure of the regulator"),
-                (
-                    "rounding",
-                    self.rounding,
-                    "Pa",
-                    "bar",
-                    1.0,
-                    1e4,
-                    "rounding of the command's ends",
-                ),
+            scope.of(
+                unit, nominal, min=low, display_unit=unit.replace("Pa", "bar"), tunable=True
+            ).parameter(key, value, f"{words} ({name})")
+            for key, value, unit, low, nominal, words in (
+                ("gain", self.gain, "Pa/m", -math.inf, 1e6, "feedback of position"),
+                ("derivative_gain", slope, "Pa.s/m", -math.inf, 1e5, "feedback of velocity"),
+                ("lag", self.lag, "s", 1e-6, 0.1, "time constant of the regulator"),
+                ("max_pressure", top, "Pa", 1.0, 1e5, "largest pressure of the regulator"),
+                ("rounding", self.rounding, "Pa", 1.0, 1e4, "rounding of the command's ends"),
             )
         )
         length = muscle.rest_length
@@ -130,13 +100,7 @@ class PositionFeedback:
         )
         command = clamp(wanted, rounding) - clamp(wanted - largest, rounding)
         plant.der(pressure, (command - pressure) / lag)
-        plant.output(
-            f"{name}.command",
-            command,
-            unit="Pa",
-            nominal=1e5,
-            description=f"commanded gauge pressure of {name}",
-        )
+        scope.of("Pa", 1e5).output("command", command, f"commanded gauge pressure of {name}")
         return pressure
 
 

@@ -8,12 +8,13 @@ the muscle's pressure p there,
 with sat the largest rates of filling and venting. Both kinks are smoothed by polynomials: the
 switch of the lag within ``<name>.switch_width`` of r, the limits of the rate within the part
 ``<name>.slew_rounding`` of them. Outside of that the equations hold to the last digit, and p = r is
-the equilibrium whatever these widths are.
+the equilibrium whatever these widths are. One command may regulate both muscles of a pair: a base
+pressure, and a difference about it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,7 @@ import casadi as ca
 
 from ..core import units
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .dead_time import DeadTime, as_dead_time
@@ -120,11 +121,8 @@ class Regulator:
     # ---- parts, which other regulators share ----------------------------------------------------
     def chamber(self, plant: Declares, name: str, muscle: Muscle) -> ca.SX:
         """Declare the pressure in the muscle, a state."""
-        return plant.state(
-            f"{name}.pressure",
-            **pressure_attributes(muscle, self.max_pressure),
-            description=f"gauge pressure in {name}",
-        )
+        scope = Scope(plant, name).of(**pressure_attributes(muscle, self.max_pressure))
+        return scope.state("pressure", f"gauge pressure in {name}")
 
     def _command(self, name: str, muscle: Muscle) -> dict[str, Any]:
         """What the command is called, and its range: pressures from 0 to the largest."""
@@ -142,24 +140,14 @@ class Regulator:
     def calibrated(self, plant: Declares, name: str, effect: ca.SX, base: Any = None) -> ca.SX:
         """The pressure that a command asks for: base + gain effect + bias. base : [Pa] or None."""
         wanted = effect
+        scope = Scope(plant, name)
         if self.gain is not None:
-            wanted = wanted * plant.parameter(
-                f"{name}.gain",
-                self.gain,
-                unit=_per("Pa", self.unit),
-                min=1e-6 * self.gain,
-                nominal=self.gain,
-                tunable=True,
-                description=f"pressure per command ({name})",
-            )
+            wanted = wanted * scope.of(
+                _per("Pa", self.unit), self.gain, min=1e-6 * self.gain, tunable=True
+            ).parameter("gain", self.gain, f"pressure per command ({name})")
         if self.bias is not None:
-            wanted = wanted + plant.parameter(
-                f"{name}.bias",
-                self.bias,
-                unit="Pa",
-                nominal=1e4,
-                tunable=True,
-                description=f"pressure at command zero ({name})",
+            wanted = wanted + scope.of("Pa", 1e4, tunable=True).parameter(
+                "bias", self.bias, f"pressure at command zero ({name})"
             )
         return wanted if base is None else base + wanted
 
@@ -169,41 +157,28 @@ class Regulator:
         change = self._limited(plant, name, self._lagging(plant, name, error))
         plant.der(pressure, change)
         if self.max_rate is not None:
-            plant.constraint(
-                f"{name}.pressure_rate",
-                change,
-                unit="Pa/s",
-                nominal=1e6,
-                min=-self.max_rate,
-                max=self.max_rate,
-                description=f"rate of the pressure in {name}",
+            Scope(plant, name).of("Pa/s", 1e6, min=-self.max_rate, max=self.max_rate).constraint(
+                "pressure_rate", change, f"rate of the pressure in {name}"
             )
 
     def _lagging(self, plant: Declares, name: str, error: ca.SX) -> ca.SX:
         """error/lag, the lag that of filling or of venting."""
 
         def lag(key: str, value: float, words: str) -> ca.SX:
-            return plant.parameter(
-                f"{name}.{key}",
-                value,
-                unit="s",
-                min=1e-6,
-                nominal=0.1,
-                description=f"time constant of the pressure regulator of {name}{words}",
+            scope = Scope(plant, name)
+            return scope.of("s", 0.1, min=1e-6).parameter(
+                key, value, f"time constant of the pressure regulator of {name}{words}"
             )
 
         if self.venting_lag is None:
             return ca.SX(error / lag("lag", self.lag, ""))
         filling = lag("lag", self.lag, " while filling")
         venting = lag("venting_lag", self.venting_lag, " while venting")
-        width = plant.parameter(
-            f"{name}.switch_width",
+        scope = Scope(plant, name)
+        width = scope.of("Pa", 1e4, min=1.0, widest=1e5).parameter(
+            "switch_width",
             SWITCH_WIDTH,
-            unit="Pa",
-            min=1.0,
-            nominal=1e4,
-            widest=1e5,
-            description=f"half width of the passage from venting to filling ({name})",
+            f"half width of the passage from venting to filling ({name})",
         )
         # a share, not a sum of two clamps: at error zero the rate is zero, too
         share = _step(error / width)
@@ -215,41 +190,27 @@ class Regulator:
             return change
 
         def limit(key: str, value: float, words: str) -> ca.SX:
-            return plant.parameter(
-                f"{name}.{key}",
-                value,
-                unit="Pa/s",
-                min=1.0,
-                nominal=1e6,
-                display_unit="bar/s",
-                description=f"largest rate of the pressure of {name}{words}",
-            )
+            scope = Scope(plant, name).of("Pa/s", 1e6, min=1.0, display_unit="bar/s")
+            return scope.parameter(key, value, f"largest rate of the pressure of {name}{words}")
 
         if self.venting_slew is None:
             up = down = limit("slew", self.slew, "")
         else:
             up = limit("slew", self.slew, " while filling")
             down = limit("venting_slew", self.venting_slew, " while venting")
-        part = plant.parameter(
-            f"{name}.slew_rounding",
+        scope = Scope(plant, name)
+        part = scope.of("1", 0.1, min=1e-6, max=1.0, widest=1.0).parameter(
+            "slew_rounding",
             SLEW_ROUNDING,
-            min=1e-6,
-            max=1.0,
-            nominal=0.1,
-            widest=1.0,
-            description=f"passage to a limit of the rate, half width in parts of it ({name})",
+            f"passage to a limit of the rate, half width in parts of it ({name})",
         )
         return ca.SX(clamp(change + down, part * down) - clamp(change - up, part * up) - down)
 
 
 def show_set_pressure(plant: Declares, name: str, wanted: ca.SX) -> None:
     """Declare the output ``<name>.set_pressure``."""
-    plant.output(
-        f"{name}.set_pressure",
-        wanted,
-        unit="Pa",
-        nominal=1e5,
-        description=f"gauge pressure that the command asks for, in {name}",
+    Scope(plant, name).of("Pa", 1e5).output(
+        "set_pressure", wanted, f"gauge pressure that the command asks for, in {name}"
     )
 
 
@@ -278,3 +239,107 @@ def pressure_attributes(muscle: Muscle, limit: float | None) -> dict[str, Any]:
     """Unit, range, start and nominal of a pressure that may reach ``limit`` [Pa]."""
     top = muscle.pressure_range[1] if limit is None else limit
     return {"unit": "Pa", "min": 0.0, "max": top, "start": top / 2, "nominal": 1e5}
+
+
+COMMAND = "difference"
+"""The pair's one input, and what its dead time is named by."""
+
+
+@FEEDS.register(units={**REGULATOR_UNITS, "base": "Pa"})
+@dataclass(frozen=True)
+class PairRegulator(Regulator):
+    """Regulators of a pair with one command: pressures base + difference and base - difference.
+
+    The input ``difference`` [Pa, or ``unit`` with a gain] raises the first muscle's pressure and
+    lowers the second's about the parameter ``base_pressure``. Its dead time is that of both,
+    ``difference.dead_time``; lags, slew limits, gains and biases are each muscle's own.
+
+    base : pressure of both muscles at difference zero [Pa]. All else as of :class:`Regulator`.
+
+    The feed of a plant with two muscles. In a plant of your own, with muscles "flexor" and
+    "extensor", ``first, second = feed.pair(plant, muscle)`` gives the feed of each.
+
+    Examples
+    --------
+    >>> pair = pam.AntagonisticSlide(muscle, 2.0, feed=pam.feeds.PairRegulator(base=2.5e5))
+    >>> [v.name for v in pair.inputs]
+    ['difference']
+    """
+
+    base: float = 2.5e5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        base = require_positive("PairRegulator.base", self.base, "Pa")
+        if self.max_pressure is not None and not base < self.max_pressure:
+            raise InputError(
+                f"PairRegulator.base = {base:g} Pa must lie below max_pressure = "
+                f"{self.max_pressure:g} Pa"
+            )
+        object.__setattr__(self, "base", base)
+
+    def connect(
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+    ) -> ca.SX:
+        """Refused: the command belongs to two muscles."""
+        raise InputError(
+            f"feed of {name}: a PairRegulator feeds two muscles by one command; take it for a "
+            "slide or a joint, or feed.pair(plant, muscle) in a plant of your own"
+        )
+
+    def pair(self, plant: Declares, muscle: Muscle) -> tuple[PairSide, PairSide]:
+        """Declare the command; the feeds of the muscle that it fills and of the one that it vents.
+
+        muscle : whose range of pressure limits the command where max_pressure does not.
+        """
+        attributes = pressure_attributes(muscle, self.max_pressure)
+        reach = min(self.base, attributes["max"] - self.base) / (self.gain or 1.0)
+        if not reach > 0:
+            raise InputError(
+                f"PairRegulator.base = {self.base:g} Pa must lie below the largest pressure, "
+                f"{attributes['max']:g} Pa"
+            )
+        scope = Scope(plant)
+        unit, nominal = (self.unit, 1.0) if self.gain else ("Pa", 1e5)
+        command = scope.of(unit, nominal, min=-reach, max=reach).input(
+            COMMAND, "command of the pair: raises the first pressure, lowers the second"
+        )
+        base = scope.of("Pa", 1e5, min=0.0, tunable=True).parameter(
+            "base_pressure", self.base, "pressure of both muscles at difference zero"
+        )
+        effect = command
+        if isinstance(self.dead_time, DeadTime):
+            effect = plant.delayed(command, self.dead_time)
+        return PairSide(self, base, effect, 1), PairSide(self, base, effect, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class PairSide:
+    """The feed of one muscle of the pair."""
+
+    of: PairRegulator
+    base: ca.SX
+    effect: ca.SX
+    sign: int
+
+    @property
+    def totals(self) -> bool:
+        return self.of.totals
+
+    def connect(
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+    ) -> ca.SX:
+        """See :class:`pam_ocp.feeds.Feed`."""
+        pressure = self.of.chamber(plant, name, muscle)
+        wanted = self.of.calibrated(plant, name, self.sign * self.effect, self.base)
+        show_set_pressure(plant, name, wanted)
+        self.of.follow(plant, name, pressure, wanted)
+        return pressure
+
+
+def feeds_of_pair(plant: Declares, feed: Any, muscles: Sequence[Muscle]) -> tuple[Any, Any]:
+    """What feeds the first and the second muscle: twice the same, or the sides of a pair's feed."""
+    if isinstance(feed, PairRegulator):
+        smallest = min(muscles, key=lambda m: m.pressure_range[1])
+        return feed.pair(plant, smallest)
+    return feed, feed

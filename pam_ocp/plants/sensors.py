@@ -9,7 +9,7 @@ import casadi as ca
 
 from ..core import units
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..core.variables import Variable
 from .kinds import SENSORS
 
@@ -60,59 +60,36 @@ class Sensor:
         """Declare what the sensor of a quantity adds; the names of its states."""
         name, states = variable.name, []
         shown = variable.description or name
+        scope = Scope(plant, name)
         if self.filter is not None:
-            time = plant.parameter(
-                f"{name}.filter",
-                self.filter,
-                unit="s",
-                min=1e-6,
-                nominal=0.01,
-                description=f"time constant of the sensor of {name}",
+            time = scope.of("s", 0.01, min=1e-6).parameter(
+                "filter", self.filter, f"time constant of the sensor of {name}"
             )
-            behind = plant.state(
-                f"{name}.filtered",
+            behind = scope.of(
+                variable.unit,
+                variable.nominal,
                 start=variable.start or 0.0,
-                unit=variable.unit,
                 display_unit=variable.display_unit,
-                nominal=variable.nominal,
-                description=f"{shown}, behind the sensor's filter",
-            )
+            ).state("filtered", f"{shown}, behind the sensor's filter")
             plant.der(behind, (value - behind) / time)
             value, states = behind, [f"{name}.filtered"]
         unit = self.unit or variable.unit
         nominal = abs(self.gain) * variable.nominal
-        gain = plant.parameter(
-            f"{name}.gain",
-            self.gain,
-            unit=_ratio(unit, variable.unit),
-            nominal=abs(self.gain),
-            description=f"reading of {name} per quantity",
+        gain = scope.of(_ratio(unit, variable.unit), abs(self.gain)).parameter(
+            "gain", self.gain, f"reading of {name} per quantity"
         )
-        zero = plant.parameter(
-            f"{name}.zero",
-            self.zero,
-            unit=unit,
-            nominal=nominal,
-            description=f"reading of {name} at zero",
-        )
+        zero = scope.of(unit, nominal).parameter("zero", self.zero, f"reading of {name} at zero")
         attributes: dict[str, Any] = {"unit": unit, "nominal": nominal}
         if self.unit is None:
             attributes["display_unit"] = variable.display_unit
         measured = gain * value + zero
-        plant.output(
-            f"{name}.measured", measured, description=f"{shown}, as measured", **attributes
-        )
+        scope.of(**attributes).output("measured", measured, f"{shown}, as measured")
         if self.resolution is not None:
-            step = plant.parameter(
-                f"{name}.resolution",
-                self.resolution,
-                unit=unit,
-                min=1e-12 * nominal,
-                nominal=nominal,
-                description=f"step of the reading of {name}",
+            step = scope.of(unit, nominal, min=1e-12 * nominal).parameter(
+                "resolution", self.resolution, f"step of the reading of {name}"
             )
             reading = step * ca.floor(measured / step + 0.5)
-            plant.output(f"{name}.reading", reading, description=f"{shown}, as read", **attributes)
+            scope.of(**attributes).output("reading", reading, f"{shown}, as read")
         return tuple(states)
 
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares, PathOf
+from ..core.system import Declares, PathOf, Scope
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import FEEDS
@@ -86,19 +86,17 @@ class ServoValve(SpoolValve):
         )
         wanted: ca.SX = ca.SX(0)
         moved: tuple[ca.SX, ca.SX, dict[str, Any]] | None = None
+        scope = Scope(plant, name)
         for key, value, unit, nominal, found, reach in errors:
             if not value:
                 continue
-            gain = plant.parameter(
-                f"{name}.{key}_gain",
-                value,
-                unit=f"1/{unit}",
+            gain = scope.of(
+                f"1/{unit}",
+                1 / nominal,
                 display_unit="1/bar" if unit == "Pa" else "1/m",
-                nominal=1 / nominal,
                 tunable=True,
                 relaxed=1 / reach if value * reach > 1 else 0.0,
-                description=f"feedback of {key} ({name}): opening per {unit}",
-            )
+            ).parameter(f"{key}_gain", value, f"feedback of {key} ({name}): opening per {unit}")
             about: dict[str, Any] = {
                 "unit": unit,
                 "nominal": nominal,
@@ -113,9 +111,7 @@ class ServoValve(SpoolValve):
         assert moved is not None  # one gain is not 0
         late = self._lagged(plant, name, wanted) if self.command_lag else wanted
         asked = self._held(late)
-        plant.output(
-            f"{name}.command", asked, nominal=0.1, description=f"opening asked of {name}'s valve"
-        )
+        scope.of("1", 0.1).output("command", asked, f"opening asked of {name}'s valve")
         entry, add = plant.gathered()
         add(asked)
         behind = (late,) if self.command_lag else ()
@@ -127,20 +123,12 @@ class ServoValve(SpoolValve):
         return ca.SX(clamp(wanted + 1, width) - clamp(wanted - 1, width) - 1)
 
     def _lagged(self, plant: Declares, name: str, wanted: ca.SX) -> ca.SX:
-        lag = plant.parameter(
-            f"{name}.command_lag",
-            self.command_lag,
-            unit="s",
-            min=1e-6,
-            nominal=1e-2,
-            tunable=True,
-            description=f"lag of sensor and electronics ({name})",
+        scope = Scope(plant, name)
+        lag = scope.of("s", 1e-2, min=1e-6, tunable=True).parameter(
+            "command_lag", self.command_lag, f"lag of sensor and electronics ({name})"
         )
-        demand = plant.state(
-            f"{name}.demand",
-            nominal=0.1,
-            memory="settling",
-            description=f"opening asked for behind the lag ({name})",
+        demand = scope.of("1", 0.1, memory="settling").state(
+            "demand", f"opening asked for behind the lag ({name})"
         )
         plant.der(demand, (wanted - demand) / lag)
         return demand

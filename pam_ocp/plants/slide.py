@@ -6,14 +6,15 @@ from collections.abc import Sequence
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.quantities import meant_within
+from ..core.system import Scope
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
 from .damping import ConstantDamping, Damping, Loss
 from .feeds import Feed
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied, as_loads
-from .pair_regulator import COMMAND, feeds_of_pair
 from .plant import Plant
+from .regulator import COMMAND, feeds_of_pair
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
 
@@ -75,26 +76,14 @@ class AntagonisticSlide(Plant):
                 f"allow at most {farthest:.4g} m before one leaves its range of contraction"
                 + meant_within(stroke, "m", 0.0, farthest)
             )
-        x = self.state(
-            "x",
-            unit="m",
-            min=-stroke,
-            max=stroke,
-            nominal=0.01,
-            description="position of the slide, towards muscle 1",
+        scope = Scope(self)
+        x = scope.of("m", 0.01, min=-stroke, max=stroke).state(
+            "x", "position of the slide, towards muscle 1"
         )
-        v = self.state("v", unit="m/s", nominal=1.0, description="velocity of the slide")
-        m = self.parameter(
-            "mass", mass, unit="kg", min=1e-6, nominal=1.0, tunable=True, description="moving mass"
-        )
-        k0 = self.parameter(
-            "pre_contraction",
-            pre_contraction,
-            min=0.0,
-            max=0.45,
-            nominal=0.1,
-            display_unit="%",
-            description="contraction of both muscles at x = 0",
+        v = scope.of("m/s", 1.0).state("v", "velocity of the slide")
+        m = scope.of("kg", 1.0, min=1e-6, tunable=True).parameter("mass", mass, "moving mass")
+        k0 = scope.of("1", 0.1, min=0.0, max=0.45, display_unit="%").parameter(
+            "pre_contraction", pre_contraction, "contraction of both muscles at x = 0"
         )
         feeds = feeds_of_pair(self, feed, muscles)
         pair = [
@@ -115,12 +104,8 @@ class AntagonisticSlide(Plant):
         outside, added = applied(self, loads, Coordinate(x, v))
         moving = m + pair[0].moving_mass + pair[1].moving_mass + added
         self.der(v, (pair[0].force - pair[1].force - c * v + outside) / moving)
-        self.output(
-            "stiffness",
-            stiffness,
-            unit="N/m",
-            nominal=1e4,
-            description="stiffness of the slide at constant pressures",
+        scope.of("N/m", 1e4).output(
+            "stiffness", stiffness, "stiffness of the slide at constant pressures"
         )
         if muscles[0] == muscles[1] and not loads:  # a load may act to one side
             self.mirror({"x": (-1.0, "x"), "v": (-1.0, "v"), **mirrored_pair(self)})

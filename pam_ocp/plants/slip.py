@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import InputError, require_finite
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from .damping import Motion
 
 REST_RATE = 1e-4
@@ -35,14 +35,11 @@ def rounded_speed(
     """|rate|, smoothed within the parameter ``<name>.<key>_rest_rate``; where planning a motion
     begins, within ``widest`` [1/s].
     """
-    width = plant.parameter(
-        f"{name}.{key}_rest_rate",
+    scope = Scope(plant, name)
+    width = scope.of("1/s", 1e-3, min=1e-9, widest=widest).parameter(
+        f"{key}_rest_rate",
         REST_RATE,
-        unit="1/s",
-        min=1e-9,
-        nominal=1e-3,
-        widest=widest,
-        description=f"rate of contraction of {name} at which its absolute value is smoothed",
+        f"rate of contraction of {name} at which its absolute value is smoothed",
     )
     # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.
     return ca.SX(ca.sqrt(rate**2 + width**2))
@@ -87,14 +84,11 @@ class PressureScale:
         """Declare ``<name>.<key>_per_pressure``; None where the friction does not grow."""
         if not value:
             return None
-        slope = plant.parameter(
-            f"{name}.{key}_per_pressure",
+        scope = Scope(plant, name)
+        slope = scope.of("1/Pa", 1e-6, min=0.0, max=LARGEST_SCALE).parameter(
+            f"{key}_per_pressure",
             value,
-            unit="1/Pa",
-            min=0.0,
-            max=LARGEST_SCALE,
-            nominal=1e-6,
-            description=f"growth of the friction of {name} with pressure, as part of its own",
+            f"growth of the friction of {name} with pressure, as part of its own",
         )
         top = float(motion.muscle.pressure_range[1])
         return cls(1 + slope * ca.fmax(motion.pressure, 0), 1 + slope * top)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from .kinds import SPOOLS
 from .slip import Limits
 
@@ -60,14 +60,8 @@ class FirstOrderSpool:
     def position(self, plant: Declares, name: str, command: ca.SX) -> ca.SX:
         """See :class:`Spool`."""
         s = _position_state(plant, name)
-        time = plant.parameter(
-            f"{name}.valve.time",
-            self.time,
-            unit="s",
-            min=1e-6,
-            nominal=1e-2,
-            description=f"time constant of the spool of {name}",
-        )
+        scope = Scope(plant, name).of("s", 1e-2, min=1e-6)
+        time = scope.parameter("valve.time", self.time, f"time constant of the spool of {name}")
         rate = (command - s) / time
         plant.der(s, rate)
         return _with_play(plant, name, s, rate, self.hysteresis)
@@ -101,26 +95,15 @@ class SecondOrderSpool:
     def position(self, plant: Declares, name: str, command: ca.SX) -> ca.SX:
         """See :class:`Spool`."""
         s = _position_state(plant, name)
-        rate = plant.state(
-            f"{name}.valve.rate",
-            unit="1/s",
-            nominal=10.0,
-            memory="settling",
-            description=f"rate of the spool of {name}",
+        scope = Scope(plant, name)
+        rate = scope.of("1/s", 10.0, memory="settling").state(
+            "valve.rate", f"rate of the spool of {name}"
         )
-        frequency = plant.parameter(
-            f"{name}.valve.frequency",
-            self.frequency,
-            unit="Hz",
-            min=1e-3,
-            nominal=10.0,
-            description=f"natural frequency of the spool of {name}",
+        frequency = scope.of("Hz", 10.0, min=1e-3).parameter(
+            "valve.frequency", self.frequency, f"natural frequency of the spool of {name}"
         )
-        damping = plant.parameter(
-            f"{name}.valve.damping",
-            self.damping,
-            min=0.0,
-            description=f"damping ratio of the spool of {name}",
+        damping = scope.of(min=0.0).parameter(
+            "valve.damping", self.damping, f"damping ratio of the spool of {name}"
         )
         w = 2 * ca.pi * frequency
         plant.der(s, rate)
@@ -134,13 +117,10 @@ def _check_hysteresis(kind: str, value: Any) -> None:
 
 
 def _position_state(plant: Declares, name: str) -> ca.SX:
-    return plant.state(
-        f"{name}.valve.spool",
-        min=-FARTHEST,
-        max=FARTHEST,
-        nominal=OPENING,
-        memory="settling",
-        description=f"position of the spool of {name}: -1 exhaust, 0 closed, 1 supply",
+    return (
+        Scope(plant, name)
+        .of("1", OPENING, min=-FARTHEST, max=FARTHEST, memory="settling")
+        .state("valve.spool", f"position of the spool of {name}: -1 exhaust, 0 closed, 1 supply")
     )
 
 
@@ -153,26 +133,19 @@ def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) 
     """
     if not width:
         return s
-    z = plant.state(
-        f"{name}.valve.play",
-        min=-1.0,
-        max=1.0,
-        nominal=2 * OPENING / width,
-        memory="held",
-        description=f"where in its play the spool of {name} is: -1 going down, 1 going up",
+    scope = Scope(plant, name)
+    z = scope.of("1", 2 * OPENING / width, min=-1.0, max=1.0, memory="held").state(
+        "valve.play", f"where in its play the spool of {name} is: -1 going down, 1 going up"
     )
     whole, edge, turn, stretch = (
-        plant.parameter(
-            f"{name}.valve.{key}",
-            value,
-            unit=unit,
+        scope.of(
+            unit,
+            nominal,
             min=1e-6,
             max=largest,
-            nominal=nominal,
             widest=widest,
-            description=f"{words} of the spool of {name}",
             relaxed=WIDEST_TRAVEL / width if key == "play_stretch" else 0.0,
-        )
+        ).parameter(f"valve.{key}", value, f"{words} of the spool of {name}")
         for key, value, unit, largest, nominal, widest, words in (
             ("hysteresis", width, "1", 0.5, 0.01, 0.0, "hysteresis, part of the travel,"),
             ("play_edge", EDGE, "1", 1.0, 0.1, 1.0, "passage to being dragged along"),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from .damping import WIDEST_SPEED, Motion
 from .kinds import LOSSES
 
@@ -83,16 +83,9 @@ class StrandFriction:
             )
         values = {**vars(self), "diameter": diameter}
         mu, radius, angle, width, excess, speed, stribeck = (
-            plant.parameter(
-                f"{name}.strand_{key}",
-                values[key],
-                unit=unit,
-                min=low,
-                max=high,
-                nominal=nominal,
-                description=f"{words} ({name})",
-                widest=WIDEST_SPEED if key == "speed" else 0.0,
-            )
+            Scope(plant, name)
+            .of(unit, nominal, min=low, max=high, widest=WIDEST_SPEED if key == "speed" else 0.0)
+            .parameter(f"strand_{key}", values[key], f"{words} ({name})")
             for key, unit, low, high, nominal, words in (
                 ("coefficient", "1", 0.0, ca.inf, 0.1, "kinetic friction of strand on strand"),
                 ("contact_radius", "m", 0.0, ca.inf, 1e-3, "radius of the contact of two strands"),

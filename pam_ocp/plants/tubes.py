@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.dead_zone import smooth_step
 from ..muscles.gas import GAS_CONSTANT, conductance_from_flow
 from .airflow import Air, Place, Stream, between, holding, through
@@ -76,21 +76,9 @@ class Tube:
         """See :class:`TubeComponent`."""
         node = around.pressure_state(f"{around.name}.tube_pressure")
         volume = around.declare(
-            "tube_volume",
-            self.volume,
-            unit="m3",
-            min=1e-12,
-            nominal=1e-5,
-            description="volume of the tube",
+            "tube_volume", self.volume, "m3", 1e-5, "volume of the tube", min=1e-12
         )
-        lag = around.declare(
-            "tube_lag",
-            self.lag,
-            unit="s",
-            min=1e-6,
-            nominal=1e-2,
-            description="time constant of the tube",
-        )
+        lag = around.declare("tube_lag", self.lag, "s", 1e-2, "time constant of the tube", min=1e-6)
         per_flow = around.exponent * GAS_CONSTANT * around.temperature / volume  # Pa/s for 1 kg/s
         place, net = holding(plant, Air(node + around.ambient, around.temperature))
         between(place, far, (place.air.absolute - far.air.absolute) / (lag * per_flow))
@@ -154,12 +142,10 @@ class LumpedTube:
         after = far
         for i in range(int(self.segments), 0, -1):
             node = around.pressure_state(f"{around.name}.tube_pressure{i}")
-            flow = plant.state(
-                f"{around.name}.tube_flow{i}",
-                unit="kg/s",
-                nominal=1e-3,
-                memory="settling",
-                description=f"air out of segment {i} of the tube of {around.name}",
+            flow = (
+                Scope(plant, around.name)
+                .of("kg/s", 1e-3, memory="settling")
+                .state(f"tube_flow{i}", f"air out of segment {i} of the tube of {around.name}")
             )
             place, net = holding(plant, Air(node + around.ambient, around.temperature))
             between(place, after, flow)
@@ -223,23 +209,12 @@ class QuickExhaust:
         self, declare: Callable[..., Any], muscle: Place, port: Place, outside: Place
     ) -> Stream:
         """Connect it between a muscle and ambient, moved by the pressure at ``port``."""
+        words = "sonic conductance of the quick exhaust"
         conductance = declare(
-            "quick_conductance",
-            self.conductance,
-            unit="m3/(s.Pa)",
-            min=0.0,
-            nominal=1e-8,
-            description="sonic conductance of the quick exhaust",
+            "quick_conductance", self.conductance, "m3/(s.Pa)", 1e-8, words, min=0.0
         )
         threshold, band = (
-            declare(
-                f"quick_{key}",
-                value,
-                unit="Pa",
-                min=low,
-                nominal=1e4,
-                description=f"{key} of the quick exhaust",
-            )
+            declare(f"quick_{key}", value, "Pa", 1e4, f"{key} of the quick exhaust", min=low)
             for key, value, low in (("threshold", self.threshold, 0.0), ("band", self.band, 1.0))
         )
         excess = muscle.air.absolute - port.air.absolute - threshold

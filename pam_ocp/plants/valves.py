@@ -20,7 +20,7 @@ from ..core.errors import (
     require_positive,
 )
 from ..core.stop import verb
-from ..core.system import Declares
+from ..core.system import Declares, Scope
 from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse
 from ..muscles.gas import Chamber, Gas, conductance_from_flow, specific_exergy
 from ..muscles.pneumatic_muscle import Muscle
@@ -211,9 +211,7 @@ class GasFeed(ABC):
 
     def drawn(self, plant: Declares, name: str, air: Filling) -> ca.SX:
         """Declare the state ``<name>.air_drawn`` [kg] of the totals."""
-        drawn = plant.state(
-            f"{name}.air_drawn", unit="kg", nominal=1e-3, description=f"air drawn by {name}"
-        )
+        drawn = Scope(plant, name).of("kg", 1e-3).state("air_drawn", f"air drawn by {name}")
         plant.der(drawn, air.supply_flow)
         return drawn
 
@@ -231,8 +229,8 @@ class GasFeed(ABC):
                 exergy = drawn * air.specific
                 meters.append(("exergy_drawn", exergy, "J", 100.0, words))
             else:
-                exergy = plant.state(
-                    f"{name}.exergy_drawn", unit="J", nominal=100.0, description=f"{words} ({name})"
+                exergy = (
+                    Scope(plant, name).of("J", 100.0).state("exergy_drawn", f"{words} ({name})")
                 )
                 plant.der(exergy, air.exergy_flow)
             share = work / ca.sqrt(exergy**2 + EXERGY_FLOOR**2)
@@ -243,16 +241,11 @@ class GasFeed(ABC):
     def _pressure_state(self, plant: Declares, name: str, muscle: Muscle, state: str) -> ca.SX:
         top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
         tube = "" if state.endswith(f"{name}.pressure") else "the tube of "
-        return plant.state(
-            state,
-            unit="Pa",
-            min=LOWEST_PRESSURE,
-            max=top,
-            start=top / 2,
-            nominal=1e5,
-            memory="settling" if tube else "",
-            description=f"gauge pressure in {tube}{name}",
+        memory = "settling" if tube else ""
+        scope = Scope(plant).of(
+            "Pa", 1e5, min=LOWEST_PRESSURE, max=top, start=top / 2, memory=memory
         )
+        return scope.state(state, f"gauge pressure in {tube}{name}")
 
     def _source(
         self, plant: Declares, declare: Any, chamber: Chamber
@@ -260,23 +253,12 @@ class GasFeed(ABC):
         """Where the air comes from; the exergy of its air [J/kg] where that stays as it is."""
         if not isinstance(self.supply, float | int):
             return self.supply.connect(plant), None
-        gauge = declare(
-            "supply",
-            self.supply,
-            unit="Pa",
-            min=0.0,
-            nominal=1e5,
-            description="gauge supply pressure",
-        )
+        gauge = declare("supply", self.supply, "Pa", 1e5, "gauge supply pressure", min=0.0)
         absolute, warm = chamber.ambient + gauge, None
         if self.supply_temperature is not None:
+            words = "temperature of the supply's air"
             warm = declare(
-                "supply_temperature",
-                self.supply_temperature,
-                unit="K",
-                min=1.0,
-                nominal=300.0,
-                description="temperature of the supply's air",
+                "supply_temperature", self.supply_temperature, "K", 300.0, words, min=1.0
             )
         t0 = chamber.temperature
         place = boundless(Air(absolute, t0 if warm is None else warm))
@@ -300,16 +282,10 @@ class GasFeed(ABC):
             "leak": (self.leak, "sonic conductance of the leak"),
         }
         inlet, outlet, leak = (
-            declare(k, v, unit="m3/(s.Pa)", min=0.0, nominal=1e-8, description=words)
-            for k, (v, words) in ways.items()
+            declare(k, v, "m3/(s.Pa)", 1e-8, words, min=0.0) for k, (v, words) in ways.items()
         )
-        b = declare(
-            "critical_ratio",
-            self.critical_ratio,
-            min=0.0,
-            max=0.99,
-            description="critical pressure ratio b",
-        )
+        words = "critical pressure ratio b"
+        b = declare("critical_ratio", self.critical_ratio, description=words, min=0.0, max=0.99)
         filling, venting = self.openings(plant, name)
         drawn = through(source, port, inlet, b, filling)
         vented = through(port, outside, outlet, b, venting)
@@ -366,12 +342,10 @@ class SpoolValve(GasFeed):
 
     def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:
         """See :meth:`GasFeed.openings`."""
-        command = plant.input(
-            f"{name}.command",
-            min=-1.0,
-            max=1.0,
-            nominal=0.1,
-            description=f"spool of the valve of {name}: -1 exhaust, 0 closed, 1 supply",
+        command = (
+            Scope(plant, name)
+            .of("1", 0.1, min=-1.0, max=1.0)
+            .input("command", f"spool of the valve of {name}: -1 exhaust, 0 closed, 1 supply")
         )
         overlaps, offset = self._lands(plant, name)
         travels = [1 - ca.fmax(o, LEAST_OVERLAP) / 2 for o in overlaps]  # beyond the dead zone
@@ -402,25 +376,16 @@ class SpoolValve(GasFeed):
         """Overlaps on both sides, and the offset; parameters where they are given."""
         words = f"travel over which the valve of {name} stays closed and begins to open"
         attributes: dict[str, Any] = {"nominal": 0.1, "max": 0.5, "tunable": True}
-        overlap = plant.parameter(
-            f"{name}.valve.overlap", self.overlap, min=0.0, description=words, **attributes
-        )
+        scope = Scope(plant, name)
+        overlap = scope.of(min=0.0, **attributes).parameter("valve.overlap", self.overlap, words)
         other, offset = overlap, ca.SX(0)
         if self.exhaust_overlap is not None:
-            other = plant.parameter(
-                f"{name}.valve.exhaust_overlap",
-                self.exhaust_overlap,
-                min=0.0,
-                description=f"{words}, to ambient",
-                **attributes,
+            other = scope.of(min=0.0, **attributes).parameter(
+                "valve.exhaust_overlap", self.exhaust_overlap, f"{words}, to ambient"
             )
         if self.offset or self.spool is not None:
-            offset = plant.parameter(
-                f"{name}.valve.offset",
-                self.offset,
-                min=-0.5,
-                description=f"position of the spool of {name} at command 0",
-                **attributes,
+            offset = scope.of(min=-0.5, **attributes).parameter(
+                "valve.offset", self.offset, f"position of the spool of {name} at command 0"
             )
         return (overlap, other), offset
 
@@ -457,12 +422,9 @@ class OnOffValves(GasFeed):
         """See :meth:`GasFeed.openings`."""
         words = {"fill": "from the supply", "vent": "to ambient"}
         fill, vent = (
-            plant.input(
-                f"{name}.{way}",
-                min=0.0,
-                max=1.0,
-                description=f"duty of the valve of {name} {where}",
-            )
+            Scope(plant, name)
+            .of(min=0.0, max=1.0)
+            .input(way, f"duty of the valve of {name} {where}")
             for way, where in words.items()
         )
         filling, venting = plant.opening(

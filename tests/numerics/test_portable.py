@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from pam_ocp.export.c_code.counts import counted
+from pam_ocp.export.c_code.generated import counted
 from pam_ocp.numerics.portable import portable, written_out
 
 

@@ -14,8 +14,7 @@ from ...core.block import Block
 from ...core.errors import ExportError
 from ...core.variables import Variable
 from ..source import C_KEYWORDS
-from .counts import Counts
-from .generated import Precision, StepCode, inexact, library_functions, portable_functions
+from .generated import Counts, Precision, StepCode, inexact, library_functions, portable_functions
 
 Array: TypeAlias = NDArray[np.float64]
 

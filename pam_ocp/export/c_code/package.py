@@ -19,9 +19,8 @@ from ...core.block import Block
 from ...core.errors import ExportError, InputError, require_count, require_positive
 from ...core.exceptions import WriteError
 from ...core.stop import verb
-from .counts import counted
 from .files import CExport, Vectors
-from .generated import LARGEST_SINGLE, PRECISIONS, Precision, step_code
+from .generated import LARGEST_SINGLE, PRECISIONS, Precision, counted, step_code
 from .single import single_outputs
 
 Array: TypeAlias = NDArray[np.float64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...core.block import Block
 from ...core.expressions import steps_of
 from ...numerics.elementwise import array_table
-from .counts import counted
+from .generated import counted
 
 Array: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
