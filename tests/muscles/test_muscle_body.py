@@ -69,6 +69,7 @@ def test_numbers_beyond_what_a_muscle_bears_give_a_warning():
 def test_three_in_parallel_pull_three_times_and_take_three_times_the_air(name):
     one = replace(pam.muscle(name, rest_length=0.25), mass=0.1, pull_off=2e4, diameter=0.02)
     many = in_parallel(one, 3)
+    assert in_parallel(one, 1) is one
     for p, kappa in ((3e5, 0.03), (2.1e5, 0.15)):
         assert many.force(p, kappa) == pytest.approx(3 * one.force(p, kappa), rel=1e-9)
         assert many.stiffness(p, kappa) == pytest.approx(3 * one.stiffness(p, kappa), rel=1e-9)
@@ -102,3 +103,28 @@ def test_every_muscle_says_whose_numbers_it_has_and_how_sure_they_are():
     assert "10.1080/10255840802654327" in said
     with pytest.raises(InputError, match="did you mean"):
         attribution("Festo-three-elements")
+
+
+def test_a_muscle_is_described_in_units_of_ones_own():
+    described = pam.Muscle(
+        MUSCLE.law,
+        "200 mm",
+        diameter="20 mm",
+        slack_width="2 N",
+        pressure_range=("0 bar", "6 bar"),
+        contraction_range=("0 %", "25 %"),
+        mass="250 g",
+        mass_per_length="300 g/m",
+        end_mass="200 g",
+        burst_pressure="9 bar",
+        pull_off="2 kN",
+    )
+    assert described == pam.Muscle(
+        MUSCLE.law, 0.2, 0.02, 2.0, mass=0.25, mass_per_length=0.3, end_mass=0.2,
+        burst_pressure=9e5, pull_off=2e3,
+    )  # fmt: skip
+    assert described.body_mass == pytest.approx(0.2 * 0.3 + 0.2)
+    assert described.known_mass == 0.25
+    assert HEAVY.known_mass == pytest.approx(0.26)
+    assert MUSCLE.known_mass is None
+    assert "rest length 200 mm" in repr(MUSCLE)
