@@ -35,6 +35,22 @@ def test_rigid_conical_ends_contract_less_and_a_fixed_tube_pushes_back():
     assert law.max_contraction(5e5) < float(MUSCLE.law.max_contraction(5e5))
 
 
+def test_by_default_ends_change_nothing_and_a_bladder_takes_a_fifth_of_a_bar():
+    inner, at = type(MUSCLE.law), MUSCLE.law.values
+    ends, bladder = pam.laws.ends_law(inner)(**at), pam.laws.bladder_law(inner)(**at)
+    assert ends.tension(3e5, 0.1) == pytest.approx(MUSCLE.law.tension(3e5, 0.1), rel=1e-14)
+    assert pam.laws.with_ends(MUSCLE.law) == ends
+    assert bladder.tension(3e5, 0.1) == pytest.approx(MUSCLE.law.tension(2.8e5, 0.1), rel=1e-12)
+
+
+def test_a_muscle_is_drawn():
+    force, stiffness, *_ = MUSCLE.plot().axes
+    assert force.get_ylabel() == "pulling force [N]"
+    assert "stiffness" in stiffness.get_ylabel()
+    (surface,) = MUSCLE.plot_surface("stiffness").axes
+    assert surface.get_zlabel() == "stiffness [N/mm]"
+
+
 def test_with_ends_and_bladder_muscle_and_gas_stay_consistent():
     law = pam.laws.with_bladder(pam.laws.with_ends(MUSCLE.law, 0.1, 1.05, 80.0), 3e4)
     assert law.name == "six-parameter+ends+bladder"
@@ -68,6 +84,7 @@ def test_numbers_beyond_what_a_muscle_bears_give_a_warning():
 @pytest.mark.parametrize("name", muscle_names())
 def test_three_in_parallel_pull_three_times_and_take_three_times_the_air(name):
     one = replace(pam.muscle(name, rest_length=0.25), mass=0.1, pull_off=2e4, diameter=0.02)
+    one = replace(one, mass_per_length=0.3, end_mass=0.2)
     many = in_parallel(one, 3)
     assert in_parallel(one, 1) is one
     for p, kappa in ((3e5, 0.03), (2.1e5, 0.15)):
@@ -80,6 +97,8 @@ def test_three_in_parallel_pull_three_times_and_take_three_times_the_air(name):
         ratio = gas.muscle_volume(many, 0.1) / gas.muscle_volume(one, 0.1)
         assert ratio == pytest.approx(3)
     assert (many.mass, many.pull_off) == pytest.approx((0.3, 6e4))
+    assert (many.mass_per_length, many.end_mass) == pytest.approx((0.9, 0.6))
+    assert many.slack_width == 3 * one.slack_width
 
 
 def test_a_law_that_cannot_be_scaled_is_refused():
