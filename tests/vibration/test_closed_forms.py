@@ -25,6 +25,8 @@ def normal_form(b: float = -1.0, c: float = 0.0, widest: float = 3.0) -> pam.Pla
     growth = mu - k + b * square - c * square**2
     plant.der(x, growth * x - w * y)
     plant.der(y, growth * y + w * x)
+    z = plant.state("z")  # beside them
+    plant.der(z, -5 * z)
     return plant
 
 
@@ -43,7 +45,9 @@ def test_the_border_its_frequency_and_what_is_born_there(b):
     assert (point.value, point.frequency) == pytest.approx((K, W / (2 * np.pi)), rel=1e-10)
     assert (point.crossing, point.lyapunov) == pytest.approx((1.0, size(b)), rel=1e-9)
     assert point.supercritical == (b < 0)
-    assert np.abs(point.mode) == pytest.approx([NX, NX])  # a circle; the largest scaled entry is 1
+    assert np.abs(point.mode) == pytest.approx(
+        [NX, NX, 0]
+    )  # a circle; the largest scaled entry is 1
     assert ("unstable above, supercritical" in str(point)) == (b < 0)
 
 
@@ -54,7 +58,9 @@ def test_a_cycle_is_a_circle_and_its_multiplier_that_of_its_radius(named):
     assert cycle.plant.variable("mu").start == pytest.approx(K + 0.09, rel=1e-6)
     assert [cycle.amplitude(n) for n in "xy"] == pytest.approx([0.3, 0.3], rel=1e-6)
     assert (cycle.period, cycle.frequency) == pytest.approx((2 * np.pi / W, W / (2 * np.pi)))
-    assert cycle.multipliers == pytest.approx([1, np.exp(-2 * 0.09 * 2 * np.pi / W)], rel=1e-6)
+    assert cycle.multipliers == pytest.approx(
+        [1, np.exp(-2 * 0.09 * cycle.period), np.exp(-5 * cycle.period)], rel=1e-6
+    )
     assert cycle.stable
     assert cycle.outside == ()
     assert cycle.closing_error < 1e-8
