@@ -46,21 +46,6 @@ def test_the_hanging_load_rests_and_swings_where_the_reference_says(
     assert damping == pytest.approx(0.1, rel=1e-6)
 
 
-def test_poles_are_those_of_the_second_order_equation(hanging):
-    point = hanging.equilibrium(x=0.06)
-    k, m, zeta = point["stiffness"], 20.0, 0.1
-    w = np.sqrt(k / m)
-    expected = [
-        -1 / 0.05,
-        complex(-zeta * w, w * np.sqrt(1 - zeta**2)),
-        complex(-zeta * w, -w * np.sqrt(1 - zeta**2)),
-    ]
-    poles = hanging.linearize(point).poles()
-    assert sorted(poles, key=lambda s: (s.real, s.imag)) == pytest.approx(
-        sorted(expected, key=lambda s: (complex(s).real, complex(s).imag)), rel=1e-6
-    )
-
-
 FEEDS = {
     "ideal": pam.feeds.IdealPressure(),
     "regulator": pam.feeds.Regulator(0.08),
@@ -168,23 +153,6 @@ def test_a_condition_outside_its_range_is_refused(hanging):
         hanging.equilibrium(x=0.5)
 
 
-def test_the_linear_system_moves_as_the_plant_does_nearby(hanging):
-    point = hanging.equilibrium(x=0.06)
-    system = hanging.linearize(point, outputs=["x"])
-    t = np.linspace(0, 0.6, 61)
-    small = 20.0  # Pa
-    motion = pam.simulate(
-        hanging,
-        {"muscle.command": point["muscle.command"] + small},
-        t=t,
-        start={n: point[n] for n in ("x", "v", "muscle.pressure")},
-    )
-    response = control.forced_response(system, t, np.full_like(t, small))
-    assert motion["x"] - 0.06 == pytest.approx(
-        np.asarray(response.outputs), abs=2e-3 * float(np.max(response.outputs))
-    )
-
-
 # ---- discrete, along a motion, over a grid
 # ---------------------------------------------------------
 def test_sampled_with_a_held_input_the_system_steps_as_the_continuous_one_moves(hanging):
@@ -231,13 +199,6 @@ def test_what_no_input_moves_is_told():
             no_influence("lqr", plant, cut, still, ["f"])
     along = np.stack([0 * b, b])  # somewhere on the way is enough
     no_influence("tvlqr", plant, np.stack([a, a]), along, ["f"])
-
-
-def test_units_go_with_the_system(slide):
-    system = slide.linearize(inputs=["muscle1.command"], outputs=["x", "stiffness"])
-    assert system.units["x"] == "m"
-    assert system.units["muscle1_command"] == "Pa"
-    assert system.units["stiffness"] == "N/m"
 
 
 def test_deviations_from_a_motion_follow_the_time_varying_system(slide):
