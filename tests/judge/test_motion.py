@@ -398,14 +398,6 @@ def heated(**supply) -> pam.Plant:
 
 
 @pytest.mark.slow
-def test_a_heated_muscle_begins_at_the_temperature_of_its_surroundings():
-    plan = pam.plan(heated(), [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
-    assert plan.verified
-    start = plan.trajectory["muscle.temperature"][0]
-    assert start == pytest.approx(pam.muscles.gas.REFERENCE_TEMPERATURE, abs=0.01)
-
-
-@pytest.mark.slow
 def test_a_warm_start_is_told_where_it_was_said():
     warm = {"x": 0.01, "muscle.temperature": 330.0, "der(muscle.pressure)": (None, None)}
     plan = pam.plan(heated(), [warm, {"x": 0.04}], method=pam.Collocation(15, 3))

@@ -125,23 +125,13 @@ def test_every_muscle_says_whose_numbers_it_has_and_how_sure_they_are():
 
 
 def test_a_muscle_is_described_in_units_of_ones_own():
-    described = pam.Muscle(
-        MUSCLE.law,
-        "200 mm",
-        diameter="20 mm",
-        slack_width="2 N",
-        pressure_range=("0 bar", "6 bar"),
-        contraction_range=("0 %", "25 %"),
-        mass="250 g",
-        mass_per_length="300 g/m",
-        end_mass="200 g",
-        burst_pressure="9 bar",
-        pull_off="2 kN",
-    )
-    assert described == pam.Muscle(
-        MUSCLE.law, 0.2, 0.02, 2.0, mass=0.25, mass_per_length=0.3, end_mass=0.2,
-        burst_pressure=9e5, pull_off=2e3,
-    )  # fmt: skip
+    words = {"diameter": "20 mm", "slack_width": "2 N", "mass": "250 g", "end_mass": "200 g"}
+    words |= {"mass_per_length": "300 g/m", "burst_pressure": "9 bar", "pull_off": "2 kN"}
+    words |= {"pressure_range": ("0 bar", "6 bar"), "contraction_range": ("0 %", "25 %")}
+    si = {"diameter": 0.02, "slack_width": 2.0, "mass": 0.25, "end_mass": 0.2}
+    si |= {"mass_per_length": 0.3, "burst_pressure": 9e5, "pull_off": 2e3}
+    described = pam.Muscle(MUSCLE.law, "200 mm", **words)
+    assert described == pam.Muscle(MUSCLE.law, 0.2, **si)
     assert described.body_mass == pytest.approx(0.2 * 0.3 + 0.2)
     assert described.known_mass == 0.25
     assert HEAVY.known_mass == pytest.approx(0.26)
