@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp import InputError, vibration
@@ -15,7 +16,7 @@ W, K, NX, NY = 7.0, 0.2, 0.5, 0.8
 def normal_form(b: float = -1.0, c: float = 0.0, widest: float = 3.0) -> pam.Plant:
     """r' = (mu - k + b r^2 - c r^4) r, phi' = w."""
     plant = pam.Plant("normal_form")
-    x = plant.state("x", nominal=NX, min=-widest, max=widest)
+    x = plant.state("x", nominal=NX, min=-3.0, max=widest)
     y = plant.state("y", nominal=NY, min=-3.0, max=3.0)
     mu, k, w = (
         plant.parameter(n, v, nominal=s, min=-2.0, max=9.0)
@@ -157,11 +158,12 @@ def test_how_large_a_vibration_becomes_over_two_values(push):
 
 def test_a_push_decides_where_a_vibration_stands_beside_a_stable_rest():
     """r^2 = (1 + sqrt(1/5))/2 at mu - k = -1/5, beyond an unstable cycle of r = 0.53."""
-    plant, axes = normal_form(b=1.0, c=1.0), {"mu": [K - 0.2], "w": [W]}
-    large, small = (vibration.amplitude_map(plant, axes, push={"x": r}) for r in (0.7, 0.4))
-    assert large.amplitude[0, 0] == pytest.approx(np.sqrt((1 + np.sqrt(0.2)) / 2), rel=1e-5)
-    assert small.amplitude[0, 0] == 0.0
-    assert "at 1 of them rest is stable, too" in str(large)
+    plant, axes = normal_form(b=1.0, c=1.0, widest=0.4), {"mu": [K - 0.2], "w": [W]}
+    for x in (0.7, -0.4, -0.7):  # upwards it ends at 0.4
+        found = vibration.amplitude_map(plant, axes, push={"x": x})
+        size = np.sqrt((1 + np.sqrt(0.2)) / 2) if x == -0.7 else 0.0
+        assert found.amplitude[0, 0] == pytest.approx(size, rel=1e-5)
+    assert "at 1 of them rest is stable, too" in str(found)
 
 
 # ---- an oscillator -------------------------------------------------------------------------------
@@ -221,3 +223,54 @@ def test_the_backbone_of_the_linear_oscillator_is_upright():
     assert found.frequencies == pytest.approx([OMEGA / (2 * np.pi)] * 2, rel=1e-9)
     assert found.amplitudes == pytest.approx([0.1, 0.5], rel=1e-9)
     assert -found.lows == pytest.approx([0.1, 0.5], rel=1e-9)
+
+
+# ---- what cannot be meant ------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("words", "asked"),
+    [
+        ("plant is an int", lambda: vibration.limit_cycle(3, at_border())),
+        ("guess is an int", lambda: vibration.limit_cycle(normal_form(), 3)),
+        ("degree = 1:", lambda: vibration.limit_cycle(normal_form(), at_border(), degree=1)),
+        ("degree = 10:", lambda: vibration.limit_cycle(normal_form(), at_border(), degree=10)),
+        ("tolerance = 0 ", lambda: vibration.limit_cycle(normal_form(), at_border(), tolerance=0)),
+        ("belongs to 'normal", lambda: vibration.limit_cycle(oscillator(), at_border())),
+        ("goes with a HopfPoint", lambda: vibration.limit_cycle(normal_form(), RUN, amplitude={})),
+        ("moves; a limit cycle has constant", lambda: vibration.limit_cycle(oscillator(), RUN)),
+        ("choose 'larger', 'smaller'", lambda: continued("mu", (0.0, 2.0), direction="left")),
+        ("must hold the cycle's own", lambda: continued("mu", (1.0, 2.0))),
+        ("must hold the cycle's own", lambda: continued("mu", (-1.0, 0.0))),
+        ("x is a state", lambda: continued("x", (-1.0, 2.0))),
+        ("step = 0 ", lambda: continued("mu", (0.0, 2.0), step=0.0)),
+        ("tolerance = 0 ", lambda: continued("mu", (0.0, 2.0), tolerance=0.0)),
+        ("is the first parameter", lambda: vibration.hopf_border(*OVER, "mu", [0.1])),
+        ("no border for any value of k", lambda: vibration.hopf_border(*OVER, "k", [1.5])),
+        ("no border anywhere", lambda: vibration.hopf_map(*OVER, {"k": [1.5], "w": [4.0]})),
+        ("plant is an int", lambda: vibration.amplitude_map(3, {"k": [1.5], "w": [4.0]})),
+        ("name a state", lambda: mapped(state="mu")),
+        ("periods = 5:", lambda: mapped(periods=5)),
+        ("give a state", lambda: freed(0.1, state="u")),
+        ("offset = 0", lambda: freed(0.0, state="q")),
+        ("cycles = 0 ", lambda: freed(0.1, state="q", cycles=0)),
+        ("at least one", lambda: vibration.backbone(oscillator(), {"u": 0.0}, [], state="q")),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(words, asked):
+    refused(words, asked)
+
+
+OVER = normal_form(), "mu", (-0.5, 0.8)
+RUN = pam.simulate(oscillator(), {"u": ([0.0, 8.0, 9.0], [0.0, 1.0, 1.0])}, t=np.linspace(0, 9, 99))
+
+
+def continued(name, within, **words):
+    cycle = vibration.limit_cycle(normal_form(), at_border(), amplitude={"x": 0.3})
+    return vibration.continue_cycle(cycle, name, within, **words)
+
+
+def mapped(**words):
+    return vibration.amplitude_map(normal_form(), {"k": [1.5], "w": [4.0]}, **words)
+
+
+def freed(offset, **words):
+    return vibration.free_vibration(oscillator(), {"u": 0.0}, offset, **words)
