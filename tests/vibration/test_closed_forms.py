@@ -248,6 +248,10 @@ def test_the_backbone_of_the_linear_oscillator_is_upright():
         ("no border anywhere", lambda: vibration.hopf_map(*OVER, {"k": [1.5], "w": [4.0]})),
         ("plant is an int", lambda: vibration.amplitude_map(3, {"k": [1.5], "w": [4.0]})),
         ("name a state", lambda: mapped(state="mu")),
+        ("give two", lambda: mapped({"k": [1.5]})),
+        ("give two", lambda: mapped({"k": [1.5], "w": [4.0], "mu": [0.0]})),
+        ("give two", lambda: mapped({"k": [1.5], "w": []})),
+        ("among the conditions", lambda: mapped(k=1.0)),
         ("periods = 5:", lambda: mapped(periods=5)),
         ("give a state", lambda: freed(0.1, state="u")),
         ("offset = 0", lambda: freed(0.0, state="q")),
@@ -268,8 +272,8 @@ def continued(name, within, **words):
     return vibration.continue_cycle(cycle, name, within, **words)
 
 
-def mapped(**words):
-    return vibration.amplitude_map(normal_form(), {"k": [1.5], "w": [4.0]}, **words)
+def mapped(axes=None, **words):
+    return vibration.amplitude_map(normal_form(), axes or {"k": [1.5], "w": [4.0]}, **words)
 
 
 def freed(offset, **words):

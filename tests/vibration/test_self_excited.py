@@ -102,20 +102,6 @@ def test_points_that_have_no_rest_say_why() -> None:
     assert np.isnan(found.amplitude[0, 0])
 
 
-@pytest.mark.parametrize(
-    ("axes", "said"),
-    [
-        ({"mass": [20.0]}, "give two"),
-        ({"mass": [20.0], "x": [0.04], "muscle.lag": [0.1]}, "give two"),
-        ({"mass": [20.0], "muscle.reference": [0.04]}, "among the conditions"),
-    ],
-)
-def test_axes_that_cannot_be_meant_are_refused(axes: dict, said: str) -> None:
-    plant = RegulatedLoad(pam.muscle(MUSCLE), 20.0)
-    with pytest.raises(InputError, match=said):
-        vibration.amplitude_map(plant, axes, {"muscle.reference": 0.04})
-
-
 def test_a_servo_without_gains_is_refused() -> None:
     with pytest.raises(InputError, match="nothing that is followed"):
         pam.feeds.ServoValve(pressure_gain=0.0)
