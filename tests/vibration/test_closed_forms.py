@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from conftest import refused
@@ -101,6 +103,16 @@ def test_a_branch_of_stable_cycles_grows_as_the_root():
     gone = vibration.continue_cycle(small, "mu", (K - 0.5, K + 0.49), direction="smaller", step=0.1)
     assert "shrinks to an equilibrium (Hopf point) near mu" in gone.ended
     assert len(vibration.continue_cycle(small, "mu", (0.0, 2.0), step=0.05, most=3).cycles) == 3
+
+
+def test_a_branch_says_that_the_cycle_at_its_end_is_not_found(monkeypatch):
+    def lost(*given):
+        raise vibration.VibrationError("lost")
+
+    monkeypatch.setattr("pam_ocp.vibration.cycle_branch._reached", lost)
+    branch = continued("mu", (0.0, K + 0.1))
+    assert re.fullmatch(r"mu reaches 0\.3\S*, where the cycle is not found: lost", branch.ended)
+    assert branch.values.max() < K + 0.1
 
 
 def test_a_branch_goes_round_its_fold():
