@@ -149,7 +149,7 @@ def test_volumes_that_cannot_be_known_are_refused():
         (SpoolValve, {"supply_temperature": 0.0}, "must be > 0"),
         (PolynomialVolume, {"coefficients": [0.0]}, "must be > 0"),
         (BraidVolume, {"angle": 0.0}, r"must lie in 0 \.\. pi/2"),
-        (BraidVolume, {"angle": 1.571}, r"must lie in 0 \.\. pi/2"),
+        (BraidVolume, {"angle": math.pi / 2}, r"must lie in 0 \.\. pi/2"),
         (Gas, {"rubber": Rubber()}, "give heat="),
         (Gas, {"heat": 30.0}, "ConstantHeatTransfer"),
         (ConstantHeatTransfer, {"value": -1.0}, "must be >= 0"),

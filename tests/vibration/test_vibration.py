@@ -13,7 +13,6 @@ from scipy.optimize import brentq
 
 import pam_ocp as pam
 from pam_ocp import InputError, UnknownNameError, vibration
-from pam_ocp.operating import EquilibriumError
 from pam_ocp.plants.regulated import RegulatedLoad
 from pam_ocp.vibration import VibrationError
 
@@ -230,11 +229,6 @@ def test_unknown_names_are_answered_with_near_ones():
 def test_a_bracket_without_a_crossing_is_said_to_have_none():
     with pytest.raises(InputError, match=r"no complex pair.*1 bar/m \.\. 5 bar/m"):
         vibration.hopf(regulated(), "muscle.gain", (1e5, 5e5), LOW)
-
-
-def test_a_path_says_where_it_ends():
-    with pytest.raises(EquilibriumError, match=r"the path ends at mass = 200 kg"):
-        vibration.stability_path(load(pam.losses.ConstantDamping(9.0)), "mass", [20, 200], FOUR_BAR)
 
 
 @pytest.mark.parametrize(
