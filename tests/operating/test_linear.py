@@ -343,7 +343,8 @@ def test_all_points_of_rest_are_found_and_classified():
     points = equilibria(pitchfork(), f=0.0)
     assert [p["x"] for p in points] == pytest.approx([-1, 0, 1], abs=1e-9)
     assert [p.stability for p in points] == ["stable", "unstable", "stable"]
-    assert sorted(points[1].poles.real) == pytest.approx(np.sort(np.roots([1, 1, -1])), rel=1e-9)
+    # the fastest growth first
+    assert points[1].poles.real == pytest.approx(np.sort(np.roots([1, 1, -1]))[::-1], rel=1e-9)
     (only,) = equilibria(pitchfork(), a=-1.0, f=0.0)
     assert only["x"] == pytest.approx(0, abs=1e-9)
     (border,) = equilibria(pitchfork().with_values(a=0.0), x=0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import casadi as ca
 import control
 import numpy as np
 import pytest
@@ -128,6 +129,10 @@ def test_surroundings_are_where_a_plant_comes_to_but_nothing_brings_it_back():
         plant = pam.HangingLoad(MUSCLE, 10.0, feed=feed)
         assert surroundings(plant) == expected
         assert driven_names(plant) == tuple(v.name for v in plant.states)
+    basin = pam.Plant("basin")  # fills to 1, keeps what it has, spills over from 2 on
+    level = basin.state("level", start=0.4, nominal=0.1, memory="settling")
+    basin.der(level, 5 * (ca.fmax(1 - level, 0) - ca.fmax(level - 2, 0)))
+    assert surroundings(basin) == {"level": pytest.approx(1.0)}
     clock = pam.Plant("clock")
     time, x, lag = (clock.state(n) for n in ("time", "x", "lag"))
     clock.der(time, 1.0)
