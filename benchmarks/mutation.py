@@ -118,6 +118,7 @@ UNSWAPPED = {
     "minimum", "maximum", "isclose", "is_equal", "add", "multiply",
 }  # fmt: skip
 PRINTED = {"__str__", "__repr__", "_repr_html_", "summary", "describe", "plot", "__dir__"}
+TYPING = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 SILENT = (ast.Raise, ast.JoinedStr, ast.Import, ast.ImportFrom, ast.Global, ast.Nonlocal)
 TEXT = (ast.JoinedStr, ast.List, ast.Tuple, ast.Dict)
 
@@ -158,7 +159,7 @@ def looked_at(node: ast.AST) -> list[ast.AST]:
             return [node.value]
         case ast.Assign(targets=[ast.Name(id="__all__")]) | ast.Expr(value=ast.Constant()):
             return []
-        case ast.If() if ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+        case ast.If() if ast.unparse(node.test) in TYPING:
             return []
         case ast.Call() if called(node) in ("cast", "TypeVar", "warn", "print"):
             return []
@@ -181,7 +182,8 @@ def replaced(node: ast.AST) -> Iterator[tuple[ast.AST, ast.AST, str]]:
     """(node, what stands there instead, kind) of the faults of one node."""
     match node:
         case ast.If() | ast.IfExp():
-            yield from negated(node.test)
+            if ast.unparse(node.test) not in TYPING:
+                yield from negated(node.test)
         case ast.comprehension():
             for test in node.ifs:
                 yield from negated(test)

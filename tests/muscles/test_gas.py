@@ -17,6 +17,7 @@ from pam_ocp.muscles.gas import (
     ConsistentVolume,
     Gas,
     PolynomialVolume,
+    air_mass,
     closed_stiffness,
     conductance_from_flow,
     iso6358,
@@ -24,7 +25,7 @@ from pam_ocp.muscles.gas import (
     specific_exergy,
 )
 from pam_ocp.muscles.gas import energy_balance as balance
-from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer
+from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
 from pam_ocp.muscles.laws.braid import CorrectedLaw, GeometricLaw, ThickWallLaw
 from pam_ocp.muscles.pneumatic_muscle import Muscle
 from pam_ocp.plants.damping import ConstantDamping, StiffnessDamping
@@ -103,6 +104,19 @@ def test_thick_wall_law_fills_its_own_cylinder():
         )
 
 
+def test_the_gas_touches_the_wall_of_a_cylinder_of_its_volume_and_length(fluidic):
+    """A = 2 pi r l with V = pi r^2 l; fittings add volume and no wall."""
+    gas = Gas(BraidVolume(math.radians(24.42)), DEAD, 1.3, 300.0, 1.1e5).chamber(fluidic, 0.1)
+    volume, length = float(braid_volume(0.1)), L0 * 0.9
+    slope = (braid_volume(0.1 + 1e-6) - braid_volume(0.1 - 1e-6)) / 2e-6
+    radius = math.sqrt(volume / (math.pi * length))
+    found = [float(e) for e in (gas.volume, gas.slope, gas.area)]
+    assert found == pytest.approx([volume + DEAD, slope, 2 * math.pi * radius * length], rel=1e-8)
+    assert float(gas.pressure_rate(ca.SX(4e5), 1e-3, 0.5)) == pytest.approx(
+        1.3 * (R * 300.0 * 1e-3 - 4e5 * slope * 0.5) / (volume + DEAD), rel=1e-8
+    )
+
+
 def test_polynomial_volume_is_its_polynomial(fluidic):
     assert muscle_volume(fluidic, 0.1, PolynomialVolume([1e-4, 5e-4, -1e-3])) == pytest.approx(
         1.4e-4
@@ -132,12 +146,30 @@ def test_volumes_that_cannot_be_known_are_refused():
         (SpoolValve, {"critical_ratio": 1.0}, "critical_ratio = 1 must lie in 0"),
         (SpoolValve, {"overlap": -0.01}, "overlap = -0.01 must lie in 0"),
         (SpoolValve, {"supply": -1e5}, "SpoolValve.supply = -100000 Pa must be > 0"),
+        (SpoolValve, {"supply_temperature": 0.0}, "must be > 0"),
+        (PolynomialVolume, {"coefficients": [0.0]}, "must be > 0"),
+        (BraidVolume, {"angle": 0.0}, r"must lie in 0 \.\. pi/2"),
+        (BraidVolume, {"angle": math.pi / 2}, r"must lie in 0 \.\. pi/2"),
+        (Gas, {"rubber": Rubber()}, "give heat="),
+        (Gas, {"heat": 30.0}, "ConstantHeatTransfer"),
+        (ConstantHeatTransfer, {"value": -1.0}, "must be >= 0"),
+        (PressureHeatTransfer, {"value": -1.0}, "must be >= 0"),
+        (PressureHeatTransfer, {"pressure": 0.0}, "must be > 0"),
+        (Rubber, {"capacity": 0.0}, "must be > 0"),
+        (Rubber, {"outward": -1.0}, "must be >= 0"),
+        (Rubber, {"reference": 0.0}, "must be > 0"),
+        (Rubber, {"warming": -1.0}, "must be >= 0"),
     ],
 )
 def test_gas_and_valves_that_cannot_be_are_refused(component, arguments, words):
     with pytest.raises(InputError, match=words):
         component(**arguments)
-    Gas(exponent=1.0, dead_volume=0.0)
+    Gas(
+        exponent=1.0,
+        dead_volume=0.0,
+        heat=ConstantHeatTransfer(0.0),
+        rubber=Rubber(1, 0, warming=0),
+    )
     Gas(exponent=1.67)
 
 
@@ -195,6 +227,11 @@ def test_flow_is_iso_6358_at_random_states():
         assert forward == pytest.approx(expected, rel=1e-9, abs=1e-12 * full)
         backward = float(iso6358(ratio * p1, p1, conductance, b, temperature))
         assert backward == -forward
+    ends = np.array([[4e5], [5e5]]), np.array([1e5, 3e5, 6e5])
+    together = iso6358(*ends, 1e-8)
+    assert together == pytest.approx(
+        np.array([[iso6358(p1, p2, 1e-8) for p2 in ends[1]] for p1 in ends[0].ravel()], float)
+    )
     assert choked > 100
     assert laminar > 100
 
@@ -245,6 +282,7 @@ def test_exergy_is_the_work_of_an_engine_between_the_air_and_its_surroundings():
         expected = R * 290.0 * math.log(6.0) + warmth
         assert specific_exergy(6e5, 1e5, 290.0, own) == pytest.approx(expected, rel=1e-9)
     assert specific_exergy(6e5, 1e5, 290.0) == pytest.approx(R * 290.0 * math.log(6.0))
+    assert air_mass([1e5, 2e5], 1e-3, 300.0) == pytest.approx(np.array([100, 200]) / (R * 300))
 
 
 def test_heat_transfer_rises_with_the_root_of_pressure_and_temperature():

@@ -25,7 +25,14 @@ from pam_ocp.muscles.laws.empirical import (
     ThreeElementLaw,
     TwoSlopeThreeElementLaw,
 )
-from pam_ocp.muscles.laws.user_defined import own_law, polynomial_law, spline_law
+from pam_ocp.muscles.laws.user_defined import (
+    law_named,
+    own_law,
+    polynomial_law,
+    spline_law,
+    with_bladder,
+    with_ends,
+)
 from pam_ocp.muscles.pneumatic_muscle import Muscle
 from pam_ocp.muscles.validity import Validity, ValidityWarning, forget_warnings
 from pam_ocp.plants.hanging import HangingLoad
@@ -234,6 +241,12 @@ def test_three_element_sets_are_those_printed():
         )
 
 
+def test_a_small_force_may_need_less_than_no_pressure():
+    """F = 2.91 P + 44.6 at rest length."""
+    law = SAMPLES["three-element-two-slopes"]
+    assert law.pressure(20.0, 0.0) == pytest.approx((20 - 44.6) / 2.91e-3, rel=1e-9)
+
+
 def test_rest_length_of_a_law_is_that_of_its_muscle():
     law = ThickWallLaw.from_published("DMSP-20-300")
     with pytest.raises(InputError, match=r"holds 0\.3 m"):
@@ -246,12 +259,46 @@ def test_rest_length_of_a_law_is_that_of_its_muscle():
         ThickWallLaw.from_published("DMSP-20-30")
 
 
-def test_known_constants_are_told_from_what_a_fit_determines():
-    assert ThickWallLaw.free_coefficients() == ("c0", "c1", "c2", "c3", "angle_correction")
-    fixed = ThickWallLaw.fixed_coefficients()
-    assert fixed["wall"] == 1.8e-3
-    assert fixed["rest_length"] is None
-    assert len(SixParameterLaw.free_coefficients()) == 6
+KNOWN = {
+    "geometric": {"radius": None},
+    "corrected": {"radius": None, "unit_pressure": 1e5},
+    "thick-wall": {
+        "rest_diameter": None, "rest_length": None, "wall": 1.8e-3,
+        "fibre_angle": math.radians(28.6),
+    },
+    "hildebrandt": {"smoothing": 1e-3},
+    "length-scaled": {
+        "max_contraction_ratio": None, "rest_length": None, "dead_length": 7.5e-3,
+        "full_pressure": 620e3,
+    },
+    "three-element": {"rest_length": None},
+    "three-element-two-slopes": {"rest_length": None, "rounding": 200.0},
+    "six-parameter+bladder": {"threshold_width": 2e3},
+    "six-parameter+ends": {"rigid": 0.0},
+}  # fmt: skip
+"""Constants of the braid, the muscle or the rounding, which no measurement of forces gives; None
+has to be given."""
+STATED = {
+    "corrected": ((0.0, 2e5), (-math.inf, math.inf)),
+    "thick-wall": ((0.0, 7e5), (-0.01, 0.27)),
+    "length-scaled": ((0.0, 6.2e5), (0.0, 0.45)),
+    "three-element": ((207e3, 621e3), (-math.inf, math.inf)),
+    "three-element-two-slopes": ((150e3, 550e3), (-math.inf, math.inf)),
+}
+
+
+@pytest.mark.parametrize("name", [*LAWS, "six-parameter+bladder", "six-parameter+ends"])
+def test_known_constants_are_told_from_what_a_fit_determines(name):
+    law = law_named(name)
+    assert law.fixed_coefficients() == KNOWN.get(name, {})
+    assert {*law.free_coefficients(), *law.fixed_coefficients()} == {
+        v.name for v in law.coefficient_variables()
+    }
+    everywhere = ((-math.inf, math.inf), (-math.inf, math.inf))
+    assert (law.validity.pressure, law.validity.contraction) == STATED.get(name, everywhere)
+
+
+def test_a_coefficient_has_a_range():
     alpha = GeometricLaw.coefficient_variables()[0]
     assert (alpha.min, alpha.max) == (math.radians(5.0), math.radians(54.7))
     with pytest.raises(InputError, match="alpha0"):
@@ -283,6 +330,7 @@ def test_spline_law_is_scipys_spline_and_goes_on_beyond_its_ends(degree):
     kappa = np.concatenate([np.linspace(-0.03, 0.3, 67), breaks])
     expected = BSpline(knots, g, degree)(kappa) * 4e5 + BSpline(knots, h, degree)(kappa)
     assert law.tension(4e5, kappa) == pytest.approx(expected, rel=1e-11)
+    assert law.validity.contraction == (0.0, 0.25)
     gain = BSpline(knots, g, degree).antiderivative()
     for end in (-0.02, 0.03, 0.2, 0.28):
         area = float(ca.evalf(ca.SX(law.gain_area(ca.SX(end)))))
@@ -315,7 +363,13 @@ def test_own_law_names_what_it_does_not_know():
         own_law("mine", p, {"kappa": coefficient("1", 1.0, "taken")})
 
 
-@pytest.mark.parametrize("law", [SAMPLES["thick-wall"], polynomial_law(1, 1)(1.0, 2.0, 3.0, 4.0)])
+PLANE = polynomial_law(1, 1)(1.0, 2.0, 3.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [SAMPLES["thick-wall"], PLANE, with_bladder(PLANE, 1e4), with_ends(SAMPLES["thick-wall"])],
+)
 def test_laws_survive_pickling(law):
     assert pickle.loads(pickle.dumps(law)) == law
 

@@ -35,6 +35,22 @@ def test_rigid_conical_ends_contract_less_and_a_fixed_tube_pushes_back():
     assert law.max_contraction(5e5) < float(MUSCLE.law.max_contraction(5e5))
 
 
+def test_by_default_ends_change_nothing_and_a_bladder_takes_a_fifth_of_a_bar():
+    inner, at = type(MUSCLE.law), MUSCLE.law.values
+    ends, bladder = pam.laws.ends_law(inner)(**at), pam.laws.bladder_law(inner)(**at)
+    assert ends.tension(3e5, 0.1) == pytest.approx(MUSCLE.law.tension(3e5, 0.1), rel=1e-14)
+    assert pam.laws.with_ends(MUSCLE.law) == ends
+    assert bladder.tension(3e5, 0.1) == pytest.approx(MUSCLE.law.tension(2.8e5, 0.1), rel=1e-12)
+
+
+def test_a_muscle_is_drawn():
+    force, stiffness, *_ = MUSCLE.plot().axes
+    assert force.get_ylabel() == "pulling force [N]"
+    assert "stiffness" in stiffness.get_ylabel()
+    (surface,) = MUSCLE.plot_surface("stiffness").axes
+    assert surface.get_zlabel() == "stiffness [N/mm]"
+
+
 def test_with_ends_and_bladder_muscle_and_gas_stay_consistent():
     law = pam.laws.with_bladder(pam.laws.with_ends(MUSCLE.law, 0.1, 1.05, 80.0), 3e4)
     assert law.name == "six-parameter+ends+bladder"
@@ -68,7 +84,9 @@ def test_numbers_beyond_what_a_muscle_bears_give_a_warning():
 @pytest.mark.parametrize("name", muscle_names())
 def test_three_in_parallel_pull_three_times_and_take_three_times_the_air(name):
     one = replace(pam.muscle(name, rest_length=0.25), mass=0.1, pull_off=2e4, diameter=0.02)
+    one = replace(one, mass_per_length=0.3, end_mass=0.2)
     many = in_parallel(one, 3)
+    assert in_parallel(one, 1) is one
     for p, kappa in ((3e5, 0.03), (2.1e5, 0.15)):
         assert many.force(p, kappa) == pytest.approx(3 * one.force(p, kappa), rel=1e-9)
         assert many.stiffness(p, kappa) == pytest.approx(3 * one.stiffness(p, kappa), rel=1e-9)
@@ -79,6 +97,8 @@ def test_three_in_parallel_pull_three_times_and_take_three_times_the_air(name):
         ratio = gas.muscle_volume(many, 0.1) / gas.muscle_volume(one, 0.1)
         assert ratio == pytest.approx(3)
     assert (many.mass, many.pull_off) == pytest.approx((0.3, 6e4))
+    assert (many.mass_per_length, many.end_mass) == pytest.approx((0.9, 0.6))
+    assert many.slack_width == 3 * one.slack_width
 
 
 def test_a_law_that_cannot_be_scaled_is_refused():
@@ -102,3 +122,18 @@ def test_every_muscle_says_whose_numbers_it_has_and_how_sure_they_are():
     assert "10.1080/10255840802654327" in said
     with pytest.raises(InputError, match="did you mean"):
         attribution("Festo-three-elements")
+
+
+def test_a_muscle_is_described_in_units_of_ones_own():
+    words = {"diameter": "20 mm", "slack_width": "2 N", "mass": "250 g", "end_mass": "200 g"}
+    words |= {"mass_per_length": "300 g/m", "burst_pressure": "9 bar", "pull_off": "2 kN"}
+    words |= {"pressure_range": ("0 bar", "6 bar"), "contraction_range": ("0 %", "25 %")}
+    si = {"diameter": 0.02, "slack_width": 2.0, "mass": 0.25, "end_mass": 0.2}
+    si |= {"mass_per_length": 0.3, "burst_pressure": 9e5, "pull_off": 2e3}
+    described = pam.Muscle(MUSCLE.law, "200 mm", **words)
+    assert described == pam.Muscle(MUSCLE.law, 0.2, **si)
+    assert described.body_mass == pytest.approx(0.2 * 0.3 + 0.2)
+    assert described.known_mass == 0.25
+    assert HEAVY.known_mass == pytest.approx(0.26)
+    assert MUSCLE.known_mass is None
+    assert "rest length 200 mm" in repr(MUSCLE)

@@ -6,11 +6,18 @@ import control
 import numpy as np
 import pytest
 from conftest import BAR, flat
+from scipy.linalg import expm
 
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.operating import EquilibriumError
-from pam_ocp.operating.linear import linear_model, linearize_along, linearize_grid
+from pam_ocp.operating.along import stability_path
+from pam_ocp.operating.linear import (
+    linear_model,
+    linearize_along,
+    linearize_grid,
+    no_influence,
+)
 from pam_ocp.operating.several import equilibria, equilibrium_path
 from pam_ocp.plants.regulated import PositionFeedback
 from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
@@ -37,21 +44,6 @@ def test_the_hanging_load_rests_and_swings_where_the_reference_says(
     ((found, damping),) = pam.operating.modes(hanging.linearize(point))
     assert found == pytest.approx(frequency, abs=0.005)
     assert damping == pytest.approx(0.1, rel=1e-6)
-
-
-def test_poles_are_those_of_the_second_order_equation(hanging):
-    point = hanging.equilibrium(x=0.06)
-    k, m, zeta = point["stiffness"], 20.0, 0.1
-    w = np.sqrt(k / m)
-    expected = [
-        -1 / 0.05,
-        complex(-zeta * w, w * np.sqrt(1 - zeta**2)),
-        complex(-zeta * w, -w * np.sqrt(1 - zeta**2)),
-    ]
-    poles = hanging.linearize(point).poles()
-    assert sorted(poles, key=lambda s: (s.real, s.imag)) == pytest.approx(
-        sorted(expected, key=lambda s: (complex(s).real, complex(s).imag)), rel=1e-6
-    )
 
 
 FEEDS = {
@@ -161,23 +153,6 @@ def test_a_condition_outside_its_range_is_refused(hanging):
         hanging.equilibrium(x=0.5)
 
 
-def test_the_linear_system_moves_as_the_plant_does_nearby(hanging):
-    point = hanging.equilibrium(x=0.06)
-    system = hanging.linearize(point, outputs=["x"])
-    t = np.linspace(0, 0.6, 61)
-    small = 20.0  # Pa
-    motion = pam.simulate(
-        hanging,
-        {"muscle.command": point["muscle.command"] + small},
-        t=t,
-        start={n: point[n] for n in ("x", "v", "muscle.pressure")},
-    )
-    response = control.forced_response(system, t, np.full_like(t, small))
-    assert motion["x"] - 0.06 == pytest.approx(
-        np.asarray(response.outputs), abs=2e-3 * float(np.max(response.outputs))
-    )
-
-
 # ---- discrete, along a motion, over a grid
 # ---------------------------------------------------------
 def test_sampled_with_a_held_input_the_system_steps_as_the_continuous_one_moves(hanging):
@@ -189,23 +164,41 @@ def test_sampled_with_a_held_input_the_system_steps_as_the_continuous_one_moves(
     assert np.sort_complex(np.linalg.eigvals(sampled.A)) == pytest.approx(
         np.sort_complex(np.exp(0.01 * system.poles())), rel=1e-10
     )
-    t = np.arange(41) * 0.01
-    u = np.where(t < 0.2, 1e4, -2e4)
-    found = control.forced_response(sampled, t, u).states
-    # the same by many times smaller exact steps, the input held
-    fine = hanging.linearize(point, dt=0.001)
-    expected = control.forced_response(fine, np.arange(401) * 0.001, np.repeat(u, 10)[:401]).states
-    nominal = hanging.vector("state", attribute="nominal")[:, None]
-    assert np.asarray(found) / nominal == pytest.approx(
-        np.asarray(expected)[:, ::10] / nominal, rel=1e-9, abs=1e-11
+    nominal = hanging.vector("state", attribute="nominal")
+    a, b = system.A * nominal / nominal[:, None], system.B / nominal[:, None]
+    exact = expm(0.01 * np.block([[a, b], [np.zeros((1, 4))]]))
+    assert sampled.A * nominal / nominal[:, None] == pytest.approx(exact[:3, :3], abs=1e-12)
+    assert sampled.B / nominal[:, None] == pytest.approx(exact[:3, 3:], rel=1e-9)
+
+
+def test_modes_are_the_oscillating_pairs_slowest_first():
+    system = control.ss(
+        np.diag([0.0, -5.0, -2.0]) + np.diag([20.0], 2), np.ones((3, 1)), np.eye(3), 0
     )
+    assert pam.operating.modes(system) == []
+    pairs = (
+        np.kron(np.diag([-3.0, 1.0]), np.eye(2))
+        + np.diag([12.0, 0, 4], 1)
+        - np.diag([12.0, 0, 4], -1)
+    )
+    system = control.ss(pairs, np.ones((4, 1)), np.eye(4), 0)
+    growing, falling = (np.sqrt(17.0), -1 / np.sqrt(17)), (np.sqrt(153.0), 3 / np.sqrt(153))
+    for found, (size, ratio) in zip(pam.operating.modes(system), (growing, falling), strict=True):
+        assert found == pytest.approx((size / (2 * np.pi), ratio))
+    with pytest.raises(InputError, match="system is a float"):
+        pam.operating.modes(3.0)
 
 
-def test_units_go_with_the_system(slide):
-    system = slide.linearize(inputs=["muscle1.command"], outputs=["x", "stiffness"])
-    assert system.units["x"] == "m"
-    assert system.units["muscle1_command"] == "Pa"
-    assert system.units["stiffness"] == "N/m"
+def test_what_no_input_moves_is_told():
+    """The force reaches the position by way of two integrations, unless the chain is cut."""
+    plant = pitchfork()
+    a, b = np.array([[0.0, 1.0], [1.0, -1.0]]), np.array([[0.0], [1.0]])
+    no_influence("lqr", plant, a, b, ["f"])
+    for cut, still in ((a * [[1, 0], [1, 1]], b), (a, 0 * b), (a, 1e-14 * b)):
+        with pytest.raises(InputError, match="lqr: f has no influence on x here"):
+            no_influence("lqr", plant, cut, still, ["f"])
+    along = np.stack([0 * b, b])  # somewhere on the way is enough
+    no_influence("tvlqr", plant, np.stack([a, a]), along, ["f"])
 
 
 def test_deviations_from_a_motion_follow_the_time_varying_system(slide):
@@ -230,6 +223,17 @@ def test_deviations_from_a_motion_follow_the_time_varying_system(slide):
     )
     expected = other["x"] - reference["x"]
     assert deviation.y[0] == pytest.approx(expected, abs=1e-4 * float(np.abs(expected).max()))
+    for at, expected in ((-1.0, 0), (1.0, -1), (t[7], 7)):
+        assert [m.tolist() for m in along.at(at)] == [
+            m[expected].tolist() for m in (along.A, along.B, along.C, along.D)
+        ]
+    half = [(m[7] + m[8]) / 2 for m in (along.A, along.B, along.C, along.D)]
+    for found, mean in zip(along.at((t[7] + t[8]) / 2), half, strict=True):
+        assert found == pytest.approx(mean, rel=1e-9, abs=1e-9)
+    few = linearize_along(slide, motion, t=t[[7, 200]], inputs=["muscle2.command"])
+    assert few.A.tolist() == along.A[[7, 200]].tolist()
+    assert few.u[:, 0] == pytest.approx(motion["muscle2.command"][[7, 200]], rel=1e-12)
+    assert along.system(0.05, dt=1e-3).dt == 1e-3
     frozen = along.system(0.05)
     there = {v.name: motion[v.name][200] for v in (*slide.states, *slide.inputs)}
     assert np.allclose(frozen.A, slide.linearize(there).A, rtol=1e-10, atol=0)
@@ -248,6 +252,15 @@ def test_a_grid_interpolates_between_its_points_of_rest(slide):
     exact = slide.linearize(slide.equilibrium(x=0.003, stiffness=2.25e4), outputs=["x"])
     assert between.poles() == pytest.approx(exact.poles(), rel=5e-3)
     assert between.input_labels == ["muscle1_command", "muscle2_command"]
+    assert family(x=0.003, stiffness=2.25e4, dt=0.01).dt == 0.01
+    assert family.x.shape == (9, 7, 4)
+    assert family.u[..., 0] == pytest.approx(family.x[..., 2], rel=1e-9)  # at rest
+    assert family.x[:, 3, 0] == pytest.approx(np.linspace(-0.008, 0.008, 9), abs=1e-12)
+    points, systems = zip(*family.systems(), strict=True)
+    assert [p["stiffness"] for p in points[:2]] == pytest.approx([2e4, 2.1e4])
+    assert systems[8].A.tolist() == family.A[1, 1].tolist()
+    with pytest.raises(InputError, match="give a value for each axis"):
+        family(x=0.003)
     with pytest.raises(InputError, match=r"x = 9 mm is outside the grid -8 mm \.\. 8 mm"):
         family(x=0.009, stiffness=2.2e4)
     with pytest.raises(EquilibriumError, match="grid point x = 0 mm, stiffness = 100 N/mm"):
@@ -307,11 +320,31 @@ def pitchfork():
     return plant
 
 
+def test_eigenvalues_along_a_path_of_rest_are_those_of_its_equation():
+    """About x = 1/2, which f holds: s^2 + s = a - 3/4."""
+    values = np.linspace(-2.0, 3.0, 11)
+    path = stability_path(pitchfork(), "a", values, x=0.5)
+    roots = [np.roots([1.0, 1.0, 0.75 - a]) for a in values]
+    for found, expected in zip(path.eigenvalues, roots, strict=True):
+        assert np.sort_complex(found) == pytest.approx(np.sort_complex(expected), abs=1e-7)
+    assert path.column("f") == pytest.approx(0.125 - values / 2, abs=1e-9)
+    assert path.growth == pytest.approx([r.real.max() for r in roots], abs=1e-7)
+    assert path.stable.tolist() == [a < 0.75 for a in values]
+    assert [p.plant.variable("a").start for p in path.points] == values.tolist()
+    real = path.eigenvalues[values > 0.5].real  # one falls, the other rises
+    assert sorted(np.sign(np.diff(real, axis=0)).mean(axis=0)) == [-1, 1]
+    with pytest.raises(EquilibriumError, match=r"the path ends at a = 1: no equilibrium"):
+        stability_path(pitchfork(), "a", [3.0, 1.0], x=2.5)  # f = 15.6 - 2.5 a, at most 10
+    with pytest.raises(InputError, match="at least one number"):
+        stability_path(pitchfork(), "a", [], x=0.5)
+
+
 def test_all_points_of_rest_are_found_and_classified():
     points = equilibria(pitchfork(), f=0.0)
     assert [p["x"] for p in points] == pytest.approx([-1, 0, 1], abs=1e-9)
     assert [p.stability for p in points] == ["stable", "unstable", "stable"]
-    assert sorted(points[1].poles.real) == pytest.approx(np.sort(np.roots([1, 1, -1])), rel=1e-9)
+    # the fastest growth first
+    assert points[1].poles.real == pytest.approx(np.sort(np.roots([1, 1, -1]))[::-1], rel=1e-9)
     (only,) = equilibria(pitchfork(), a=-1.0, f=0.0)
     assert only["x"] == pytest.approx(0, abs=1e-9)
     (border,) = equilibria(pitchfork().with_values(a=0.0), x=0.0)

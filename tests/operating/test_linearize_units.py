@@ -19,16 +19,24 @@ def point(plant):
 
 def test_units_change_numbers_and_no_dynamics(plant, point):
     """1 bar more moves as many mm as 1e5 Pa move m, times 1000; poles have no unit of length."""
-    si = plant.linearize(point)
-    units = {"x": "mm", "muscle.pressure": "bar", "muscle.command": "bar"}
-    mixed = pam.linearize(plant, point, units=units)
+    units = {"x": "mm", "muscle.pressure": "bar", "muscle.command": "bar", "muscle.force": "kN"}
+    factors = {"x": 1e-3, "muscle_pressure": 1e5, "muscle_force": 1e3}
+    si, mixed = plant.linearize(point), pam.linearize(plant, point, units=units)
     assert mixed.units["x"] == "mm"
     assert mixed.units["v"] == "m/s"
     assert np.allclose(np.sort_complex(si.poles()), np.sort_complex(mixed.poles()), rtol=1e-9)
-    i = si.output_labels.index("x")
-    s = 3j
-    gain = mixed(s, squeeze=False)[i, 0] / si(s, squeeze=False)[i, 0]
-    assert gain == pytest.approx(1e5 / 1e-3, rel=1e-9)
+    gains = mixed(3j, squeeze=False)[:, 0] / si(3j, squeeze=False)[:, 0]
+    expected = [1e5 / factors.get(name, 1.0) for name in si.output_labels]
+    assert gains == pytest.approx(expected, rel=1e-9)
+
+
+def test_units_change_what_passes_through_at_once():
+    plant = pam.HangingLoad("DMSP-20-300", 10.0, feed=pam.feeds.IdealPressure())
+    point = plant.equilibrium(x=0.02)
+    units = {"muscle.pressure": "bar", "muscle.force": "kN"}
+    found = [plant.linearize(point, outputs=["muscle.force"], units=u).D for u in (None, units)]
+    slope = pam.muscle("DMSP-20-300").law.dtension_dp(point["muscle.pressure"], 0.02 / 0.3)
+    assert [float(d[0, 0]) for d in found] == pytest.approx([slope, slope * 1e5 / 1e3])
 
 
 def test_in_display_units_a_transfer_function_has_no_zero_far_away(plant, point):

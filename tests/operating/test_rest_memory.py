@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import casadi as ca
 import control
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from scipy.optimize import brentq
 import pam_ocp as pam
 from pam_ocp import InputError, vibration
 from pam_ocp.operating import EquilibriumError
-from pam_ocp.operating.held import at_rest, carried, held
+from pam_ocp.operating.held import at_rest, carried, driven_names, held, surroundings
 from pam_ocp.operating.several import equilibria, equilibrium_branch, equilibrium_path
 from pam_ocp.plants.regulated import RegulatedLoad
 
@@ -111,6 +112,45 @@ def test_sides_that_cannot_be_meant_are_refused():
         hanging().equilibrium(x=0.05, memory={"x": 1.0})
     with pytest.raises(InputError, match=r"memory = 1.5 is outside -1 .. 1"):
         hanging().equilibrium(x=0.05, memory={"muscle.hysteresis": 1.5})
+
+
+def test_surroundings_are_where_a_plant_comes_to_but_nothing_brings_it_back():
+    """A compressor fills its tank to 6 bar and stops; a wall that gives its heat away is no more
+    than where it comes to. What runs by itself is driven by nothing."""
+    pump, full = pam.feeds.Compressor(pressure=6e5), pytest.approx(6e5, rel=1e-6)
+    warm = pam.gas.Gas(heat=pam.muscles.ConstantHeatTransfer(30.0), rubber=pam.muscles.Rubber(20.0))
+    for options, expected in (
+        ({"source": pump}, {"receiver.air_pressure": full}),
+        ({"source": None, "wall_conductance": 2.0}, {"receiver.air_temperature": 293.15}),
+        (None, {}),
+    ):
+        tank = options and pam.feeds.Receiver(2e-3, pressure=4e5, **options)
+        feed = pam.feeds.SpoolValve(supply=tank) if tank else pam.feeds.SpoolValve(gas=warm)
+        plant = pam.HangingLoad(MUSCLE, 10.0, feed=feed)
+        assert surroundings(plant) == expected
+        assert driven_names(plant) == tuple(v.name for v in plant.states)
+    basin = pam.Plant("basin")  # fills to 1, keeps what it has, spills over from 2 on
+    level = basin.state("level", start=0.4, nominal=0.1, memory="settling")
+    basin.der(level, 5 * (ca.fmax(1 - level, 0) - ca.fmax(level - 2, 0)))
+    assert surroundings(basin) == {"level": pytest.approx(1.0)}
+    clock = pam.Plant("clock")
+    time, x, lag = (clock.state(n) for n in ("time", "x", "lag"))
+    clock.der(time, 1.0)
+    clock.der(x, clock.input("u") - x)
+    clock.der(lag, x + time - lag)
+    assert driven_names(clock) == ("x", "lag")
+
+
+def test_a_receiver_whose_air_warms_slowly_begins_where_its_compressor_stops():
+    """After 300 s its air was 0.3 K off, so that its pressure did not count as idle: plans chose
+    10 bar."""
+    source = pam.feeds.Compressor(pressure=8e5, band=2e4)
+    tank = pam.feeds.Receiver(1e-3, pressure=7.5e5, source=source, wall_conductance=0.01)
+    feed = pam.feeds.SpoolValve(supply=tank)
+    load = pam.HangingLoad(MUSCLE, 10.0, damping=50.0, feed=feed)
+    at = surroundings(load)
+    assert at["receiver.air_pressure"] == pytest.approx(8e5, rel=1e-3)
+    assert at["receiver.air_temperature"] == pytest.approx(293.15, abs=1e-3)
 
 
 # ---- said ----------------------------------------------------------------------------------------

@@ -304,18 +304,6 @@ def test_a_tank_that_leaks_before_a_motion_has_to_be_named():
     assert plan.verified
 
 
-def test_a_receiver_whose_air_warms_slowly_begins_where_its_compressor_stops():
-    """After 300 s its air was 0.3 K off, so that its pressure did not count as idle: plans chose
-    10 bar."""
-    source = pam.feeds.Compressor(pressure=8e5, band=2e4)
-    tank = pam.feeds.Receiver(1e-3, pressure=7.5e5, source=source, wall_conductance=0.01)
-    feed = pam.feeds.SpoolValve(supply=tank)
-    load = pam.HangingLoad("DMSP-20-400N", 10.0, damping=50.0, feed=feed)
-    at = surroundings(load)
-    assert at["receiver.air_pressure"] == pytest.approx(8e5, rel=1e-3)
-    assert at["receiver.air_temperature"] == pytest.approx(293.15, abs=1e-3)
-
-
 def test_a_compressor_that_feeds_a_leak_has_settled_where_both_flows_agree():
     """The tank was held where it stands with valves closed, 0.7 kPa above."""
     source = pam.feeds.Compressor(flow=1e-3, pressure=8e5, band=2e4)

@@ -10,7 +10,6 @@ from conftest import flat
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp import InputError
 from pam_ocp.muscles.gas import Gas, PolynomialVolume
 from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
 
@@ -276,21 +275,6 @@ def test_a_warm_wall_changes_the_force_at_zero_pressure_alone():
     for bar in (2, 4):
         grown = forces[bar, 323.15] - forces[bar, 293.15]
         assert grown == pytest.approx(STIFF * 30 * wall, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Gas(rubber=Rubber()), "give heat="),
-        (lambda: Gas(heat=30.0), "ConstantHeatTransfer"),
-        (lambda: ConstantHeatTransfer(-1.0), "must be >= 0"),
-        (lambda: Rubber(capacity=0.0), "must be > 0"),
-        (lambda: pam.feeds.SpoolValve(supply_temperature=0.0), "must be > 0"),
-    ],
-)
-def test_heat_that_cannot_be_is_refused(make, words):
-    with pytest.raises(InputError, match=words):
-        make()
 
 
 def test_a_file_may_speak_of_heat():

@@ -385,36 +385,6 @@ def test_a_limb_travels_and_keeps_its_anatomy(limb):
     np.testing.assert_array_equal(copy.moment_arms({"a": 0.4}), plant.moment_arms({"a": 0.4}))
 
 
-# ---- static optimisation -------------------------------------------------------------------------
-def pair_of(limb):
-    muscles = [
-        LimbMuscle(n, "DMSP-20-300", [("a", r)], pre_contraction=0.1)
-        for n, r in (("flexor", 0.04), ("extensor", -0.04))
-    ]
-    return limb(link("base"), BAR, joint("a", "base", "bar"), muscles=muscles, damping={"a": 0.3})
-
-
-def test_static_optimisation_gives_the_moment_of_a_pendulum_with_the_stiffness_asked_for(limb):
-    plant = pair_of(limb)
-    angles, speeds = np.array([0.0, 0.2, 0.3]), np.array([0.0, 1.0, -1.0])
-    found = plant.static_optimisation(
-        {"a": angles}, {"a": speeds}, {"a": 5.0}, stiffness={"a": [25.0, 30.0, 35.0]}
-    )
-    assert found.reached.all()
-    assert found.verdict == "reached at all 3 instants"
-    needed = (0.02 + 1.5 * 0.04) * 5.0 + 0.3 * speeds + 1.5 * G * 0.2 * np.sin(angles)
-    np.testing.assert_allclose(found.moments["a"], needed, rtol=1e-12)
-    muscle = pam.muscle("DMSP-20-300")
-    kappa = {n: 0.1 + s * 0.04 * angles / muscle.rest_length for n, s in SIDES}
-    forces = {n: muscle.force(found.pressures[n], kappa[n]) for n in kappa}
-    np.testing.assert_allclose(0.04 * (forces["flexor"] - forces["extensor"]), needed, atol=1e-5)
-    stiff = sum(muscle.stiffness(found.pressures[n], kappa[n]) for n in kappa) * 0.04**2
-    np.testing.assert_allclose(stiff, [25.0, 30.0, 35.0], rtol=1e-5)
-
-
-SIDES = (("flexor", 1), ("extensor", -1))
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -435,37 +405,12 @@ def test_a_step_of_mujoco_is_positive():
         pam.export.mujoco_limb(pam.plants.limb("arm.urdf", flexor), timestep=-1.0)
 
 
-@pytest.mark.parametrize("minimise", ["stiffness", "force", "air"])
-def test_the_least_co_contraction_leaves_the_antagonist_just_taut(limb, minimise):
-    found = pair_of(limb).static_optimisation({"a": 0.2}, minimise=minimise)
-    assert found.reached.all()
-    assert found.forces["extensor"][0] == pytest.approx(1.0, abs=1e-3)  # the clamp's width
-    assert found.forces["flexor"][0] > 1.5 * G * 0.2 * np.sin(0.2) / 0.04
-
-
-def test_static_optimisation_says_what_is_out_of_reach(limb):
-    plant = pair_of(limb)
-    found = plant.static_optimisation({"a": 0.0}, accelerations={"a": [0.0, 1e4]})
-    assert list(found.reached) == [True, False]
-    full = pam.muscle("DMSP-20-300").force(plant.variable("flexor.pressure").max, 0.1)
-    largest = 0.04 * (full - 1.0)  # the other just taut
-    short = 0.08 * 1e4 - largest
-    assert found.missing["a"] == pytest.approx([0.0, short], rel=1e-4)
-    assert "NOT REACHED at 1 of 2 instants: a lacks a moment of" in found.verdict
-    stiff = plant.static_optimisation({"a": 0.0}, stiffness={"a": 1e4})
-    assert "a has a stiffness of" in stiff.verdict
-    assert stiff.missing["a"] == pytest.approx(0.0)
-    assert stiff.stiffness["a"][0] < 1e3
-
-
-def test_static_optimisation_refuses_what_it_does_not_know(limb):
-    plant = pair_of(limb)
-    with pytest.raises(pam.InputError, match=r"unknown minimise 'time'"):
-        plant.static_optimisation({"a": 0.0}, minimise="time")
-    with pytest.raises(pam.InputError, match="unknown joint of limb 'limb' 'b'"):
-        plant.static_optimisation({"b": 0.0})
-    with pytest.raises(pam.InputError, match="one for each instant"):
-        plant.static_optimisation({"a": [0.0, 0.1]}, {"a": [0.0, 0.1, 0.2]})
+def pair_of(limb):
+    muscles = [
+        LimbMuscle(n, "DMSP-20-300", [("a", r)], pre_contraction=0.1)
+        for n, r in (("flexor", 0.04), ("extensor", -0.04))
+    ]
+    return limb(link("base"), BAR, joint("a", "base", "bar"), muscles=muscles, damping={"a": 0.3})
 
 
 def test_a_limb_is_drawn_and_filmed(limb, tmp_path):
