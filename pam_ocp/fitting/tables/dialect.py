@@ -69,6 +69,10 @@ class Grid:
     text: bool = False
     notes: tuple[str, ...] = ()
 
+    def holds(self, cell: Any) -> bool:
+        """Whether a cell is a number, or a stamp of time."""
+        return is_number(cell, self.decimal) or is_stamp(cell)
+
 
 def grid_of_text(
     text: str,
@@ -98,7 +102,11 @@ def grid_of_text(
         )
     pairs = _pairs(lines) if delimiter is None else None
     if pairs is not None:
-        return _of_pairs(*pairs, label, decimal)
+        rows, places = pairs
+        require_size(label, len(rows), max(map(len, rows)))
+        texts = [(parted(c) or (c, ""))[0] for row in rows[1:200] for c in row if c]
+        sign = decimal or decimal_of(texts)
+        return Grid(label, rows, places, sign, dialect=("lines of key = value",), text=True)
     sample = [line for _, line in lines[:1000]][-SAMPLE:]
     if delimiter is None and suffix == ".tsv" and any("\t" in line for line in sample):
         delimiter = "\t"
@@ -126,15 +134,6 @@ def grid_of_text(
         notes = (f"line {places[-1]}, the last, is cut off and left out",)
         rows, places = rows[:-1], places[:-1]
     return Grid(label, rows, places, sign, words, tuple(said), True, notes)
-
-
-def _of_pairs(
-    rows: list[Sequence[Any]], places: list[int], label: str, decimal: str | None
-) -> Grid:
-    require_size(label, len(rows), max(map(len, rows)))
-    texts = [c for row in rows[1:200] for c in row if c]
-    sign = decimal or decimal_of([(parted(c) or (c, ""))[0] for c in texts])
-    return Grid(label, rows, places, sign, dialect=("lines of key = value",), text=True)
 
 
 def _is_cut(rows: Sequence[Sequence[str]], sign: str) -> bool:
