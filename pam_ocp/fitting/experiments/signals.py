@@ -34,7 +34,7 @@ from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
 from ..static.force_fit import ForceFit
 from ..statistics import Array, require_choice, student_t
-from .cells import CellDesign, design_cells
+from .cells import CellDesign, chosen, design_cells
 from .excitation import (
     RANDOM,
     Excitation,
@@ -46,7 +46,6 @@ from .excitation import (
     span,
 )
 from .excitation import excitation as excitation_of
-from .optimal import chosen
 
 ACCURATE = 2e-3
 """Error of the integration, of the spread of each measured variable, that a design is content with.

@@ -73,8 +73,12 @@ COMMANDS = words_of(
     setpunkt"""
 )
 """Names of what was asked for."""
-_SI = {"length": "m", "contraction": "1", "pressure": "Pa", "force": "N"}
-QUANTITIES = {quantity: (si, NAMES[quantity]) for quantity, si in _SI.items()}
+SI = {
+    **{"length": "m", "contraction": "1", "pressure": "Pa", "force": "N"},
+    **{"position": "m", "angle": "rad", "velocity": "m/s", "angular velocity": "rad/s"},
+}
+"""What is measured: its unit."""
+QUANTITIES = {q: (SI[q], NAMES[q]) for q in ("length", "contraction", "pressure", "force")}
 """Quantity of a force table: (SI unit, names by which a header calls it)."""
 LABELS: dict[str, frozenset[str]] = {
     "branch": words_of(

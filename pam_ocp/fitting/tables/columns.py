@@ -49,6 +49,8 @@ LARGEST_FORCE = 1e5
 """Beyond any fluidic muscle [N]."""
 CONTRACTION_RANGE = (-0.10, 0.60)
 """10 % beyond the rest length; the braid locks at 35-40 %."""
+
+
 _SI = (
     *("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s"),
     *("V", "A"),

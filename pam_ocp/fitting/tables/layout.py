@@ -16,7 +16,7 @@ from ...core.files import MOST_NAME, require_size
 from .blocks import periods, pivoted, side_by_side, stacked
 from .cells import is_empty, is_number, is_unit, parted, without_units
 from .dialect import Grid, Unsaid, nothing_in
-from .raw import RawTable
+from .raw import RawTable, Reading
 
 LOOKED_AT = 400
 """Rows at the end of a grid whose cells say what its columns hold."""
@@ -28,23 +28,15 @@ CUT_OFF = 10
 """Rows from which on a last line that is too short was cut off, as by a logger without power."""
 
 
-def tabulated(
-    grid: Grid,
-    names: Sequence[str | None] | None = None,
-    pivot: Sequence[str] | None = None,
-    pick: Any = None,
-    drop: bool = False,
-) -> RawTable:
-    """Columns of a grid. names : of the columns, from the left; None or "" leaves one out. pivot :
-    what runs down, across, and stands in the cells. pick : which of several blocks side by side.
-    drop : lines that are no rows are left out, and counted.
-    """
+def tabulated(grid: Grid, how: Reading) -> RawTable:
+    """Columns of a grid; of ``how`` the names, pivot, pick and bad_lines count."""
+    names, drop = how.names, how.bad_lines == "drop"
     grid = _upright(_trimmed(grid))
     grid, in_cells = _bare(grid, names)
     numeric = _numeric(grid, drop)
     start = _start(grid, numeric)
     head = start - 1
-    table = pivoted(grid, start, pivot) if pivot is not None or names is None else None
+    table = pivoted(grid, start, how.pivot) if how.pivot is not None or names is None else None
     if table is not None:
         return table
     stated: Sequence[Any] = ()
@@ -61,7 +53,8 @@ def tabulated(
     require_size(grid.label, len(grid.rows), width)
     parts = periods(found) if named else []
     if parts:
-        return side_by_side(grid, parts, head, pick, lambda g: tabulated(g, drop=drop))
+        block = Reading(bad_lines=how.bad_lines)
+        return side_by_side(grid, parts, head, how.pick, lambda g: tabulated(g, block))
     if named:
         found = _grouped(grid, head, found)
     heads = [grid.rows[i] for i in range(max(head, 0), start)]

@@ -112,7 +112,9 @@ def _tables(tree: Any, name: str, label: str, level: int) -> Iterator[tuple[str,
     """(name, table) of all that are in a tree, by depth."""
     if level > MOST_LEVELS:
         return
-    if isinstance(tree, Mapping):
+    if isinstance(tree, Grid):
+        yield name, tree
+    elif isinstance(tree, Mapping):
         yield from _of_mapping(tree, name, label, level)
     elif isinstance(tree, list | tuple) or (isinstance(tree, np.ndarray) and tree.dtype == object):
         yield from _of_several(tree, name, label, level)
