@@ -116,15 +116,15 @@ class CellDesign:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the cells as CSV for the bench, with an empty column for the force."""
-        length = self.cells.rest_length
-        head = "pressure_Pa,contraction,expected_force_N" + (",length_m" if length else "")
-        rows = zip(self.cells.pressure, self.cells.contraction, self.cells.force, strict=True)
+        cells, length = self.cells, self.cells.rest_length
+        columns = {"pressure_Pa": cells.pressure, "contraction": cells.contraction}
+        columns["expected_force_N"] = cells.force
+        if length:
+            columns["length_m"] = length * (1 - cells.contraction)
+        forms = ["%.6g", "%.6g", "%.4g", "%.6g"][: len(columns)]
+        rows, head = np.column_stack(list(columns.values())), ",".join(columns)
         with atomic_path(path) as temporary:
-            text = [head]
-            for p, kappa, force in rows:
-                end = f",{length * (1 - kappa):.6g}" if length else ""
-                text.append(f"{p:.6g},{kappa:.6g},{force:.4g}{end}")
-            temporary.write_text("\n".join(text) + "\n", encoding="utf-8")
+            np.savetxt(temporary, rows, forms, ",", header=head, comments="", encoding="utf-8")
         return Path(path)
 
 

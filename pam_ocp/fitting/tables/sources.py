@@ -144,7 +144,7 @@ def _from_frame(frame: Any, label: str) -> RawTable:
     names = [_column_name(c) for c in frame.columns]
     require_distinct(names, label)
     columns = {n: _cells(frame.iloc[:, i]) for i, n in enumerate(names)}
-    return _bare(RawTable(label, {**_index(getattr(frame, "index", None), names), **columns}))
+    return _bare(RawTable(label, {**_index(frame.index, names), **columns}))
 
 
 def _column_name(name: Any) -> str:
@@ -159,26 +159,19 @@ def _column_name(name: Any) -> str:
 
 def _cells(column: Any) -> list[Any]:
     """Cells of a column; durations in seconds."""
-    if getattr(column.dtype, "kind", "") == "m":
-        return list(column.dt.total_seconds())
-    return list(column.tolist())
+    return list((column.dt.total_seconds() if column.dtype.kind == "m" else column).tolist())
 
 
 def _index(index: Any, names: Sequence[str]) -> dict[str, list[Any]]:
     """The index of a DataFrame as columns, where it is more than the numbers of the rows."""
-    if index is None or not hasattr(index, "names"):
-        return {}
     found = {}
     for level, name in enumerate(index.names):
-        values = index.get_level_values(level)
-        kind = getattr(values.dtype, "kind", "M" if hasattr(values, "tz") else "")
-        clock = kind in "mM" or hasattr(values, "tz")
-        header = str(name) if name is not None else "time" if clock else "index"
-        if (name is None and kind not in "mMf" and not clock) or header in names:
+        column = index.get_level_values(level).to_series()
+        kind = column.dtype.kind
+        header = str(name) if name is not None else "time" if kind in "mM" else "index"
+        if (name is None and kind not in "mMf") or header in names:
             continue
-        if kind == "m":
-            header = header if "[" in header else f"{header} [s]"
-        found[header] = list(values.total_seconds()) if kind == "m" else values.tolist()
+        found[f"{header} [s]" if kind == "m" and "[" not in header else header] = _cells(column)
     return found
 
 
