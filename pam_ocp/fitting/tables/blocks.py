@@ -132,7 +132,7 @@ def _quantities(
     corner = "" if is_empty(grid.rows[place][0]) else str(grid.rows[place][0]).strip()
     parts = [p.strip() for p in re.split(r"\\|\s/\s|->|→|\|", corner) if p.strip()]
     above = [str(c) for row in grid.rows[:place] for c in row if not is_empty(c)]
-    words = [*above, *(" ".join(c) for c in grid.comments)]
+    words = [w for text in [*above, *(" ".join(c) for c in grid.comments)] for w in _named(text)]
     down = parts[0] if parts and _kind(parts[0]) else None
     across = parts[1] if len(parts) > 1 and _kind(parts[1]) else None
     with_unit = next((h for h in heads if h[1]), None)
@@ -164,6 +164,19 @@ def _kind(header: str) -> str | None:
     """The quantity that a header names."""
     name = parse_header(header)[0]
     return next((k for k in QUANTITIES if name in NAMES[k]), None)
+
+
+def _named(text: str) -> list[str]:
+    """Headers among words: ``Force [N] over pressure [bar]``."""
+    if _kind(text):
+        return [text]
+    pattern = r"([^\W\d]+)\s*([\[(][^\])]*[\])])?"
+    found = [
+        f"{name} {said.replace('(', '[').replace(')', ']')}".strip()
+        for name, said in re.findall(pattern, text)
+    ]
+    # a single letter among words is a name only beside its unit
+    return [h for h in found if _kind(h) and (len(h) > 2 or "[" in h)]
 
 
 def with_unit(text: str) -> tuple[str, float] | None:

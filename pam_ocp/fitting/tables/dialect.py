@@ -374,10 +374,6 @@ class _Tables(HTMLParser):
             down = told.get("rowspan") or str(1 + _whole(told.get("ss:mergedown"), 0))
             self.cell, self.span = [], (_whole(across, 1), _whole(down, 1))
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        self.handle_endtag(tag)
-
     def handle_endtag(self, tag: str) -> None:
         if tag in ("style", "script"):
             self.blind = max(0, self.blind - 1)

@@ -257,7 +257,11 @@ def _of_several(
     tree: Sequence[Any] | np.ndarray[Any, Any], name: str, label: str, level: int
 ) -> Iterator[tuple[str, Found]]:
     """Records (mappings of plain values), rows of cells, or tables within."""
-    cells = isinstance(tree, np.ndarray)
+    inside: Sequence[Any] | np.ndarray[Any, Any] = tree
+    if isinstance(tree, np.ndarray):
+        rowed, inside = tree.ndim == 2, tree.ravel(order="F")
+    else:
+        rowed = all(isinstance(r, list | tuple) for r in tree)
     if len(tree) > 1 and all(isinstance(r, Mapping) for r in tree):
         keys = list(dict.fromkeys(str(k) for r in tree for k in r))
         flat = [{str(k): _plain(v) for k, v in r.items()} for r in tree]
@@ -266,14 +270,11 @@ def _of_several(
         if len(keys) >= 2 and not nested and any(isinstance(v, int | float) for v in values):
             yield name, {k: [r.get(k) for r in flat] for k in keys}
             return
-    elif len(tree) > 1 and (
-        tree.ndim == 2 if cells else all(isinstance(r, list | tuple) for r in tree)
-    ):
+    elif len(tree) > 1 and rowed:
         rows = _rows(tree)
         if rows is not None and max(map(len, rows)) >= 2:
             yield name, _grid(rows, label)
             return
-    inside = tree.ravel(order="F") if cells else tree
     for number, value in enumerate(inside[:MOST_TABLES], start=1):
         yield from _tables(value, f"{name}[{number}]", label, level + 1)
 
