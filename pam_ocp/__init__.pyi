@@ -38,7 +38,7 @@ from .fitting import experiments as experiments
 from .fitting.dynamic.dynamic import fit_plant as fit_plant
 from .fitting.dynamic.free_run_fit import fit_free_run as fit_free_run
 from .fitting.static.campaign import fit_forces as fit_forces
-from .fitting.static.ranking import compare_laws as compare_laws
+from .fitting.static.static import compare_laws as compare_laws
 from .fitting.static.static import fit_force as fit_force
 from .fitting.tables.force_table import read_table as read_table
 from .fitting.tables.preview import read_folder as read_folder

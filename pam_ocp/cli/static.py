@@ -293,7 +293,7 @@ def fit_data(fit: ForceFit) -> dict[str, Any]:
 def _ranked(options: argparse.Namespace, table: ForceTable, laws: Sequence[str]) -> ForceFit:
     """The best of several laws at lengths left out; the ranking is printed."""
     from ..core.errors import FitError
-    from ..fitting.static.ranking import compare_laws
+    from ..fitting.static.static import compare_laws
     from ..muscles.law import LAWS
 
     if options.loss != "squares":
@@ -308,7 +308,7 @@ def _ranked(options: argparse.Namespace, table: ForceTable, laws: Sequence[str])
 
 
 def _branch_lines(fitted: ForceFit) -> list[str]:
-    from ..fitting.static.branches import hysteresis
+    from ..fitting.static.report import hysteresis
     from ..fitting.static.static import fit_branches
 
     table, fixed = fitted.table, {n: float(fitted.law.values[n]) for n in fitted.held}

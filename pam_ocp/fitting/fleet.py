@@ -31,6 +31,7 @@ from ..core.units import significant
 from ..muscles.law import ForceLaw
 from .estimates import Estimates, Tabled
 from .mixed_effects import Scatter, between, effects, marginal, shrunken_variances, summed
+from .static.optimum import sensitivity
 from .static.static import cell_weights, fit_force, held_coefficients, law_class
 from .statistics import Array, Coefficient, Prediction, elementwise, inverse, student_t
 from .tables.force_table import joined_tables
@@ -140,17 +141,13 @@ class Population(Tabled):
             )
         asked = require_numbers("p", p, "Pa"), require_numbers("kappa", kappa, "1")
         both = np.broadcast_arrays(*asked)
-        names = list(self.law.values)
-        values = np.array([self.law.values[n] for n in names])[:, None]
-        found = elementwise(type(self.law), 1)(both[0].ravel(), both[1].ravel(), *values)
-        columns = [np.broadcast_to(f, (both[0].size,)) for f in found]
-        slopes = np.array([columns[1 + names.index(n)] for n in self.coefficients])
+        force, slopes = sensitivity(self.law, list(self.coefficients), *map(np.ravel, both))
         t, shape = self.between.reach(level), both[0].shape
         errors = [
-            np.sqrt(np.einsum("in,ij,jn->n", slopes, c, slopes)).reshape(shape)
+            np.sqrt(np.einsum("ni,ij,nj->n", slopes, c, slopes)).reshape(shape)
             for c in (self.covariance, self.covariance + self.between.covariance)
         ]
-        force = columns[0].reshape(shape)
+        force = force.reshape(shape)
         mean, other = ((force - t * e, force + t * e) for e in errors)
         nowhere = np.zeros(shape, dtype=bool)
         return Prediction.of_law(force, errors[0], mean, other, level, nowhere)
@@ -419,9 +416,10 @@ def _alternated(cells: _Cells, own: NDArray[np.bool_]) -> tuple[list[_Kind], int
             one = _solved(a, x, place, own, last)
             new = z.copy()
             new[:, free] = one.recorded
-            moved = np.inf if last is None else _moved(one, last)
+            size = np.sqrt(np.maximum(np.diagonal(one.errors, axis1=1, axis2=2), 1e-300))
+            still = last is not None and np.max(np.abs(one.values - last.values) / size) < STILL
             z, last, most = new, one, max(most, step)
-            if moved < STILL:
+            if still:
                 break
         found.append(
             _Kind(
@@ -437,11 +435,6 @@ def _alternated(cells: _Cells, own: NDArray[np.bool_]) -> tuple[list[_Kind], int
             )
         )
     return found, most
-
-
-def _moved(one: _Solved, last: _Solved) -> float:
-    size = np.sqrt(np.maximum(np.diagonal(one.errors, axis1=1, axis2=2), 1e-300))
-    return float(np.max(np.abs(one.values - last.values) / size))
 
 
 def _noise(normal: Array, slope: Array, square: Array, counts: Array) -> tuple[Array, int]:

@@ -22,8 +22,7 @@ from ..core.quantities import quantity
 from ..core.shown import shown
 from ..core.stop import verb
 from ..fitting.static.force_fit import ForceFit
-from ..fitting.static.ranking import LawComparison, compare_laws
-from ..fitting.static.static import fit_force
+from ..fitting.static.static import LawComparison, compare_laws, fit_force
 from ..fitting.tables.force_table import ForceTable, read_table
 from ..muscles.muscle_file import save_muscle
 from ..muscles.pneumatic_muscle import Muscle

@@ -12,7 +12,7 @@ from scipy.stats import kstest
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
-from pam_ocp.fitting.static.branches import hysteresis, lack_of_fit
+from pam_ocp.fitting.static.report import hysteresis, lack_of_fit
 from pam_ocp.fitting.static.static import fit_branches
 from pam_ocp.muscles.law import SixParameterLaw
 from pam_ocp.muscles.laws.user_defined import polynomial_law

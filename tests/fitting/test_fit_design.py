@@ -12,8 +12,7 @@ from static_tables import fit_20
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force
-from pam_ocp.fitting.experiments.cells import design_cells
-from pam_ocp.fitting.experiments.optimal import Criterion, exchange, refine
+from pam_ocp.fitting.experiments.cells import Criterion, design_cells, exchange, refine
 from pam_ocp.fitting.experiments.signals import design_experiment
 
 NONE = np.zeros((3, 3))

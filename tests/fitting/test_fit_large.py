@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 import pam_ocp as pam
 from pam_ocp.fitting import ForceTable, compare_laws, fit_force
 from pam_ocp.fitting.static import local_optimum
-from pam_ocp.fitting.static.branches import repeats
 from pam_ocp.fitting.static.correlation import RHO, Order, _meats, surprise
+from pam_ocp.fitting.static.report import repeats
 
 LAW = pam.muscle("DMSP-20-300").law
 

@@ -246,7 +246,7 @@ def test_profile_interval_of_a_linear_law_is_the_linearised_one(fit: ForceFit) -
 
 def test_intervals_are_profiles_found_all_at_once(alone: ForceFit) -> None:
     """Against one bisection after the other, each with a alone from scratch."""
-    from pam_ocp.fitting.static.likelihood_profile import profile_end
+    from pam_ocp.fitting.static.optimum import profile_end
 
     reach = student.ppf(0.975, alone.dof)
     limit = alone.cost + (reach * alone.sigma) ** 2

@@ -13,8 +13,7 @@ import numpy as np
 from ...core.errors import PamError
 from ...fitting.experiments.cells import design_cells
 from ...fitting.static.force_fit import ForceFit
-from ...fitting.static.ranking import compare_laws
-from ...fitting.static.static import fit_force
+from ...fitting.static.static import compare_laws, fit_force
 from ...muscles.muscle_file import load_muscle, save_muscle
 from ..made import World, kept, muscle_of, table_of
 from ..session import stored_file

@@ -23,18 +23,18 @@ from ...core.errors import (
     kind_of,
     require_positive,
 )
+from ...core.signals import Interpolation
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...muscles.law import ForceLaw
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ...plants.plant import Plant, Values, require_plant
-from ...simulation.simulator import simulate
 from ..dynamic.coverage import Coverage
-from ..dynamic.experiment import ParameterGroup, groups
+from ..dynamic.experiment import ParameterGroup, groups, played
 from ..dynamic.plant_fit import PlantFit
 from ..static.force_fit import ForceFit
 from ..statistics import Array, require_choice, student_t
-from .cells import CellDesign, design_cells
+from .cells import CellDesign, chosen, design_cells
 from .excitation import (
     RANDOM,
     Excitation,
@@ -46,7 +46,6 @@ from .excitation import (
     span,
 )
 from .excitation import excitation as excitation_of
-from .optimal import chosen
 
 ACCURATE = 2e-3
 """Error of the integration, of the spread of each measured variable, that a design is content with.
@@ -374,17 +373,11 @@ def _played(e: Excitation, w: Array) -> Trajectory:
     columns = e.mid + e.half * (e.basis @ w.reshape(-1, len(e.inputs), order="F"))
     if e.held:
         columns = np.concatenate([columns, columns[-1:]])
+    between: Interpolation = "previous" if e.held else "linear"
     t = e.sample * np.arange(e.count + 1)
-    inputs = {n: (t, columns[:, i]) for i, n in enumerate(e.inputs)}
+    drive = Trajectory(t, dict(zip(e.inputs, columns.T, strict=True)), interpolation=between)
     begin = dict(zip((v.name for v in e.plant.states), e.start.tolist(), strict=True))
-    return simulate(
-        e.plant,
-        inputs,
-        t=t,
-        start=begin,
-        rtol=1e-8,
-        interpolation="previous" if e.held else "linear",
-    )
+    return played(e.plant, drive, begin, 1e-8)
 
 
 def _accurate(e: Excitation, w: Array) -> Excitation:

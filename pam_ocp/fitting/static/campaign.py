@@ -27,12 +27,13 @@ from ...core.units import unit
 from ...muscles.law import ForceLaw
 from ..statistics import Array, f_test
 from ..tables.cells import branch_of, is_unit, parse_header
-from ..tables.force_table import ForceTable, joined_tables, read_table
-from ..tables.sources import ENDINGS, is_readable, load
-from .branches import hysteresis, lack_of_fit, repeats
+from ..tables.force_table import ForceTable, TableArguments, joined_tables, table_of
+from ..tables.raw import RawTable, say
+from ..tables.sources import ENDINGS, is_readable, load, naming
 from .campaign_result import Campaign, LengthLaw, LengthStudy, MuscleStudy, RunStudy
 from .force_fit import ForceFit
 from .least_squares import Loss
+from .report import hysteresis, lack_of_fit, repeats
 from .shared import JointForceFit, jointly_fitted
 from .static import fit_branches, fit_force, law_class
 
@@ -447,48 +448,41 @@ def _read(
 ) -> list[Measured]:
     """The tables of one file, one for each muscle that a column names."""
     muscle, branch, run = _named(name if isinstance(source, (str, Path)) else f"{name}.table")
-    parts: list[tuple[str, Any, dict[str, float]]] = [(muscle, source, {})]
-    raw = load(source)
-    columns = {
+    found = []
+    with naming(source):
+        for own, part, told in _parts(load(source, TableArguments(**reading)), muscle):
+            length = _said(rest_length, own) or told.get("rest_length") or _sizes(own)[0]
+            width = _said(diameter, own) or told.get("diameter") or _sizes(own)[1]
+            table = table_of(part, TableArguments(rest_length=length, **reading))
+            say(part.label, table.notes)
+            labels: dict[str, Any] = {"source": name}
+            if branch and not table.branch:
+                labels["branch"] = (branch,) * len(table)
+            if run and not table.run:
+                labels["run"] = (run,) * len(table)
+            found.append(Measured(own, replace(table, **labels), width))
+    return found
+
+
+def _parts(raw: RawTable, muscle: str) -> list[tuple[str, RawTable, dict[str, float]]]:
+    """(muscle, its rows, sizes that columns tell [m]): one for each that columns tell apart."""
+    keys = {
         key: header
         for key, words in _COLUMNS.items()
         for header in raw.columns
         if parse_header(str(header))[0] in words
     }
-    if columns:
-        parts = _split(raw.columns, columns, muscle)
-    found = []
-    for own, part, told in parts:
-        length = _said(rest_length, own) or told.get("rest_length") or _sizes(own)[0]
-        width = _said(diameter, own) or told.get("diameter") or _sizes(own)[1]
-        table = read_table(part, rest_length=length, **reading)
-        labels: dict[str, Any] = {"source": name}
-        if branch and not table.branch:
-            labels["branch"] = (branch,) * len(table)
-        if run and not table.run:
-            labels["run"] = (run,) * len(table)
-        found.append(Measured(own, replace(table, **labels), width))
-    return found
-
-
-def _split(
-    columns: Mapping[str, Sequence[Any]], keys: Mapping[str, str], muscle: str
-) -> list[tuple[str, Any, dict[str, float]]]:
-    """(muscle, its columns, sizes that columns tell [m])."""
-    count = len(next(iter(columns.values())))
-    names = [str(n) for n in columns[keys["muscle"]]] if "muscle" in keys else [muscle] * count
-    sized = {key: [float(v) for v in columns[keys[key]]] for key in keys if key != "muscle"}
+    named = [str(n) for n in raw.columns[keys.pop("muscle")]] if "muscle" in keys else None
+    sizes = [[float(v) for v in raw.columns[header]] for header in keys.values()]
     rows: dict[tuple[Any, ...], list[int]] = {}
-    for i in range(count):
-        rows.setdefault((names[i], *(sized[k][i] for k in sized)), []).append(i)
+    for i, key in enumerate(zip(named or [muscle] * len(raw), *sizes, strict=True)):
+        rows.setdefault(key, []).append(i)
     found = []
-    for key, chosen in rows.items():
-        told = {k: v * _scale(keys[k], v) for k, v in zip(sized, key[1:], strict=True)}
-        own = names[chosen[0]]
-        if "muscle" not in keys and len(rows) > 1:
+    for (own, *values), chosen in rows.items():
+        told = {k: v * _scale(keys[k], v) for k, v in zip(keys, values, strict=True)}
+        if named is None and len(rows) > 1:
             own = f"{muscle} {', '.join(f'{1e3 * v:g} mm' for v in told.values())}"
-        rest = {h: [c[i] for i in chosen] for h, c in columns.items() if h not in keys.values()}
-        found.append((own, rest, told))
+        found.append((own, raw.taken(np.array(chosen)) if len(rows) > 1 else raw, told))
     return found
 
 

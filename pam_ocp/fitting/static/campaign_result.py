@@ -18,10 +18,10 @@ from ...core.errors import UnknownNameError
 from ...muscles.law import ForceLaw
 from ...muscles.muscle_file import save_muscle
 from ..statistics import Array
-from .branches import Hysteresis, LackOfFit
 from .force_fit import ForceFit
-from .ranking import Candidate
+from .report import Hysteresis, LackOfFit
 from .shared import JointForceFit
+from .static import Candidate
 
 
 @dataclass(frozen=True)

@@ -61,46 +61,27 @@ def sequences(*tables: ForceTable) -> list[Order]:
     (contraction level, branch and run); along pressure in each of these. Nothing follows from table
     to table.
     """
-    found = [_joined(orders) for orders in zip(*(_orders(t) for t in tables), strict=True)]
-    distinct: list[Order] = []
-    for one in found:
-        if not any(
-            np.array_equal(one.order, d.order) and np.array_equal(one.follows, d.follows)
-            for d in distinct
-        ):
-            distinct.append(one)
-    return distinct
-
-
-def _orders(table: ForceTable) -> list[Order]:
-    n = len(table)
-    branch, run = (
-        np.unique(a, return_inverse=True)[1] if a else np.zeros(n, dtype=np.intp)
-        for a in (table.branch, table.run)
+    table = np.repeat(np.arange(len(tables)), [len(t) for t in tables])
+    labels = (
+        [x for t in tables for x in getattr(t, n) or ("",) * len(t)] for n in ("branch", "run")
     )
-    branch_run = branch * (int(np.max(run, initial=0)) + 1) + run
-    level = table.levels()
-    ramp = branch_run + level * (int(np.max(branch_run, initial=0)) + 1)
-    rows = np.arange(n)
-    found = [Order("from row to row", rows, rows > 0)]
-    for words, key in (
-        ("along each ramp", rows.astype(float)),
-        ("along pressure at each level", table.pressure),
+    coded = (np.unique(own, return_inverse=True)[1] for own in labels)
+    keys = (table, np.concatenate([t.levels() for t in tables]), *coded)
+    ramp = np.ravel_multi_index(keys, [int(k.max(initial=0)) + 1 for k in keys])
+    rows, pressure = np.arange(len(table)), np.concatenate([t.pressure for t in tables])
+    found: list[Order] = []
+    for words, part, key in (
+        ("from row to row", table, rows),
+        ("along each ramp", ramp, rows),
+        ("along pressure at each level", ramp, pressure),
     ):
-        order = np.lexsort((key, ramp))
-        follows = np.concatenate([[False], ramp[order][1:] == ramp[order][:-1]])
-        found.append(Order(words, order, follows))
+        order = np.lexsort((key, part))
+        follows = np.concatenate([[False], np.diff(part[order]) == 0])[: len(rows)]
+        if not any(
+            np.array_equal(order, d.order) and np.array_equal(follows, d.follows) for d in found
+        ):
+            found.append(Order(words, order, follows))
     return found
-
-
-def _joined(orders: Sequence[Order]) -> Order:
-    """The same order of several tables."""
-    first = np.cumsum([0, *(len(o.order) for o in orders)])[:-1]
-    return Order(
-        orders[0].words,
-        np.concatenate([o.order + n for o, n in zip(orders, first, strict=True)]),
-        np.concatenate([o.follows for o in orders]),
-    )
 
 
 def serial_errors(

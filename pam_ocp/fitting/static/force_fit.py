@@ -33,12 +33,10 @@ from ...muscles.validity import ValidityWarning
 from ..statistics import Array, Prediction, SolverStatistics, require_choice, require_level
 from ..tables.floor import Floor
 from ..tables.force_table import ForceTable
-from .branches import LackOfFit, lack_of_fit
 from .correlation import drawn_errors, scaled_errors, sequences
 from .least_squares import LeastSquares, Terms, finite
-from .likelihood_profile import Ends, Sweep, profile_ends
-from .optimum import Optimum
-from .report import force_report, force_warnings
+from .optimum import Ends, Optimum, Sweep, profile_ends
+from .report import LackOfFit, force_report, force_warnings, lack_of_fit
 from .search import minimise_near
 
 if TYPE_CHECKING:
@@ -176,7 +174,9 @@ class ForceFit(Optimum):
         low, high = force - half, force + half
         if self._bends:
             low, high = self._swept_band(pressure, contraction, level, low, high)
-        new = t * self._new_error if self.dof else np.inf
+        serial = self.linearisation.serial
+        spread = self.sigma * (1.0 if serial is None else serial.spread)
+        new = t * spread if self.dof else np.inf  # a measurement of weight 1
         wide = (force - np.hypot(force - low, new), force + np.hypot(high - force, new))
         return Prediction.of_law(force, error, (low, high), wide, level, away)
 
@@ -206,12 +206,6 @@ class ForceFit(Optimum):
         limits = self.cost + (linear.reach(level) * ratio * self.sigma) ** 2
         ends = (e.reshape(p.shape) for e in sweep.band(p.ravel(), kappa.ravel(), limits))
         return np.minimum(low, next(ends)), np.maximum(high, next(ends))
-
-    @property
-    def _new_error(self) -> float:
-        """Standard deviation of a new measurement of weight 1 [N]."""
-        serial = self.linearisation.serial
-        return self.sigma * (1.0 if serial is None else serial.spread)
 
     @verb
     def bootstrap(
@@ -263,7 +257,7 @@ class ForceFit(Optimum):
         return Bootstrap(self.free, np.array(samples), failed, ended)
 
     def lack_of_fit(self) -> LackOfFit:
-        """F-test of the law against the scatter of repeats; see :func:`branches.lack_of_fit`."""
+        """F-test of the law against the scatter of repeats; see :func:`report.lack_of_fit`."""
         return lack_of_fit(self)
 
     # ---- doubts, in words ---------------------------------------------------------------------

@@ -145,8 +145,12 @@ class HoldModel:
         z, part, nominal = start.copy(), np.ones(len(start)), self.nominal[places]
 
         def newton(z: Array) -> tuple[Array, Array]:
+            """The step (n, moved), and its length in nominal sizes."""
             residual, slopes, *_ = self.at(z, estimates)
-            return _newton(residual[:, places], slopes[:, places][:, :, places], nominal)
+            with np.errstate(all="ignore"):
+                inverse = _inverted(slopes[:, places][:, :, places])
+                step = -np.einsum("nij,nj->ni", inverse, residual[:, places])
+                return step, np.max(np.abs(step) / nominal, axis=1)
 
         step, size = newton(z)
         done = np.zeros(len(z), dtype=bool)
@@ -236,13 +240,6 @@ def _inverted(matrices: Array) -> Array:
     except np.linalg.LinAlgError:
         found = np.linalg.pinv(safe)
     return np.where(np.asarray(good)[:, None, None], found, np.nan)
-
-
-def _newton(residual: Array, slopes: Array, nominal: Array) -> tuple[Array, Array]:
-    """Newton's step (n, m), and its length in nominal sizes."""
-    with np.errstate(all="ignore"):
-        step = -np.einsum("nij,nj->ni", _inverted(slopes), residual)
-        return step, np.max(np.abs(step) / nominal, axis=1)
 
 
 ROUNDS = 30

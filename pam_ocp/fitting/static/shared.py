@@ -36,8 +36,8 @@ from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
 from .force_fit import ForceFit
 from .least_squares import ENOUGH, PLAIN, LeastSquares, Sums, Terms, projected, sizes
-from .likelihood_profile import FARTHEST, refitted, walked
 from .local_optimum import STATIONARY, Minimum, by_newton
+from .optimum import FARTHEST, refitted, walked
 from .report import floor_doubts, unseen
 from .search import Effort, minimise
 from .static import cell_weights, checked_pairs, held_coefficients, independent

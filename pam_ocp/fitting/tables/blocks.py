@@ -8,14 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError
-from ...core.units import unit
 from .cells import (
     COMMANDS,
     NAMES,
@@ -25,6 +23,7 @@ from .cells import (
     is_empty,
     is_number,
     is_unit,
+    measures,
     number,
     parse_header,
 )
@@ -37,23 +36,34 @@ _WITH_UNIT = re.compile(
 )
 
 
-def _heads(grid: Grid, row: Sequence[Any]) -> list[tuple[float, str | None, str]] | None:
-    """(number, unit, words) of each cell behind the corner; None where one is no number."""
-    found: list[tuple[float, str | None, str]] = []
+Head: TypeAlias = tuple[float, str | None, str]
+"""Number, unit and words of ``p = 2 bar``."""
+
+
+def _measured(text: str) -> Head | None:
+    """What words that end in a number with its unit say; None of others."""
+    match = _WITH_UNIT.match(text.strip())
+    if match is None or not is_unit(match["unit"]):
+        return None
+    return float(match["number"].replace(",", ".")), match["unit"], match["words"].strip()
+
+
+def _heads(grid: Grid, row: Sequence[Any]) -> list[Head] | None:
+    """What stands behind the corner of a pivot; None where a cell is no number."""
+    found: list[Head] = []
     for cell in row[1:]:
-        if is_number(cell, grid.decimal) and not isinstance(cell, bool):
-            found.append((number(cell, grid.decimal), None, ""))
-            continue
-        match = _WITH_UNIT.match(str(cell).strip())
-        if match is None or not is_unit(match["unit"]):
+        plain = is_number(cell, grid.decimal) and not isinstance(cell, bool)
+        head = (number(cell, grid.decimal), None, "") if plain else _measured(str(cell))
+        if head is None:
             return None
-        value = float(match["number"].replace(",", "."))
-        found.append((value, match["unit"], match["words"].strip()))
+        found.append(head)
     return found
 
 
-def _corner_row(grid: Grid, start: int) -> int | None:
-    """The row that holds what runs across: values that differ, behind a corner without one."""
+def _corner(grid: Grid, start: int) -> tuple[int, list[Head]] | None:
+    """The row that holds what runs across, and this: values that differ, behind a corner without
+    one.
+    """
     for place in (start, start - 1):
         if not 0 <= place < len(grid.rows) - 1 or len(grid.rows[place]) < 3:
             continue
@@ -65,32 +75,24 @@ def _corner_row(grid: Grid, start: int) -> int | None:
             continue
         below = grid.rows[place + 1 : place + 6]
         if all(r and not is_empty(r[0]) and is_number(r[0], grid.decimal) for r in below):
-            return place
+            return place, heads
     return None
 
 
-def looks_pivoted(grid: Grid, start: int) -> bool:
-    """Whether a row of numbers stands above the cells, and a column of them beside."""
-    place = _corner_row(grid, start)
-    if place is None:
-        return False
-    steps = [h[0] for h in _heads(grid, grid.rows[place]) or ()]
-    rising = all(a < b for a, b in pairwise(steps))
-    falling = all(a > b for a, b in pairwise(steps))
-    return rising or falling
-
-
-def pivoted(grid: Grid, start: int, said: Sequence[str] | None) -> RawTable:
-    """The cells of a pivot as rows of three columns said (down, across[, cells]), empty ones
-    counted.
+def pivoted(grid: Grid, start: int, said: Sequence[str] | None) -> RawTable | None:
+    """The cells of a pivot (a row of rising or falling numbers above them, a column beside) as rows
+    of three columns said (down, across[, cells]), empty ones counted; None where the grid is none.
     """
-    place = _corner_row(grid, start)
-    if place is None:
+    corner = _corner(grid, start)
+    if said is not None and corner is None:
         raise InputError(
             f"{grid.label} is no pivot: a row of values must stand above the numbers and a column "
             "of them beside; leave pivot= away"
         )
-    heads = _heads(grid, grid.rows[place]) or []
+    steps = np.diff([h[0] for h in corner[1]]) if corner else np.zeros(1)
+    if corner is None or (said is None and not (np.all(steps > 0) or np.all(steps < 0))):
+        return None
+    place, heads = corner
     down, across, cells = _quantities(grid, place, heads, said)
     columns: dict[str, list[Any]] = {down: [], across: [], cells: []}
     lines, empty = [], 0
@@ -116,7 +118,7 @@ def pivoted(grid: Grid, start: int, said: Sequence[str] | None) -> RawTable:
 
 
 def _quantities(
-    grid: Grid, place: int, heads: list[tuple[float, str | None, str]], said: Sequence[str] | None
+    grid: Grid, place: int, heads: list[Head], said: Sequence[str] | None
 ) -> tuple[str, str, str]:
     """Headers of what runs down, across, and stands in the cells."""
     if said is not None:
@@ -179,18 +181,17 @@ def _named(text: str) -> list[str]:
 
 def with_unit(text: str) -> tuple[str, float] | None:
     """(header, value) of words such as ``l = 285 mm``; None where they say no quantity."""
-    match = _WITH_UNIT.match(text.strip())
-    if match is None or not is_unit(match["unit"]):
+    head = _measured(text)
+    if head is None:
         return None
-    value = float(match["number"].replace(",", "."))
-    words = match["words"].strip()
-    header = _from_unit((value, match["unit"], words))
+    value, _, words = head
+    header = _from_unit(head)
     if words and header and _kind(words) is None:
         return None  # a title of something else
     return None if header is None else (header, value)
 
 
-def _from_unit(head: tuple[float, str | None, str]) -> str | None:
+def _from_unit(head: Head) -> str | None:
     """A header of values such as ``p = 2 bar``."""
     _, name, words = head
     assert name is not None
@@ -198,11 +199,10 @@ def _from_unit(head: tuple[float, str | None, str]) -> str | None:
         return f"{words} [{name}]"
     if name == "%":
         return "contraction [%]"
-    measured = unit(parse_header(f"x [{name}]")[1].removesuffix(" abs"))  # type: ignore[union-attr]
-    for base, kind in (("Pa", "pressure"), ("m", "length")):
-        if measured.compatible(unit(base)):
-            return f"{kind} [{name}]"
-    return None
+    said = parse_header(f"x [{name}]")[1]
+    kinds = (kind for base, kind in (("Pa", "pressure"), ("m", "length")) if measures(said, base))
+    kind = next(kinds, None)
+    return f"{kind} [{name}]" if kind else None
 
 
 _NUMBERED = re.compile(

@@ -73,8 +73,12 @@ COMMANDS = words_of(
     setpunkt"""
 )
 """Names of what was asked for."""
-_SI = {"length": "m", "contraction": "1", "pressure": "Pa", "force": "N"}
-QUANTITIES = {quantity: (si, NAMES[quantity]) for quantity, si in _SI.items()}
+SI = {
+    **{"length": "m", "contraction": "1", "pressure": "Pa", "force": "N"},
+    **{"position": "m", "angle": "rad", "velocity": "m/s", "angular velocity": "rad/s"},
+}
+"""What is measured: its unit."""
+QUANTITIES = {q: (SI[q], NAMES[q]) for q in ("length", "contraction", "pressure", "force")}
 """Quantity of a force table: (SI unit, names by which a header calls it)."""
 LABELS: dict[str, frozenset[str]] = {
     "branch": words_of(
@@ -138,15 +142,16 @@ def _absolute(name: str, said: str | None) -> tuple[str, str | None]:
     words = name.split()
     rest = " ".join(w for w in words if w not in _SAYING_ABSOLUTE)
     known = name in NAMES["absolute pressure"]
-    if not known and (rest == name or not (rest in NAMES["pressure"] or _of_pressure(said))):
+    if not known and (rest == name or not (rest in NAMES["pressure"] or measures(said, "Pa"))):
         return name, said
     said = said if (said or "").endswith(" abs") else f"{said or 'Pa'} abs"
     return "pressure" if known else rest, said
 
 
-def _of_pressure(said: str | None) -> bool:
+def measures(said: str | None, base: str) -> bool:
+    """Whether a unit is one of those of ``base``; absolute pressures are pressures."""
     try:
-        return said is not None and unit(said.removesuffix(" abs")).compatible(unit("Pa"))
+        return said is not None and unit(said.removesuffix(" abs")).compatible(unit(base))
     except (UnknownNameError, ValueError, OverflowError):
         return False
 
@@ -159,13 +164,7 @@ def is_unit(text: str) -> bool:
     """Whether a cell says a unit and nothing else: mm, [bar], (-), bar abs."""
     said = text.strip().strip("[]()").strip()
     name = spelled(said).removesuffix(" abs")
-    if name.lower() in COUNTS:
-        return True
-    try:
-        unit(name)
-    except (UnknownNameError, ValueError, OverflowError):
-        return False
-    return bool(name)
+    return name.lower() in COUNTS or (bool(name) and measures(name, name))
 
 
 def matching(names: frozenset[str], headers: Iterable[str]) -> list[str]:

@@ -49,6 +49,8 @@ LARGEST_FORCE = 1e5
 """Beyond any fluidic muscle [N]."""
 CONTRACTION_RANGE = (-0.10, 0.60)
 """10 % beyond the rest length; the braid locks at 35-40 %."""
+
+
 _SI = (
     *("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s"),
     *("V", "A"),
@@ -186,19 +188,13 @@ def read_labels(raw: RawTable, columns: Mapping[str, str]) -> dict[str, tuple[st
     for label, names in LABELS.items():
         header = raw.header(label, names, columns)
         if header is not None:
-            texts = [_text(cell) for cell in raw.columns[header]]
-            found[label] = tuple(_branches(texts) if label == "branch" else texts)
+            texts = [str("" if c is None else c).strip() for c in raw.columns[header]]
+            texts = [t[:-2] if re.fullmatch(r"-*\d+\.0", t) else t for t in texts]
+            if label == "branch":
+                signs = set(texts) <= {"1", "-1"}
+                texts = ["inflation" if signs and t == "1" else named_branch(t) for t in texts]
+            found[label] = tuple(texts)
     return found
-
-
-def _text(cell: object) -> str:
-    text = str("" if cell is None else cell).strip()
-    return text[:-2] if text.endswith(".0") and text[:-2].lstrip("-").isdigit() else text
-
-
-def _branches(texts: list[str]) -> list[str]:
-    signs = set(texts) <= {"1", "-1"}
-    return ["inflation" if signs and text == "1" else named_branch(text) for text in texts]
 
 
 class Series:

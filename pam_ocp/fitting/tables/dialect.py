@@ -25,7 +25,8 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_COLUMNS, MOST_LINE, MOST_SHEET_CELLS, require_size
-from .cells import decimal_of, is_empty, is_number, is_stamp, number, numbers_of, parted
+from .cells import decimal_of, is_empty, is_number, is_stamp, number, parted
+from .raw import Reading
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
@@ -69,16 +70,14 @@ class Grid:
     text: bool = False
     notes: tuple[str, ...] = ()
 
+    def holds(self, cell: Any) -> bool:
+        """Whether a cell is a number, or a stamp of time."""
+        return is_number(cell, self.decimal) or is_stamp(cell)
 
-def grid_of_text(
-    text: str,
-    label: str,
-    suffix: str = "",
-    skip: int = 0,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-) -> Grid:
-    """The cells of a text. skip : lines at its beginning that are left out."""
+
+def grid_of_text(text: str, label: str, suffix: str, how: Reading) -> Grid:
+    """The cells of a text; of ``how`` the lines to skip, delimiter and decimal sign count."""
+    skip, delimiter, decimal = how.skip, how.delimiter, how.decimal
     lines: list[tuple[int, str]] = []
     comments: list[str] = []
     for i, line in enumerate(text.splitlines(), start=1):
@@ -98,7 +97,11 @@ def grid_of_text(
         )
     pairs = _pairs(lines) if delimiter is None else None
     if pairs is not None:
-        return _of_pairs(*pairs, label, decimal)
+        rows, places = pairs
+        require_size(label, len(rows), max(map(len, rows)))
+        texts = [(parted(c) or (c, ""))[0] for row in rows[1:200] for c in row if c]
+        sign = decimal or decimal_of(texts)
+        return Grid(label, rows, places, sign, dialect=("lines of key = value",), text=True)
     sample = [line for _, line in lines[:1000]][-SAMPLE:]
     if delimiter is None and suffix == ".tsv" and any("\t" in line for line in sample):
         delimiter = "\t"
@@ -126,15 +129,6 @@ def grid_of_text(
         notes = (f"line {places[-1]}, the last, is cut off and left out",)
         rows, places = rows[:-1], places[:-1]
     return Grid(label, rows, places, sign, words, tuple(said), True, notes)
-
-
-def _of_pairs(
-    rows: list[Sequence[Any]], places: list[int], label: str, decimal: str | None
-) -> Grid:
-    require_size(label, len(rows), max(map(len, rows)))
-    texts = [c for row in rows[1:200] for c in row if c]
-    sign = decimal or decimal_of([(parted(c) or (c, ""))[0] for c in texts])
-    return Grid(label, rows, places, sign, dialect=("lines of key = value",), text=True)
 
 
 def _is_cut(rows: Sequence[Sequence[str]], sign: str) -> bool:
@@ -257,8 +251,8 @@ def is_lvm(text: str) -> bool:
     return text.lstrip("\ufeff \t\r\n").startswith("LabVIEW Measurement")
 
 
-def segments_of(text: str, label: str) -> dict[str, Any]:
-    """{segment: {column: numbers}}; where channels have times of their own, a part for each."""
+def segments_of(text: str, label: str) -> dict[str, Grid] | Grid:
+    """{segment: its cells}, or those of the only one."""
     lines = text.splitlines()
     ends = [i for i, line in enumerate(lines) if line.startswith(_END)]
     if not ends:
@@ -277,8 +271,7 @@ def segments_of(text: str, label: str) -> dict[str, Any]:
         )
         rows = [(end + 2 + i, one.split(cut)) for i, one in enumerate(body[:stop]) if one.strip()]
         if len(rows) > 1:
-            x = (told.get("X_Columns") or ["One"])[0]
-            found[f"segment {count}"] = _segment(rows, head, x, sign, label)
+            found[f"segment {count}"] = _segment(rows, head, sign, label)
         before = end + 1 + stop
     if not found:
         raise InputError(f"{label} is empty: no segment of it has rows of numbers")
@@ -292,56 +285,29 @@ def _told(lines: Sequence[str], cut: str) -> dict[str, list[str]]:
 
 
 def _segment(
-    rows: list[tuple[int, list[str]]], head: dict[str, list[str]], x: str, sign: str, label: str
-) -> dict[str, Any]:
-    names = [cell.strip() for cell in rows[0][1]]
-    units, several = head.get("Y_Unit_Label") or [], names.count("X_Value") > 1
-    parts: dict[int, dict[str, Any]] = {}
-    clock, times, channel = -1, list[float](), 0
-    for i, name in enumerate(names):
-        if name in ("Comment", ""):
-            continue
-        cells = [(line, row[i].strip() if i < len(row) else "") for line, row in rows[1:]]
-        values = _numbers(cells, name, sign, label)
-        if name == "X_Value":
-            clock, times = i, values
-            continue
-        untimed = x == "No" or all(v != v for v in times)
-        own = _waveform(head, channel, len(values)) if untimed else times
-        if several:  # shorter channels end before the others
-            kept = [k for k, v in enumerate(values) if v == v]
-            own, values = [own[k] for k in kept], [values[k] for k in kept]
-        said = units[channel] if channel < len(units) else ""
-        part = parts.setdefault(clock, {"time [s]": own} if own else {})
-        part[f"{name} [{said}]" if said else name] = values
-        channel += 1
-    if len(parts) == 1:
-        return next(iter(parts.values()))
-    return {", ".join(n for n in part if n != "time [s]"): part for part in parts.values()}
-
-
-def _waveform(head: dict[str, list[str]], channel: int, count: int) -> list[float]:
-    """Times from X0 and Delta_X; none where these are not said."""
-    zero, step = (
-        [number(c.replace(",", ".")) for c in head.get(key) or [] if not is_empty(c)]
-        for key in ("X0", "Delta_X")
-    )
-    if not step:
-        return []
-    at = min(channel, len(step) - 1)
-    start = zero[min(channel, len(zero) - 1)] if zero else 0.0
-    return [start + step[at] * i for i in range(count)]
-
-
-def _numbers(cells: Sequence[tuple[int, str]], name: str, sign: str, label: str) -> list[float]:
-    found, bad = numbers_of([cell for _, cell in cells], sign)
-    if bad is not None:
-        line, cell = cells[bad]
-        raise InputError(
-            f"{label}: line {line}, column {name!r} holds {cell[:40]!r}, which is no number with "
-            f"the decimal sign {sign!r} that the file names; mend the line"
+    rows: list[tuple[int, list[str]]], head: dict[str, list[str]], sign: str, label: str
+) -> Grid:
+    """Names with their units above their cells; times by X0 and Delta_X where no column has any."""
+    names, units = [cell.strip() for cell in rows[0][1]], iter(head.get("Y_Unit_Label") or [])
+    kept = [i for i, name in enumerate(names) if name not in ("Comment", "")]
+    cells: list[list[Any]] = [
+        [row[i].strip() if i < len(row) else "" for i in kept] for _, row in rows[1:]
+    ]
+    titles = []
+    for name in (names[i] for i in kept):
+        said = "s" if name == "X_Value" else next(units, "")
+        titles.append(f"{name} [{said}]" if said else name)
+    clock = int(titles[:1] == ["X_Value [s]"])
+    if not clock or not any(row[0] for row in cells):
+        zero, step = (
+            [number(c.replace(",", ".")) for c in head.get(key) or [] if not is_empty(c)]
+            for key in ("X0", "Delta_X")
         )
-    return list(found.tolist())
+        start = zero[0] if zero else 0.0
+        times = [[start + step[0] * i] if step else [] for i in range(len(cells))]
+        titles = [*(["X_Value [s]"] if step else []), *titles[clock:]]
+        cells = [[*time, *row[clock:]] for time, row in zip(times, cells, strict=True)]
+    return Grid(label, [titles, *cells], [line for line, _ in rows], sign)
 
 
 _STARTS = re.compile(
@@ -407,10 +373,6 @@ class _Tables(HTMLParser):
             across = told.get("colspan") or str(1 + _whole(told.get("ss:mergeacross"), 0))
             down = told.get("rowspan") or str(1 + _whole(told.get("ss:mergedown"), 0))
             self.cell, self.span = [], (_whole(across, 1), _whole(down, 1))
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        self.handle_endtag(tag)
 
     def handle_endtag(self, tag: str) -> None:
         if tag in ("style", "script"):

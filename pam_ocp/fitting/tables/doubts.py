@@ -19,7 +19,7 @@ from ...core.quantities import FORCE_PER_PRESSURE, MEASURED, inside_by
 from ...core.units import unit
 from ...core.variables import Variable
 from .cells import MEASURED as SAID_MEASURED
-from .cells import NAMES, PLACES, is_empty, is_number, number, numbers_of
+from .cells import NAMES, PLACES, SI, is_empty, is_number, number, numbers_of
 from .raw import Doubt, RawTable
 
 Array: TypeAlias = NDArray[np.float64]
@@ -43,16 +43,6 @@ OUTSIDE = 0.2
 """Of a variable's range: what is measured may lie so far beyond it."""
 DECLARED = 10.0
 """A file that names the unit may hold values so much smaller than usual ones."""
-SI = {
-    "pressure": "Pa",
-    "force": "N",
-    "contraction": "1",
-    "length": "m",
-    "position": "m",
-    "angle": "rad",
-    "velocity": "m/s",
-    "angular velocity": "rad/s",
-}
 
 
 @dataclass(frozen=True)

@@ -184,18 +184,14 @@ class ForceTable:
                 "the zero of the load cell could be read; give it as a calibration, "
                 "units={'force': 'N - 5 N'}"
             )
+        parts = part_names(self.branch, self.file, len(self))
         return replace(
             self,
-            force=self.force - fresh._zeros(found),
+            force=self.force - [found.by.get(n, found.value) for n in parts],
             floor=replace(found, value=0.0, limit=DETECTED * found.scatter, by={}),
             censored=slack,
             notes=(*self.notes, f"{found}; as the zero of the load cell taken off all forces"),
         )
-
-    def _zeros(self, floor: Floor) -> Array:
-        """The floor of each cell, (n,) [N]."""
-        names = part_names(self.branch, self.file, len(self))
-        return np.array([floor.by.get(name, floor.value) for name in names])
 
     @property
     def taut(self) -> ForceTable:
@@ -355,6 +351,7 @@ def read_table(
     return whole
 
 
+@with_kinds
 @dataclass(frozen=True)
 class TableArguments(Reading):
     """What the user says of a force table; see :func:`read_table`."""
@@ -368,7 +365,11 @@ class TableArguments(Reading):
         if self.rest_length is not None:
             length = require_positive("rest_length", self.rest_length, "m")
             object.__setattr__(self, "rest_length", length)
-        object.__setattr__(self, "floor", _floor_said(self.floor))
+        if self.floor == "none":
+            object.__setattr__(self, "floor", None)
+        elif self.floor is not None and self.floor not in ("found", "zero"):
+            floor = quantity("floor", self.floor, "N")
+            object.__setattr__(self, "floor", require_positive("floor", floor, "N", zero=True))
 
 
 def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:
@@ -422,13 +423,6 @@ def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = Non
         )
         raise InputError(f"{raw.label}: all {len(table)} cells are slack ({sign})")
     return table
-
-
-def _floor_said(floor: Any) -> float | str | None:
-    """None, "found", "zero", or newtons."""
-    if floor is None or (isinstance(floor, str) and floor in ("found", "zero", "none")):
-        return None if floor == "none" else floor
-    return require_positive("floor", quantity("floor", floor, "N"), "N", zero=True)
 
 
 def _floor_notes(table: ForceTable) -> tuple[str, ...]:

@@ -13,10 +13,10 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
-from .blocks import looks_pivoted, periods, pivoted, side_by_side, stacked
-from .cells import is_empty, is_number, is_stamp, is_unit, parted, without_units
+from .blocks import periods, pivoted, side_by_side, stacked
+from .cells import is_empty, is_number, is_unit, parted, without_units
 from .dialect import Grid, Unsaid, nothing_in
-from .raw import RawTable
+from .raw import RawTable, Reading
 
 LOOKED_AT = 400
 """Rows at the end of a grid whose cells say what its columns hold."""
@@ -28,52 +28,48 @@ CUT_OFF = 10
 """Rows from which on a last line that is too short was cut off, as by a logger without power."""
 
 
-def tabulated(
-    grid: Grid,
-    names: Sequence[str | None] | None = None,
-    pivot: Sequence[str] | None = None,
-    pick: Any = None,
-    drop: bool = False,
-) -> RawTable:
-    """Columns of a grid. names : of the columns, from the left; None or "" leaves one out. pivot :
-    what runs down, across, and stands in the cells. pick : which of several blocks side by side.
-    drop : lines that are no rows are left out, and counted.
-    """
+def tabulated(grid: Grid, how: Reading) -> RawTable:
+    """Columns of a grid; of ``how`` the names, pivot, pick and bad_lines count."""
+    names, drop = how.names, how.bad_lines == "drop"
     grid = _upright(_trimmed(grid))
     grid, in_cells = _bare(grid, names)
     numeric = _numeric(grid, drop)
     start = _start(grid, numeric)
     head = start - 1
-    if pivot is not None or (names is None and looks_pivoted(grid, start)):
-        return pivoted(grid, start, pivot)
+    table = pivoted(grid, start, how.pivot) if how.pivot is not None or names is None else None
+    if table is not None:
+        return table
     stated: Sequence[Any] = ()
-    if head >= 1 and (_is_units(grid, head) or _is_mostly_units(grid, head, numeric)):
+    if head >= 1 and _is_units(grid, head):
         stated, head = grid.rows[head], head - 1
     elif head >= 1 and _is_units(grid, head - 1) and _is_head(grid, head, numeric):
         stated = grid.rows[head - 1]  # above the names
-    if names is None and 0 <= head < start:
+    named = names is None and head >= 0
+    if named:
         grid = stacked(grid, head, start)
         numeric = _numeric(grid, drop)
     width = len(numeric)
     found = _names(grid, head, numeric, names, stated)
     require_size(grid.label, len(grid.rows), width)
-    parts = periods(found) if names is None and 0 <= head < start else []
+    parts = periods(found) if named else []
     if parts:
-        return side_by_side(grid, parts, head, pick, lambda g: tabulated(g, drop=drop))
-    if names is None and 0 <= head < start:
+        block = Reading(bad_lines=how.bad_lines)
+        return side_by_side(grid, parts, head, how.pick, lambda g: tabulated(g, block))
+    if named:
         found = _grouped(grid, head, found)
     heads = [grid.rows[i] for i in range(max(head, 0), start)]
     body, lines, notes = _body(grid, start, found, heads, numeric if drop else None)
     kept = [i for i, name in enumerate(found) if name]
     labels = [found[i] for i in kept]
     require_distinct(labels, grid.label)
-    units = {**_stated(found, stated), **{found[i]: u for i, u in in_cells.items() if found[i]}}
-    named = (head if names is None and head >= 0 else start) if start else 0
-    said = [*grid.dialect]
-    said += [f"names in line {grid.lines[head]}"] if names is None and 0 <= head < start else []
+    told = ((n, str(c)) for n, c in zip(found, stated, strict=False) if not is_empty(c))
+    units = {n: text.strip(" []()") for n, text in told if is_unit(text)}
+    units |= {found[i]: u for i, u in in_cells.items()}
+    titles = head if named else start
+    said = [*grid.dialect, *([f"names in line {grid.lines[head]}"] if named else [])]
     said += [f"units in line {grid.lines[start - 1]}"] if len(stated) else []
     said += ["units in the cells"] if in_cells else []
-    said += [f"{named} title rows"] if named else []
+    said += [f"{titles} title rows"] if titles else []
     return RawTable(
         grid.label,
         {name: [row[i] for row in body] for i, name in zip(kept, labels, strict=True)},
@@ -83,12 +79,6 @@ def tabulated(
         dialect=tuple(said),
         notes=(*grid.notes, *notes),
     )
-
-
-def _stated(names: Sequence[str], stated: Sequence[Any]) -> dict[str, str]:
-    """{name: unit} of a row of units."""
-    pairs = ((n, str(c)) for n, c in zip(names, stated, strict=False) if n and not is_empty(c))
-    return {name: text.strip(" []()") for name, text in pairs if is_unit(text)}
 
 
 def has_table(grid: Grid) -> bool:
@@ -129,7 +119,7 @@ def _upright(grid: Grid) -> Grid:
         return grid
     for row in rows:
         rest = [c for c in row[2:] if not is_empty(c)]
-        numbers = sum(is_number(c, grid.decimal) or is_stamp(c) for c in rest)
+        numbers = sum(map(grid.holds, rest))
         if is_empty(row[0]) or is_number(row[0], grid.decimal) or numbers < len(rest) or not rest:
             return grid
     turned: list[Sequence[Any]] = [
@@ -170,7 +160,7 @@ def _numeric(grid: Grid, drop: bool = False) -> list[bool]:
     found = []
     for i in range(width if drop else max(width, max(map(len, lower)))):
         cells = [row[i] for row in lower if i < len(row) and not is_empty(row[i])]
-        fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
+        fitting = sum(map(grid.holds, cells))
         found.append(bool(cells) and fitting >= 0.6 * len(cells))
     return found
 
@@ -182,45 +172,16 @@ def _start(grid: Grid, numeric: Sequence[bool]) -> int:
         raise nothing_in(grid.label, " of numbers")
     for start, row in enumerate(grid.rows):
         cells = [row[i] for i in columns if i < len(row) and not is_empty(row[i])]
-        fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
+        fitting = sum(map(grid.holds, cells))
         whole = fitting == len(cells) and fitting >= min(2, len(columns))
         if whole or fitting > len(columns) / 2:
-            return start + _properties(grid, start, columns)
+            return start
     raise nothing_in(grid.label, " of numbers")
-
-
-def _properties(grid: Grid, start: int, columns: Sequence[int]) -> int:
-    """Rows of properties (``t0``, ``delta t``) above the names, though they hold numbers."""
-    if columns[0] != 0:
-        return 0
-    for i, row in enumerate(grid.rows[start : start + 12]):
-        cells = [c for c in row if not is_empty(c)]
-        worded = bool(cells) and not is_number(cells[0], grid.decimal) and not is_stamp(cells[0])
-        if not worded:
-            return 0
-        if len(cells) >= len(columns) and not any(
-            is_number(c, grid.decimal) or is_stamp(c) for c in cells
-        ):
-            return i + 1 if start + i + 1 < len(grid.rows) else 0
-    return 0
 
 
 def _is_units(grid: Grid, row: int) -> bool:
     cells = [str(c) for c in grid.rows[row] if not is_empty(c) or c == "-"]
     return bool(cells) and all(map(is_unit, cells)) and any(c not in ("-", "1") for c in cells)
-
-
-def _is_mostly_units(grid: Grid, row: int, numeric: Sequence[bool]) -> bool:
-    """Whether a row below one of names holds units beside words: ``s, bar, N, text``."""
-    cells = [str(c) for c, n in zip(grid.rows[row], numeric, strict=False) if n and not is_empty(c)]
-    units = sum(map(is_unit, cells))
-    above = [str(c).strip() for c in grid.rows[row - 1] if not is_empty(c)]
-    return (
-        units >= 2
-        and units >= 0.6 * len(cells)
-        and _is_head(grid, row - 1, numeric)
-        and not all(map(is_unit, above))
-    )
 
 
 # ---- names ---------------------------------------------------------------------------------------
@@ -328,7 +289,7 @@ def _body(
     rows, lines, notes = _without_heads(grid.rows[start:], grid.lines[start:], heads)
     width = len(names)
     end = len(rows)
-    while end > 1 and not any(is_number(c, grid.decimal) or is_stamp(c) for c in rows[end - 1]):
+    while end > 1 and not any(map(grid.holds, rows[end - 1])):
         end -= 1
     if end < len(rows):
         notes.append(f"{len(rows) - end} rows of words below the numbers left out")
@@ -383,7 +344,7 @@ def _fits(grid: Grid, row: Sequence[Any], numeric: Sequence[bool]) -> bool:
     """Whether columns of numbers hold numbers or nothing in this row, and not nothing in all."""
     cells = [c for c, n in zip(row, numeric, strict=False) if n]
     filled = [c for c in cells if not is_empty(c)]
-    return bool(filled) and all(is_number(c, grid.decimal) or is_stamp(c) for c in filled)
+    return bool(filled) and all(map(grid.holds, filled))
 
 
 def require_distinct(names: Sequence[str], label: str) -> None:

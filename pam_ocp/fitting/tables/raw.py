@@ -291,7 +291,6 @@ def require_ambient(pressure: Any) -> float:
 
 
 # ---- constants -----------------------------------------------------------------------------------
-MEASURES = {quantity: si for quantity, (si, _) in QUANTITIES.items()}
 _FIELD = re.compile(r"\{([^{}]+)\}")
 _NUMBER = r"[+-]?\d+(?:[.,p]\d+)?"
 
@@ -310,7 +309,7 @@ def checked_constants(given: Any) -> dict[str, Any]:
         if plain in (*LABELS, "muscle"):
             made[plain] = str(value)
             continue
-        measured = MEASURES.get(plain)
+        measured = QUANTITIES[plain][0] if plain in QUANTITIES else None
         if isinstance(value, str):
             match = re.match(rf"\s*({_NUMBER}|[+-]?[\d.]+[eE][+-]?\d+)\s*(\S.*)$", value)
             if match and is_unit(match[2]) and measured is None and said is None:
@@ -375,7 +374,7 @@ def labels_of(name: str | None, pattern: str | None) -> dict[str, Any]:
                 raise InputError(
                     f"{name}: {text!r} stands where pattern = {form!r} has {header!r}, a number"
                 )
-            if plain in MEASURES and said is None:
+            if plain in QUANTITIES and said is None:
                 raise InputError(
                     f"pattern = {form!r}: say the unit of {plain}, as '{{{plain} [%]}}' or "
                     f"'{{{plain} [mm]}}'"
@@ -388,7 +387,7 @@ def labels_of(name: str | None, pattern: str | None) -> dict[str, Any]:
 
 def _is_number(header: str) -> bool:
     plain, said = parse_header(header)
-    return said is not None or plain in MEASURES
+    return said is not None or plain in QUANTITIES
 
 
 def _expression(form: str) -> str:
@@ -416,7 +415,9 @@ def with_constants(raw: RawTable, constants: Mapping[str, Any]) -> RawTable:
             )
         said = parse_header(header)[1]
         if said is not None and spelled(said).lower() not in COUNTS and not is_unit(said):
-            raise UnknownNameError(f"unit of constant {header!r}", said, MEASURES.values())
+            raise UnknownNameError(
+                f"unit of constant {header!r}", said, [si for si, _ in QUANTITIES.values()]
+            )
     words = ", ".join(f"{n} = {v}" for n, v in constants.items())
     columns = {n: [v] * len(raw) for n, v in constants.items()}
     return replace(

@@ -16,7 +16,7 @@ from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
-from .cells import parse_header
+from .cells import measures, parse_header
 from .clock import (
     clock_words,
     doubts_of_clock,
@@ -289,7 +289,7 @@ def _clock_of(raw: RawTable, words: RecordArguments) -> tuple[RawTable, str]:
     raw, header = find_clock(raw, words.time)
     if header is not None:
         return raw, header
-    timed = [h for h in raw.columns if _is_time(raw.unit(h))]
+    timed = [h for h in raw.columns if measures(raw.unit(h), "s")]
     step = words.sample_time
     if not isinstance(step, float) or timed:
         shown = f"time={timed[0]!r}" if timed else "time=..."
@@ -328,13 +328,6 @@ def _in_known_units(raw: RawTable, words: RecordArguments, clock: str) -> RawTab
     )
     kept = {h: c for h, c in raw.columns.items() if h not in lost}
     return replace(raw, columns=kept, notes=(*raw.notes, note))
-
-
-def _is_time(said: str | None) -> bool:
-    try:
-        return said is not None and unit(said).compatible(unit("s"))
-    except (UnknownNameError, ValueError, OverflowError):
-        return False
 
 
 def _column(

@@ -35,6 +35,7 @@ from ...core.foreign import (
     read_hdf5,
     read_mat,
     read_sheets,
+    sheets_named,
 )
 from ...core.recorders import is_bag, read_bag, read_calamine, read_mcap, read_tdms
 from .cells import (
@@ -143,7 +144,7 @@ def _from_frame(frame: Any, label: str) -> RawTable:
     names = [_column_name(c) for c in frame.columns]
     require_distinct(names, label)
     columns = {n: _cells(frame.iloc[:, i]) for i, n in enumerate(names)}
-    return _bare(RawTable(label, {**_index(getattr(frame, "index", None), names), **columns}))
+    return _bare(RawTable(label, {**_index(frame.index, names), **columns}))
 
 
 def _column_name(name: Any) -> str:
@@ -158,26 +159,19 @@ def _column_name(name: Any) -> str:
 
 def _cells(column: Any) -> list[Any]:
     """Cells of a column; durations in seconds."""
-    if getattr(column.dtype, "kind", "") == "m":
-        return list(column.dt.total_seconds())
-    return list(column.tolist())
+    return list((column.dt.total_seconds() if column.dtype.kind == "m" else column).tolist())
 
 
 def _index(index: Any, names: Sequence[str]) -> dict[str, list[Any]]:
     """The index of a DataFrame as columns, where it is more than the numbers of the rows."""
-    if index is None or not hasattr(index, "names"):
-        return {}
     found = {}
     for level, name in enumerate(index.names):
-        values = index.get_level_values(level)
-        kind = getattr(values.dtype, "kind", "M" if hasattr(values, "tz") else "")
-        clock = kind in "mM" or hasattr(values, "tz")
-        header = str(name) if name is not None else "time" if clock else "index"
-        if (name is None and kind not in "mMf" and not clock) or header in names:
+        column = index.get_level_values(level).to_series()
+        kind = column.dtype.kind
+        header = str(name) if name is not None else "time" if kind in "mM" else "index"
+        if (name is None and kind not in "mMf") or header in names:
             continue
-        if kind == "m":
-            header = header if "[" in header else f"{header} [s]"
-        found[header] = list(values.total_seconds()) if kind == "m" else values.tolist()
+        found[f"{header} [s]" if kind == "m" and "[" not in header else header] = _cells(column)
     return found
 
 
@@ -205,7 +199,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
     notes = left_out(tree, label, found) if how.pick is None else ()
     if isinstance(found, Grid):
         grid = replace(found, rows=found.rows[how.skip :], lines=found.lines[how.skip :])
-        raw = _table_of(grid, how)
+        raw = tabulated(grid, how)
         return replace(raw, dialect=(*said, *raw.dialect))
     names = list(found)
     if how.names is not None:
@@ -312,12 +306,10 @@ def _from_text(text: str, label: str, suffix: str, how: Reading) -> RawTable:
             if isinstance(error, InputError):
                 raise
     if is_markup(text):
-        return _of_sheets(tables_of(text), label, how)
-    return _table_of(grid_of_text(text, label, suffix, how.skip, how.delimiter, how.decimal), how)
-
-
-def _table_of(grid: Grid, how: Reading) -> RawTable:
-    return tabulated(grid, how.names, how.pivot, how.pick, how.bad_lines == "drop")
+        tables = tables_of(text)
+        chosen = sheets_named(label, list(tables), how.sheet) if len(tables) > 1 else tables
+        return _of_sheets({n: tables[n] for n in chosen}, label, how)
+    return tabulated(grid_of_text(text, label, suffix, how), how)
 
 
 def _unpacked(path: Path, how: Reading) -> RawTable:
@@ -367,15 +359,7 @@ def _read_calamine(path: Path, how: Reading) -> RawTable:
 
 
 def _of_sheets(sheets: Mapping[str, Sequence[Any]], label: str, how: Reading) -> RawTable:
-    """The sheet that is named, or the only one with a table."""
-    if how.sheet is not None and len(sheets) > 1:
-        names = list(sheets)
-        if isinstance(how.sheet, int) and 1 <= how.sheet <= len(names):
-            sheets = {names[how.sheet - 1]: sheets[names[how.sheet - 1]]}
-        elif how.sheet in sheets:
-            sheets = {str(how.sheet): sheets[str(how.sheet)]}
-        else:
-            raise UnknownNameError(f"sheet of {label}", str(how.sheet), names)
+    """The only sheet with a table."""
     grids = {}
     for name, rows in sheets.items():
         numbered = [(i, row) for i, row in enumerate(rows, start=1) if i > how.skip]
@@ -395,7 +379,7 @@ def _of_sheets(sheets: Mapping[str, Sequence[Any]], label: str, how: Reading) ->
         )
     if not found:
         raise nothing_in(label)
-    return _table_of((tables or filled)[found[0]], how)
+    return tabulated((tables or filled)[found[0]], how)
 
 
 def _promise(grid: Grid) -> int:

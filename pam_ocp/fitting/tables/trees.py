@@ -8,7 +8,7 @@ captures of dSPACE, channels in JSON) are rewritten as columns before tables are
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,6 @@ from .raw import RawTable
 Found = Mapping[str, Sequence[Any]] | Grid
 """Columns by name, or cells that a layout must be found in."""
 TIME_OF = {*TIME_NAMES, *(f"{name} [s]" for name in TIME_NAMES)}
-GENERIC = frozenset({"v", "value", "values", "data", "samples", "y", "messages", "signal"})
-"""Names that say nothing of what was measured."""
 MOST_LEVELS = 20
 MOST_TABLES = 2000
 
@@ -38,52 +36,29 @@ def chosen_table(
     own.
     """
     _require_few(label, list(_arrays(tree, 0)))
-    tables = _renamed(dict(_tables(rewritten(tree), "", label, 0)))
-    wanted = [pick] if isinstance(pick, str) else list(pick or ())
+    tables = dict(_tables(rewritten(tree), "", label, 0))
+    wanted = [n.strip() for n in ([pick] if isinstance(pick, str) else pick or ())]
     for name in wanted:
-        if name.strip() not in tables:
+        if name not in tables:
             raise UnknownNameError(f"table of {label}", name, tables)
-    if len(wanted) == 1:
-        return tables[wanted[0].strip()], _which(wanted[0].strip())
-    if wanted:
-        several = {n.strip(): tables[n.strip()] for n in wanted}
-        if not clocked(several):
-            raise InputError(
-                f"pick = {wanted!r}: to put tables on one clock each needs a time of its own, and "
-                "columns of other names; choose one"
-            )
-        return merged(several, label), ()  # type: ignore[arg-type]
     if not tables:
         raise InputError(
             f"{label} holds no table: it needs columns of one length, or a matrix of numbers"
         )
-    whole = [n for n in tables if n == ""]
-    top = whole or list(tables)
-    if clocked({n: tables[n] for n in top}):
-        return merged({n: tables[n] for n in top}, label), ()  # type: ignore[misc]
-    if len(top) > 1:
-        shown = ", ".join(f"{n!r} ({_size(tables[n])})" for n in top[:8])
-        more = f" and {len(top) - 8} more" if len(top) > 8 else ""
-        raise Unsaid(
-            f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
+    top = wanted or ([""] if "" in tables else list(tables))
+    if len(top) == 1:
+        return tables[top[0]], (f"table {top[0]!r}",) if top[0] else ()
+    several = {n: tables[n] for n in top}
+    if clocked(several):
+        return merged(several, label), ()  # type: ignore[arg-type]
+    if wanted:
+        raise InputError(
+            f"pick = {wanted!r}: to put tables on one clock each needs a time of its own, and "
+            "columns of other names; choose one"
         )
-    return tables[top[0]], _which(top[0])
-
-
-def _renamed(tables: dict[str, Found]) -> dict[str, Found]:
-    """Tables of a time and one value each, which is called by its place: ``sensors.p.samples``."""
-    if len(tables) < 2 or not all(
-        isinstance(t, Mapping) and len(t) == 2 and sum(n in TIME_OF for n in map(plain, t)) == 1
-        for t in tables.values()
-    ):
-        return tables
-    made: dict[str, Found] = {}
-    for name, table in tables.items():
-        assert isinstance(table, Mapping)
-        parts = [p for p in name.split(".") if p.lower() not in GENERIC]
-        columns = {parts[-1] if plain(n) in GENERIC and parts else n: c for n, c in table.items()}
-        made[name] = columns if len(columns) == 2 else table
-    return made
+    shown = ", ".join(f"{n!r} ({_size(tables[n])})" for n in top[:8])
+    more = f" and {len(top) - 8} more" if len(top) > 8 else ""
+    raise Unsaid(f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}")
 
 
 def left_out(tree: Any, label: str, found: Found | RawTable) -> tuple[str, ...]:
@@ -127,10 +102,6 @@ def _arrays(tree: Any, level: int) -> Iterator[NDArray[Any]]:
         yield from (a for i in inner if isinstance(i, nested) for a in _arrays(i, level + 1))
 
 
-def _which(taken: str) -> tuple[str, ...]:
-    return (f"table {taken!r}",) if taken else ()
-
-
 def _size(table: Found) -> str:
     if isinstance(table, Grid):
         return f"{len(table.rows)} x {max(map(len, table.rows), default=0)}"
@@ -141,10 +112,12 @@ def _tables(tree: Any, name: str, label: str, level: int) -> Iterator[tuple[str,
     """(name, table) of all that are in a tree, by depth."""
     if level > MOST_LEVELS:
         return
-    if isinstance(tree, Mapping):
+    if isinstance(tree, Grid):
+        yield name, tree
+    elif isinstance(tree, Mapping):
         yield from _of_mapping(tree, name, label, level)
-    elif isinstance(tree, np.ndarray) and tree.dtype == object:
-        yield from _of_cells(tree, name, label, level)
+    elif isinstance(tree, list | tuple) or (isinstance(tree, np.ndarray) and tree.dtype == object):
+        yield from _of_several(tree, name, label, level)
     elif isinstance(tree, np.ndarray) and tree.dtype.names:
         fields = {n: tree[n].ravel().tolist() for n in tree.dtype.names}
         yield from _tables(fields, name, label, level + 1)
@@ -152,8 +125,6 @@ def _tables(tree: Any, name: str, label: str, level: int) -> Iterator[tuple[str,
         matrix = _matrix(tree)
         if matrix is not None and min(matrix.shape) >= 2:
             yield name, _grid(matrix.tolist(), label)
-    elif isinstance(tree, list | tuple):
-        yield from _of_list(tree, name, label, level)
 
 
 def _of_mapping(
@@ -217,9 +188,8 @@ def _headed(tree: Mapping[str, Any]) -> list[list[Any]] | None:
         if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "biuf":
             matrices.append(value.tolist())
         elif isinstance(value, list) and value and all(isinstance(r, list) for r in value):
-            rows = [[_plain(c) for c in row] for row in value]
-            if all(c is not _NESTED for r in rows for c in r):
-                matrices.append(rows)
+            rows = _rows(value)
+            matrices += [rows] if rows is not None else []
     texts = [v for v in map(_vector, tree.values()) if v and len(v) > 1 and _is_text(v)]
     if len(matrices) != 1:
         return None
@@ -236,17 +206,28 @@ def _vector(value: Any) -> list[Any] | None:
     if isinstance(value, np.ndarray):
         if value.dtype.names or value.ndim == 0 or max(value.shape, default=0) != value.size:
             return None
-        if value.dtype == object:
-            cells = [_plain(v) for v in value.ravel()]
-            return cells if all(c is not _NESTED for c in cells) else None
-        return list(value.ravel().tolist())
-    if isinstance(value, list | tuple):
-        cells = [_plain(v) for v in value]
-        return cells if all(c is not _NESTED for c in cells) else None
-    return None
+        return _row(value.ravel()) if value.dtype == object else list(value.ravel().tolist())
+    return _row(value) if isinstance(value, list | tuple) else None
 
 
 _NESTED = object()
+
+
+def _row(values: Iterable[Any]) -> list[Any] | None:
+    """Plain values; None where one holds more."""
+    cells = [_plain(v) for v in values]
+    return None if any(c is _NESTED for c in cells) else cells
+
+
+def _rows(values: Iterable[Iterable[Any]]) -> list[list[Any]] | None:
+    """Rows of plain values; None where one holds more."""
+    rows = []
+    for one in values:
+        row = _row(one)
+        if row is None:
+            return None
+        rows.append(row)
+    return rows
 
 
 def _plain(value: Any) -> Any:
@@ -272,38 +253,30 @@ def _grid(rows: list[Any], label: str) -> Grid:
     return Grid(label, rows, list(range(1, len(rows) + 1)), decimal_of(texts))
 
 
-def _of_cells(
-    tree: np.ndarray[Any, Any], name: str, label: str, level: int
+def _of_several(
+    tree: Sequence[Any] | np.ndarray[Any, Any], name: str, label: str, level: int
 ) -> Iterator[tuple[str, Found]]:
-    """Cells of MATLAB: rows of names and numbers, or tables within."""
-    plain = [[_plain(v) for v in row] for row in tree.reshape(tree.shape[0], -1)]
-    if tree.ndim == 2 and min(tree.shape) >= 2 and all(c is not _NESTED for r in plain for c in r):
-        yield name, _grid(plain, label)
-        return
-    for number, value in enumerate(tree.ravel(order="F"), start=1):
-        if number > MOST_TABLES:
-            break
-        yield from _tables(value, f"{name}[{number}]", label, level + 1)
-
-
-def _of_list(tree: Sequence[Any], name: str, label: str, level: int) -> Iterator[tuple[str, Found]]:
     """Records (mappings of plain values), rows of cells, or tables within."""
+    inside: Sequence[Any] | np.ndarray[Any, Any] = tree
+    if isinstance(tree, np.ndarray):
+        rowed, inside = tree.ndim == 2, tree.ravel(order="F")
+    else:
+        rowed = all(isinstance(r, list | tuple) for r in tree)
     if len(tree) > 1 and all(isinstance(r, Mapping) for r in tree):
         keys = list(dict.fromkeys(str(k) for r in tree for k in r))
         flat = [{str(k): _plain(v) for k, v in r.items()} for r in tree]
-        cells = [v for r in flat for v in r.values()]
-        nested = any(v is _NESTED for v in cells)
-        if len(keys) >= 2 and not nested and any(isinstance(v, int | float) for v in cells):
+        values = [v for r in flat for v in r.values()]
+        nested = any(v is _NESTED for v in values)
+        if len(keys) >= 2 and not nested and any(isinstance(v, int | float) for v in values):
             yield name, {k: [r.get(k) for r in flat] for k in keys}
             return
-    elif len(tree) > 1 and all(isinstance(r, list | tuple) for r in tree):
-        rows_ = [[_plain(c) for c in row] for row in tree]
-        if all(c is not _NESTED for row in rows_ for c in row) and max(map(len, rows_)) >= 2:
-            yield name, _grid(rows_, label)
+    elif len(tree) > 1 and rowed:
+        rows = _rows(tree)
+        if rows is not None and max(map(len, rows)) >= 2:
+            yield name, _grid(rows, label)
             return
-    for number, value in enumerate(tree[:MOST_TABLES], start=1):
-        if isinstance(value, Mapping | list | tuple | np.ndarray):
-            yield from _tables(value, f"{name}[{number}]", label, level + 1)
+    for number, value in enumerate(inside[:MOST_TABLES], start=1):
+        yield from _tables(value, f"{name}[{number}]", label, level + 1)
 
 
 # ---- signals with their names and units beside them ----------------------------------------------
@@ -375,7 +348,6 @@ def _of_record(record: Mapping[Any, Any]) -> dict[str, Any]:
 
 def _rewritten_mapping(tree: Mapping[Any, Any], level: int) -> dict[str, Any]:
     made: dict[str, Any] = {}
-    tree = _with_units(tree)
     for key, value in tree.items():
         named = _signal_columns(value, str(key)) if isinstance(value, Mapping) else {}
         if not named and isinstance(value, list | tuple):
@@ -388,20 +360,6 @@ def _rewritten_mapping(tree: Mapping[Any, Any], level: int) -> dict[str, Any]:
         else:
             made[str(key)] = rewritten(value, level + 1, str(key))
     return made
-
-
-def _with_units(tree: Mapping[Any, Any]) -> Mapping[Any, Any]:
-    """Names with the units that a mapping beside them states: ``{"units": {"p": "bar"}, ...}``."""
-    at = next((k for k in tree if str(k).lower() in ("units", "unit", "einheiten")), None)
-    if at is None or not isinstance(tree[at], Mapping):
-        return tree
-    units = {k: t for k, v in tree[at].items() if (t := _text(v))}
-
-    def named(one: Mapping[Any, Any]) -> dict[Any, Any]:
-        return {f"{k} [{units[k]}]" if k in units else k: v for k, v in one.items()}
-
-    made = named({k: v for k, v in tree.items() if k != at})
-    return {k: named(v) if isinstance(v, Mapping) else v for k, v in made.items()}
 
 
 def _channels(several: Sequence[Any]) -> dict[str, list[Any]]:

@@ -140,8 +140,7 @@ class FitStep(Step):
 
     @classmethod
     def work(cls, job: Job) -> Made:
-        from ...fitting.static.ranking import compare_laws
-        from ...fitting.static.static import fit_force
+        from ...fitting.static.static import compare_laws, fit_force
         from ...muscles.muscle_file import save_muscle
 
         measured, law = job.parts["table"], job.get("law", "six-parameter")
