@@ -40,7 +40,7 @@ def tabulated(grid: Grid, how: Reading) -> RawTable:
     if table is not None:
         return table
     stated: Sequence[Any] = ()
-    if head >= 1 and _is_units(grid, head):
+    if head >= 1 and (_is_units(grid, head) or _is_mostly_units(grid, head, numeric)):
         stated, head = grid.rows[head], head - 1
     elif head >= 1 and _is_units(grid, head - 1) and _is_head(grid, head, numeric):
         stated = grid.rows[head - 1]  # above the names
@@ -175,13 +175,40 @@ def _start(grid: Grid, numeric: Sequence[bool]) -> int:
         fitting = sum(map(grid.holds, cells))
         whole = fitting == len(cells) and fitting >= min(2, len(columns))
         if whole or fitting > len(columns) / 2:
-            return start
+            return start + _properties(grid, start, columns)
     raise nothing_in(grid.label, " of numbers")
+
+
+def _properties(grid: Grid, start: int, columns: Sequence[int]) -> int:
+    """Rows of properties (``t0``, ``delta t``) above the names, though they hold numbers."""
+    if columns[0] != 0:
+        return 0
+    for i, row in enumerate(grid.rows[start : start + 12]):
+        cells = [c for c in row if not is_empty(c)]
+        worded = bool(cells) and not grid.holds(cells[0])
+        if not worded:
+            return 0
+        if len(cells) >= len(columns) and not any(map(grid.holds, cells)):
+            return i + 1 if start + i + 1 < len(grid.rows) else 0
+    return 0
 
 
 def _is_units(grid: Grid, row: int) -> bool:
     cells = [str(c) for c in grid.rows[row] if not is_empty(c) or c == "-"]
     return bool(cells) and all(map(is_unit, cells)) and any(c not in ("-", "1") for c in cells)
+
+
+def _is_mostly_units(grid: Grid, row: int, numeric: Sequence[bool]) -> bool:
+    """Whether a row below one of names holds units beside words: ``s, bar, N, text``."""
+    cells = [str(c) for c, n in zip(grid.rows[row], numeric, strict=False) if n and not is_empty(c)]
+    units = sum(map(is_unit, cells))
+    above = [str(c).strip() for c in grid.rows[row - 1] if not is_empty(c)]
+    return (
+        units >= 2
+        and units >= 0.6 * len(cells)
+        and _is_head(grid, row - 1, numeric)
+        and not all(map(is_unit, above))
+    )
 
 
 # ---- names ---------------------------------------------------------------------------------------

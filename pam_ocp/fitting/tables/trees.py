@@ -24,6 +24,8 @@ from .raw import RawTable
 Found = Mapping[str, Sequence[Any]] | Grid
 """Columns by name, or cells that a layout must be found in."""
 TIME_OF = {*TIME_NAMES, *(f"{name} [s]" for name in TIME_NAMES)}
+GENERIC = frozenset({"v", "value", "values", "data", "samples", "y", "messages", "signal"})
+"""Names that say nothing of what was measured."""
 MOST_LEVELS = 20
 MOST_TABLES = 2000
 
@@ -36,7 +38,7 @@ def chosen_table(
     own.
     """
     _require_few(label, list(_arrays(tree, 0)))
-    tables = dict(_tables(rewritten(tree), "", label, 0))
+    tables = _renamed(dict(_tables(rewritten(tree), "", label, 0)))
     wanted = [n.strip() for n in ([pick] if isinstance(pick, str) else pick or ())]
     for name in wanted:
         if name not in tables:
@@ -59,6 +61,22 @@ def chosen_table(
     shown = ", ".join(f"{n!r} ({_size(tables[n])})" for n in top[:8])
     more = f" and {len(top) - 8} more" if len(top) > 8 else ""
     raise Unsaid(f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}")
+
+
+def _renamed(tables: dict[str, Found]) -> dict[str, Found]:
+    """Tables of a time and one value each, which is called by its place: ``sensors.p.samples``."""
+    if len(tables) < 2 or not all(
+        isinstance(t, Mapping) and len(t) == 2 and sum(n in TIME_OF for n in map(plain, t)) == 1
+        for t in tables.values()
+    ):
+        return tables
+    made: dict[str, Found] = {}
+    for name, table in tables.items():
+        assert isinstance(table, Mapping)
+        parts = [p for p in name.split(".") if p.lower() not in GENERIC]
+        columns = {parts[-1] if plain(n) in GENERIC and parts else n: c for n, c in table.items()}
+        made[name] = columns if len(columns) == 2 else table
+    return made
 
 
 def left_out(tree: Any, label: str, found: Found | RawTable) -> tuple[str, ...]:
@@ -348,6 +366,7 @@ def _of_record(record: Mapping[Any, Any]) -> dict[str, Any]:
 
 def _rewritten_mapping(tree: Mapping[Any, Any], level: int) -> dict[str, Any]:
     made: dict[str, Any] = {}
+    tree = _with_units(tree)
     for key, value in tree.items():
         named = _signal_columns(value, str(key)) if isinstance(value, Mapping) else {}
         if not named and isinstance(value, list | tuple):
@@ -360,6 +379,20 @@ def _rewritten_mapping(tree: Mapping[Any, Any], level: int) -> dict[str, Any]:
         else:
             made[str(key)] = rewritten(value, level + 1, str(key))
     return made
+
+
+def _with_units(tree: Mapping[Any, Any]) -> Mapping[Any, Any]:
+    """Names with the units that a mapping beside them states: ``{"units": {"p": "bar"}, ...}``."""
+    at = next((k for k in tree if str(k).lower() in ("units", "unit", "einheiten")), None)
+    if at is None or not isinstance(tree[at], Mapping):
+        return tree
+    units = {k: t for k, v in tree[at].items() if (t := _text(v))}
+
+    def named(one: Mapping[Any, Any]) -> dict[Any, Any]:
+        return {f"{k} [{units[k]}]" if k in units else k: v for k, v in one.items()}
+
+    made = named({k: v for k, v in tree.items() if k != at})
+    return {k: named(v) if isinstance(v, Mapping) else v for k, v in made.items()}
 
 
 def _channels(several: Sequence[Any]) -> dict[str, list[Any]]:
