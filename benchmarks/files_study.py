@@ -15,14 +15,13 @@ one is wrong in silence.
 
 from __future__ import annotations
 
-import argparse
 import datetime as dt
 import json
 import re
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -811,17 +810,17 @@ def one(number: int, seed: int, folder: Path, show: bool = False) -> harness.Row
     return {**row, "why": [words] if show or not outcome.startswith("right") else []}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     with tempfile.TemporaryDirectory() as scratch:
         for number in harness.numbers(given):
             yield number, partial(one, number, given.seed, given.keep or Path(scratch), given.show)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--keep", type=Path, help="folder in which the files stay")
-    parser.add_argument("--show", action="store_true", help="what was said of each file")
-
+OPTIONS = {
+    "--keep": {"type": Path, "help": "folder in which the files stay"},
+    "--show": harness.flag("what was said of each file"),
+}
 
 if __name__ == "__main__":
-    rows = harness.main(__doc__, cases, count=100, seed=0, options=options)
+    rows = harness.main(__doc__, cases, count=100, seed=0, options=OPTIONS)
     sys.exit(any(row["verdict"] == "WRONG IN SILENCE" for row in rows))

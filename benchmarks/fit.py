@@ -11,9 +11,8 @@ the least one found. Times as ratios to ours in the same run.
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 
 import casadi as ca
@@ -146,7 +145,7 @@ def one(muscle: str, method: str, starts: np.ndarray) -> harness.Row:
     return {"muscle": muscle, "method": method, "squares": found, "ms": took}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     random = np.random.default_rng(given.seed)
     size = (given.count, 6)
     starts = 10 ** random.uniform(-1, 1, size) * random.choice([-1, 1], size)

@@ -28,7 +28,6 @@ with the floor found and with none sought.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -317,7 +316,7 @@ def of_floors(rows: list[harness.Row]) -> str:
 
 
 # ---- the study -----------------------------------------------------------------------------------
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     work = one_floor if given.floor else one
     for number in harness.numbers(given):
         yield number, partial(work, number, given.seed)
@@ -328,9 +327,7 @@ def summary(rows: list[harness.Row]) -> str:
     return of_floors(good) if good and "floor" in good[0] else of_intervals(good)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--floor", action="store_true", help="slack cells that show a force")
-
+OPTIONS = {"--floor": harness.flag("slack cells that show a force")}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=500, seed=1, options=options)
+    harness.main(__doc__, cases, summary, count=500, seed=1, options=OPTIONS)

@@ -12,8 +12,7 @@ missing, nothing should be learned.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import casadi as ca
@@ -74,7 +73,7 @@ def judged(kind: str, random: np.random.Generator) -> harness.Row:
     return found | {"coverage": band.coverage["x"], "text": text}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[object, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for number in harness.numbers(given):
         random = np.random.default_rng([given.seed, number])
         kind = list(KINDS)[number % len(KINDS)]

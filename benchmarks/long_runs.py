@@ -18,7 +18,6 @@ are compared with those after a fifth. Answers are compared where the same is as
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import os
@@ -249,16 +248,13 @@ RUNS = {
 }
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for name, count in RUNS.items():
         yield name, partial(globals()[name], max(100, round(count * given.share)))
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(seconds=math.inf)  # each in a process of its own
-    parser.add_argument("--share", type=float, default=1.0, help="of each run")
-
+OPTIONS = {"--share": {"type": float, "default": 1.0, "help": "of each run"}}
 
 if __name__ == "__main__":
-    rows = harness.main(__doc__, cases, options=options)
+    rows = harness.main(__doc__, cases, options=OPTIONS, seconds=math.inf)
     sys.exit(any(row["verdict"] != "flat" for row in rows))

@@ -13,9 +13,8 @@ from the truth in standard deviations (2 is the end of the 95 % interval).
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -372,15 +371,13 @@ def one(name: str, verb: str, seed: int) -> harness.Row:
     return {"text": VERBS[verb](name, draw)}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for name in COMPONENTS:
         for verb in given.verbs:
             yield f"{name}: {verb}", partial(one, name, verb, given.seed)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--verbs", nargs="+", choices=VERBS, default=list(VERBS))
-
+OPTIONS = {"--verbs": {"nargs": "+", "choices": VERBS, "default": list(VERBS)}}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, options=options)
+    harness.main(__doc__, cases, options=OPTIONS)

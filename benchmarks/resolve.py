@@ -10,8 +10,6 @@ call of the planner with its independent replay.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
 from functools import cache, partial
 from time import perf_counter
 from typing import Any
@@ -89,7 +87,7 @@ def again(case: str, method: str) -> harness.Row:
     return {"verdict": plan.statistics["solver"], "why": lines, "changes": changes}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for case in pam_2dir.WISHES:
         for method in METHODS:
             yield f"({case}) {method}", partial(again, case, method)

@@ -12,13 +12,11 @@ side by side they are run by one command each.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -309,7 +307,7 @@ USUAL = {"faults": 50, "lines": 3600, "realtime": 600, "learning": 10, "tracking
 """Counts, or seconds of lines and realtime."""
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     number = given.number or USUAL[given.what]
     if given.what == "faults":
         for name in kinds_of_faults():
@@ -328,10 +326,10 @@ def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
             yield f"seed {seed}", partial(tracking, seed, way)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("what", nargs="?", choices=USUAL, default="faults")
-    parser.add_argument("number", nargs="?", type=float, help="a count, or seconds")
-
+OPTIONS = {
+    "what": {"nargs": "?", "choices": USUAL, "default": "faults"},
+    "number": {"nargs": "?", "type": float, "help": "a count, or seconds"},
+}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, options=options)
+    harness.main(__doc__, cases, options=OPTIONS)

@@ -15,7 +15,6 @@ refuses is counted by its sentence.
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 import signal
@@ -429,7 +428,7 @@ def _over(signum: int, frame: Any) -> None:
     raise TimeoutError
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     absent = {w for w in given.worlds for n, m in NEEDS.items() if n in w and not find_spec(m)}
     print(f"not installed: {', '.join(sorted(absent)) or 'none'}")
     signal.signal(signal.SIGALRM, _over)
@@ -460,10 +459,10 @@ def summary(rows: list[harness.Row]) -> str:
     return "\n".join([*parts, *(f"refused {n} times by {s}" for s, n in refused.items())])
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--minutes", type=float, default=math.inf, help="no plant is begun later")
-    parser.add_argument("--worlds", nargs="*", default=list(LIMITS), choices=list(LIMITS))
-
+OPTIONS = {
+    "--minutes": {"type": float, "default": math.inf, "help": "no plant is begun later"},
+    "--worlds": {"nargs": "*", "default": list(LIMITS), "choices": list(LIMITS)},
+}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=40, options=options)
+    harness.main(__doc__, cases, summary, count=40, options=OPTIONS)
