@@ -11,7 +11,6 @@ the least one found. Times as ratios to ours in the same run.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 
@@ -138,11 +137,10 @@ def one(muscle: str, method: str, starts: np.ndarray) -> harness.Row:
         run = METHODS[method](table)
     except ImportError as missing:
         return {"verdict": "skipped", "why": [str(missing)]}
-    begin = time.perf_counter()
     with np.errstate(all="ignore"):  # local solvers run away from some starts
-        found = [run(start) for start in starts]
-    took = 1e3 * (time.perf_counter() - begin) / len(starts)
-    return {"muscle": muscle, "method": method, "squares": found, "ms": took}
+        fits = harness.took(lambda: [run(start) for start in starts])
+    each = 1e3 * fits.clock / len(starts)
+    return {"muscle": muscle, "method": method, "squares": fits.result, "ms": each}
 
 
 def cases(given: harness.Given) -> harness.Keyed:

@@ -364,7 +364,7 @@ def write(path: Path, text: str) -> None:
 
 
 def importable(folder: str) -> None:
-    """Let helpers of the tests be imported: ``importable("rig")``."""
-    path = str(Path(__file__).resolve().parents[1] / "tests" / folder)
+    """Let modules of another folder of the tree be imported: ``importable("tests/rig")``."""
+    path = str(Path(__file__).resolve().parents[1] / folder)
     if path not in sys.path:
-        sys.path.insert(0, path)
+        sys.path.append(path)  # behind those of this folder: names stand twice

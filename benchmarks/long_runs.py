@@ -24,16 +24,15 @@ import os
 import subprocess
 import sys
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import harness
 import numpy as np
+from mpc import predicted
 
 import pam_ocp as pam
 from pam_ocp.export.runner import Runner, UnpackedFmu
@@ -168,25 +167,20 @@ def day(count: int, in_c: bool) -> harness.Row:
 def library(what: Any, folder: Path, name: str, variables: Sequence[str]) -> list[str]:
     """Of its exported FMU: the shared library, the token, references of variables."""
     path = pam.export_fmu(what, folder / f"{name}.fmu", platforms="native", fmi="2.0")
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder / name)
-    about = fmpy.read_model_description(str(path))
-    references = {v.name: str(v.valueReference) for v in about.modelVariables}
-    found = next((folder / name / "binaries").rglob("*.so"))
-    return [str(found), about.guid, *(references[n] for n in variables)]
+    unit = UnpackedFmu(path, folder / name)
+    found = next((unit.folder / "binaries").rglob("*.so"))
+    return [str(found), unit.description.guid, *(str(unit.references[n]) for n in variables)]
 
 
 def mpc(count: int) -> harness.Row:
     plant, regulator, rest = controller(0.005)
-    names = [v.name for v in plant.states]
-    low, high = (plant.vector("state", attribute=a) for a in ("min", "max"))
     regulator.reset({v.name: rest[v.name] for v in plant.inputs})
     state = np.array(rest.x)
 
     def step(k: int) -> float:
         nonlocal state
         regulator.control(state, wanted(k))
-        state = np.clip(regulator.prediction().array(names)[1], low, high)
+        state = predicted(plant, regulator)
         return float(state[0])
 
     return settled(count, step)

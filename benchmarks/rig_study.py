@@ -137,7 +137,7 @@ def line(kind: str, seconds: float) -> harness.Row:
     """Answers, missing answers and the longest call of a driver over a line that is bad all the
     time.
     """
-    harness.importable("rig")
+    harness.importable("tests/rig")
     import rig_tools
     from test_drivers import opened, talk
 
@@ -243,7 +243,7 @@ def _reaction(fault: pam.rig.Fault) -> float:
 
 def learning(seed: int) -> harness.Row:
     """Gain of ten runs of a sine of 1 Hz, and the worst run, of a twin at random."""
-    harness.importable("rig")
+    harness.importable("tests/rig")
     from rig_tools import twin_at_random, wanted_sine
 
     rig, _, model = twin_at_random(seed)
@@ -272,7 +272,7 @@ def tracking(seed: int, way: str) -> harness.Row:
     """RMSE of 20 unseen motions after home() and tune(), in parts of the stroke, on a new twin:
     widely drawn, small muscles and lightly damped loads among them.
     """
-    harness.importable("rig")
+    harness.importable("tests/rig")
     from rig_tools import twin_at_random
 
     rig, twin, model = twin_at_random(seed, way=way, wide=True)
