@@ -16,8 +16,6 @@ intervals where nothing was named.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -238,7 +236,7 @@ def one(seed: int, k: int, fault: str) -> harness.Row:
     }
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for k in harness.numbers(given):
         yield k, partial(one, given.seed, k, given.fault[k % len(given.fault)])
 
@@ -269,9 +267,7 @@ def summary(rows: list[harness.Row]) -> str:
     return "\n".join(parts)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--fault", choices=list(FAULTS), nargs="+", default=list(FAULTS))
-
+OPTIONS = {"--fault": {"choices": list(FAULTS), "nargs": "+", "default": list(FAULTS)}}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=300, options=options)
+    harness.main(__doc__, cases, summary, count=300, options=OPTIONS)

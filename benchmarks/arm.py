@@ -26,7 +26,6 @@ to all episodes of the training files, on another file.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import sys
 import time
@@ -36,11 +35,15 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import harness
 import numpy as np
 
 import pam_ocp as pam
 from pam_ocp.fitting import ArxStructure, Choice, FreeRunFit, FreeRunStructure, GruStructure, choose
 from pam_ocp.fitting.dynamic.choice import as_ratio, rmse_ratios
+
+harness.importable("examples")
+import fit_joint  # noqa: E402
 
 HERE = Path(__file__).resolve().parent
 FILES = ("mpi_arm_64_episodes.csv", "mpi_arm_200_episodes.csv")
@@ -58,22 +61,6 @@ OPTIONS = {
     "delay": (-0.04, 0.02),
 }
 JUDGED = {"horizon": HORIZONS, "every": EVERY, "steps": 4, "history": 2}
-
-
-def example() -> Any:
-    """examples/fit_joint.py, where the joints and the reader stand."""
-    spec = importlib.util.spec_from_file_location(
-        "fit_joint", HERE.parent / "examples/fit_joint.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["fit_joint"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-fit_joint = example()
 
 
 # ---- structures ---------------------------------------------------------------------------------

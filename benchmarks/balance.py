@@ -89,8 +89,6 @@ class Read:
 
 
 # ---- what moves ----------------------------------------------------------------------------------
-
-
 def motion(at: Read) -> Iterator[Ledger]:
     """Pull times speed lifts and speeds up the load and half the body; the damper loses c v^2."""
     mass, v = at["mass"], at["v"]
@@ -139,8 +137,6 @@ def gauss(f: Callable[[ca.SX], Any], end: ca.SX, count: int = 40) -> ca.SX:
 
 
 # ---- losses: force times speed in, springs stored, sliding and flowing lost ---------------------
-
-
 def rounded(rate: ca.SX) -> ca.SX:
     return ca.sqrt(rate**2 + 1e-8)  # the rest rate of 1e-4/s
 
@@ -264,8 +260,6 @@ def largest(loss: Any, c: float, r: float) -> float:
 
 
 # ---- air -----------------------------------------------------------------------------------------
-
-
 def polytropic(at: Read) -> Iterator[Ledger]:
     """p V^n rises by what flows in: n R T V^(n-1) per mass."""
     n, volume = at["gas.exponent"], at["volume"] / 1e-4
@@ -384,8 +378,6 @@ def waves(at: Read, tube: Any) -> Iterator[Ledger]:
 
 
 # ---- spools, regulators, electronics -----------------------------------------------------------
-
-
 def spool(at: Read, feed: Any) -> Iterator[Ledger]:
     """A lag is a spring on a dashpot, a second-order spool a mass on a spring; play is friction."""
     s, rate = at["valve.spool"], at.der("valve.spool")
@@ -460,8 +452,6 @@ def delay(at: Read, feed: Any) -> Iterator[Ledger]:
 
 
 # ---- which a plant has ------------------------------------------------------------------------
-
-
 def with_heat(feed: Any) -> Any:
     """The feed on a muscle whose air has a temperature, where it has none and needs books."""
     if not hasattr(feed, "gas"):
@@ -521,8 +511,6 @@ def of_a_pair(plant: pam.Plant) -> list[Ledger]:
 
 
 # ---- a motion and its books --------------------------------------------------------------------
-
-
 class Books:
     """A plant with the integrals of its ledgers as further states."""
 

@@ -13,19 +13,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 
 import pam_ocp as pam
 from pam_ocp.bench.jobs.motion import DRAGGED
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "bench"))
+harness.importable("tests/bench")
 
 WATCH = """
 const [what, attribute, within] = arguments;
@@ -112,24 +113,23 @@ def verbs(moves: int) -> dict[str, float]:
     """Medians of the verbs by themselves [ms]."""
     fit = pam.fit_force(pam.read_table("DMSP-20-300_static.csv", rest_length=0.300))
     muscle, kappa = fit.muscle(), np.linspace(0, 0.3, 61)
-    took = []
-    for _ in range(moves):
-        begun = time.perf_counter()
-        for level in np.linspace(0, 5e5, 6):
-            muscle.force(level, kappa)
-        took.append(time.perf_counter() - begun)
+    levels = np.linspace(0, 5e5, 6)
+    curves = [
+        harness.took(lambda: [muscle.force(level, kappa) for level in levels]).clock
+        for _ in range(moves)
+    ]
     plant = pam.AntagonisticSlide("DMSP-20-300")
     first: list[Any] = [{"x": -0.01}, {"x": 0.01}]
     planner = pam.Planner(plant, first, method=DRAGGED)
     last = planner(tolerance=None)
     solved = []
     for i in range(moves):
-        begun = time.perf_counter()
         stops = [first[0], {"x": 0.01 + 2e-3 * ((i + 1) % 5 - 2)}]
-        last = planner(guess=last, tolerance=None, starts=1, stops=stops)
-        solved.append(time.perf_counter() - begun)
+        call = partial(planner, guess=last, tolerance=None, starts=1, stops=stops)
+        _, clock, last = harness.took(call)
+        solved.append(clock)
     return {
-        "six curves": round(1e3 * float(np.median(took)), 2),
+        "six curves": round(1e3 * float(np.median(curves)), 2),
         "plan solved again": round(1e3 * float(np.median(solved)), 1),
     }
 

@@ -16,9 +16,8 @@ writes mpi_arm_64_episodes.csv into FOLDER, from a clone of github.com/ALRhub/ac
 
 from __future__ import annotations
 
-import argparse
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -123,7 +122,7 @@ def one(name: str, split: str, model: str, fit: Any, out: Path | None) -> harnes
     return {**row, "first": found.parts[0].rmse}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     if given.make:
         yield "make", partial(make, *given.make)
         return
@@ -144,10 +143,10 @@ def summary(rows: list[harness.Row]) -> str:
     return "\n\n".join(texts)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", type=Path, help="folder for the scores as JSON")
-    parser.add_argument("--make", nargs=2, metavar=("CLONE", "FOLDER"), help="see above")
-
+OPTIONS = {
+    "--out": {"type": Path, "help": "folder for the scores as JSON"},
+    "--make": {"nargs": 2, "metavar": ("CLONE", "FOLDER"), "help": "see above"},
+}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, seed=0, options=options)
+    harness.main(__doc__, cases, summary, seed=0, options=OPTIONS)

@@ -13,7 +13,6 @@ Times are those of the processor, of all processes of a task together.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -112,7 +111,7 @@ def judged(plant: pam.Plant, stops: list[Any], wanted: dict[str, Any], fine: boo
     return {**row, "text": text.format(**row)}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for words, plant, stops in plants(np.random.default_rng(given.seed)):
         valves = any(v.name.endswith(".supply_flow") for v in plant.outputs)
         for term in GOALS if valves else ("work",):
@@ -135,9 +134,7 @@ def summary(rows: list[harness.Row]) -> str:
     return text
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--fine", action="store_true", help="compare with finer searches")
-
+OPTIONS = {"--fine": harness.flag("compare with finer searches")}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, seed=1, options=options)
+    harness.main(__doc__, cases, summary, seed=1, options=OPTIONS)

@@ -15,16 +15,16 @@ one is wrong in silence.
 
 from __future__ import annotations
 
-import argparse
 import datetime as dt
 import json
 import re
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -102,11 +102,9 @@ class Draw:
         return str(self.of(*UNITS[kind]))
 
     def header(self, name: str, unit: str) -> str:
-        return (
-            str(self.of(f"{name} [{unit}]", f"{name} ({unit})", f"{name}/{unit}"))
-            if ("/" not in unit)
-            else f"{name} [{unit}]"
-        )
+        if "/" in unit:
+            return f"{name} [{unit}]"
+        return str(self.of(f"{name} [{unit}]", f"{name} ({unit})", f"{name}/{unit}"))
 
     # ---- a static test ---------------------------------------------------------------------------
     def table(self) -> dict[str, np.ndarray]:
@@ -124,6 +122,10 @@ class Draw:
             "x": lambda t: 0.02 * np.sin(2.0 * t + a - 0.4),
             "force": lambda t: 400 + 150 * np.cos(1.5 * t + a),
         }
+
+    def seen(self, kind: str, t: Any, unit: str) -> Any:
+        """A signal at some times in a unit."""
+        return self.signals()[kind](t) / TO_SI[unit]
 
     def times(self, rate: float | None = None) -> np.ndarray:
         rate = rate or self.of(100.0, 200.0, 250.0)
@@ -241,18 +243,10 @@ def stray_lines(draw: Draw, path: Path) -> Case:
 def key_value(draw: Draw, path: Path) -> Case:
     t = draw.times()
     equal, cut = draw.of("=", ": ", ":"), draw.of(" ", ", ", "; ", "\t")
-    signals = draw.signals()
-    lines = [
-        cut.join(
-            (
-                f"t{equal}{u:.4f}",
-                f"p{equal}{signals['pressure'](u) / 1000.0:.5g}kPa",
-                f"x{equal}{1000.0 * signals['x'](u):.5g} mm",
-                f"F{equal}{signals['force'](u):.6g}",
-            )
-        )
-        for u in t
-    ]
+    seen = (draw.seen("pressure", t, "kPa"), draw.seen("x", t, "mm"), draw.seen("force", t, "N"))
+    form = cut.join(("t={:.4f}", "p={:.5g}kPa", "x={:.5g} mm", "F={:.6g}"))
+    form = form.replace("=", equal)
+    lines = [form.format(*row) for row in zip(t, *seen, strict=True)]
     names = {"pressure": "p", "x": "x", "force": "F"}
     return record(draw, written(path / "serial.log", lines), names, CLOCK)
 
@@ -265,10 +259,7 @@ def zones_across_a_change(draw: Draw, path: Path) -> Case:
     if zone.key.startswith("America"):
         day = day.replace(hour=6)
     stamps = [(day + dt.timedelta(seconds=float(u))).astimezone(zone) for u in t]
-    told = [
-        draw.of(s.isoformat(timespec="milliseconds"), s.isoformat(" ", "milliseconds"))
-        for s in stamps
-    ]
+    told = [s.isoformat(draw.of("T", " "), "milliseconds") for s in stamps]
     made, names = columns(draw, t)
     lines = text_of({"timestamp": told, **made}, ";", ".")
     return record(draw, written(path / "stamped.csv", lines), names)
@@ -290,7 +281,7 @@ def clock_in_other_units(draw: Draw, path: Path) -> Case:
 def without_a_clock(draw: Draw, path: Path) -> Case:
     made, names = columns(draw, np.arange(600) * 0.004)
     file = written(path / "even.csv", text_of(made, ",", "."))
-    return record(draw, file, names, {"kind": "record", "sample_time": 0.004})
+    return record(draw, file, names, {"sample_time": 0.004})
 
 
 @shape
@@ -326,11 +317,10 @@ def book(path: Path, rows: list[list[Any]], merge: list[str] | None = None) -> P
 
 @shape
 def merged_head_in_excel(draw: Draw, path: Path) -> Case:
-    t = draw.times()
-    signals = draw.signals()
-    name = draw.of("Druck", "Pressure")
+    t, name = draw.times(), draw.of("Druck", "Pressure")
     rows: list[list[Any]] = [["time", name, None, "Position"], ["s", "bar", "bar", "mm"]]
-    rows += [[u, signals["pressure"](u) / 1e5, 2 + 0.1 * u, signals["x"](u) * 1e3] for u in t]
+    seen = draw.seen("pressure", t, "bar"), 2 + 0.1 * t, draw.seen("x", t, "mm")
+    rows += zip(t, *seen, strict=True)
     file = book(path / "merged.xlsx", rows, ["B1:C1"])
     return record(draw, file, {"pressure": f"{name} 1", "x": "Position"})
 
@@ -338,10 +328,10 @@ def merged_head_in_excel(draw: Draw, path: Path) -> Case:
 @shape
 def groups_in_excel(draw: Draw, path: Path) -> Case:
     t = draw.times()
-    signals = draw.signals()
     rows: list[list[Any]] = [["", "Muscle 1", None, "Muscle 2", None]]
     rows += [["t", "p", "F", "p", "F"], ["s", "bar", "N", "bar", "N"]]
-    rows += [[u, signals["pressure"](u) / 1e5, signals["force"](u), 1.5, 20 + u] for u in t]
+    seen = draw.seen("pressure", t, "bar"), draw.seen("force", t, "N")
+    rows += zip(t, *seen, np.full(len(t), 1.5), 20 + t, strict=True)
     file = book(path / "groups.xlsx", rows, ["B1:C1", "D1:E1"])
     return record(draw, file, {"pressure": "Muscle 1 p", "force": "Muscle 1 F"})
 
@@ -360,11 +350,8 @@ def blocks_side_by_side(draw: Draw, path: Path) -> Case:
     for i in range(int(parts[0].sum())):
         row: list[Any] = []
         for part in parts:
-            row += [
-                truth["pressure"][part][i] / TO_SI[unit],
-                truth["force"][part][i],
-                *[None] * gap,
-            ]
+            cell = truth["pressure"][part][i] / TO_SI[unit], truth["force"][part][i]
+            row += [*cell, *[None] * gap]
         rows.append(row)
     if draw.of(True, False):
         return Case(book(path / "blocks.xlsx", rows), truth)
@@ -374,11 +361,8 @@ def blocks_side_by_side(draw: Draw, path: Path) -> Case:
 @shape
 def clocks_side_by_side(draw: Draw, path: Path) -> Case:
     slow, fast = np.arange(0, 6, 0.02), np.arange(0, 6, 0.005)
-    signals = draw.signals()
-    rows: list[list[Any]] = [["t [s]", "p [kPa]", "t [s]", "x [mm]"]]
-    for i, u in enumerate(fast):
-        left = [slow[i], signals["pressure"](slow[i]) / 1e3] if i < len(slow) else [None, None]
-        rows.append([*left, u, signals["x"](u) * 1e3])
+    seen = slow, draw.seen("pressure", slow, "kPa"), fast, draw.seen("x", fast, "mm")
+    rows: list[Any] = [["t [s]", "p [kPa]", "t [s]", "x [mm]"], *zip_longest(*seen)]
     return record(draw, book(path / "clocks.xlsx", rows), PX, tolerance=5e-3)
 
 
@@ -405,45 +389,44 @@ def html_that_calls_itself_xls(draw: Draw, path: Path) -> Case:
 @shape
 def matlab_level_4(draw: Draw, path: Path) -> Case:
     t = draw.times()
-    signals = draw.signals()
-    made = {"time": t, "p_kPa": signals["pressure"](t) / 1e3, "x_mm": signals["x"](t) * 1e3}
+    made = {"time": t, "p_kPa": draw.seen("pressure", t, "kPa"), "x_mm": draw.seen("x", t, "mm")}
     made = {k: v[:, None] if draw.of(True, False) else v[None, :] for k, v in made.items()}
     file = path / "level4.mat"
     scipy.io.savemat(file, made, format="4")
     return record(draw, file, PX, CLOCK)
 
 
+def fields(count: int, *names: str) -> np.ndarray:
+    """A structure array of MATLAB's, in a row."""
+    return np.empty((1, count), dtype=[(n, "O") for n in names])
+
+
 def structure(t: Any, several: dict[str, Any], three: bool = False) -> dict[str, Any]:
-    made = np.empty((1, len(several)), dtype=[("values", "O"), ("dimensions", "O"), ("label", "O")])
+    made = fields(len(several), "values", "dimensions", "label")
     for i, (label, values) in enumerate(several.items()):
         values = np.asarray(values)
         made[0, i] = (values.reshape(1, 1, -1) if three else values.reshape(len(t), -1), 1.0, label)
     return {"time": np.asarray(t)[:, None], "signals": made, "blockName": "rig/To Workspace"}
 
 
+def of_a_scope(draw: Draw, t: np.ndarray) -> dict[str, Any]:
+    return {"p [bar]": draw.seen("pressure", t, "bar"), "x [mm]": draw.seen("x", t, "mm")}
+
+
 @shape
 def to_workspace(draw: Draw, path: Path) -> Case:
-    t = draw.times()
-    signals = draw.signals()
-    several = {"p [bar]": signals["pressure"](t) / 1e5, "x [mm]": signals["x"](t) * 1e3}
-    file = path / "out.mat"
-    scipy.io.savemat(
-        file, {draw.of("ScopeData", "simout"): structure(t, several, draw.of(True, False))}
-    )
+    t, file = draw.times(), path / "out.mat"
+    name = draw.of("ScopeData", "simout")
+    scipy.io.savemat(file, {name: structure(t, of_a_scope(draw, t), draw.of(True, False))})
     return record(draw, file, PX)
 
 
 @shape
 def several_to_workspace(draw: Draw, path: Path) -> Case:
-    signals = draw.signals()
     a, b = np.arange(0, 5, 0.004), np.arange(0, 5, draw.of(0.004, 0.01))
-    held = {
-        "p_bar": structure(a, {"": signals["pressure"](a) / 1e5}),
-        "x_mm": structure(b, {"": signals["x"](b) * 1e3}),
-        "tout": a[:, None],
-    }
-    if draw.of(True, False):
-        del held["tout"]
+    held: dict[str, Any] = {"p_bar": structure(a, {"": draw.seen("pressure", a, "bar")})}
+    held["x_mm"] = structure(b, {"": draw.seen("x", b, "mm")})
+    held |= draw.of({}, {"tout": a[:, None]})
     file = path / "out.mat"
     scipy.io.savemat(file, held)
     names = {"pressure": "p_bar", "x": "x_mm"}
@@ -452,47 +435,31 @@ def several_to_workspace(draw: Draw, path: Path) -> Case:
 
 @shape
 def structure_without_time(draw: Draw, path: Path) -> Case:
-    t = np.arange(500) * 0.002
-    signals = draw.signals()
-    several = {"p [bar]": signals["pressure"](t) / 1e5, "x [mm]": signals["x"](t) * 1e3}
-    made = structure(t, several)
-    made["time"] = np.zeros((0, 0))
-    file = path / "out.mat"
+    t, file = np.arange(500) * 0.002, path / "out.mat"
+    made = structure(t, of_a_scope(draw, t)) | {"time": np.zeros((0, 0))}
     scipy.io.savemat(file, {"simout": made})
-    return record(draw, file, PX, {"kind": "record", "sample_time": 0.002})
+    return record(draw, file, PX, {"sample_time": 0.002})
 
 
 @shape
 def dspace(draw: Draw, path: Path) -> Case:
-    signals = draw.signals()
     rasters = [np.arange(0, 4, 0.001), np.arange(0, 4, draw.of(0.001, 0.01))]
     two = not np.array_equal(*rasters)
     paths = {
         "pressure": draw.of('Model Root/"p1"/Out1', "p1", "Model Root/Sensors/p1"),
         "x": draw.of("Model Root/x/Out1", "x"),
     }
-    y = np.empty(
-        (1, 2), dtype=[(n, "O") for n in ("Name", "Type", "Data", "Unit", "XIndex", "Path")]
-    )
+    y = fields(2, "Name", "Type", "Data", "Unit", "XIndex", "Path")
     for i, (kind, unit) in enumerate((("pressure", "bar"), ("x", "mm"))):
-        t = rasters[i if two else 0]
-        values = signals[kind](t) / TO_SI[unit]
-        y[0, i] = (
-            paths[kind],
-            "Signal",
-            values[None, :].astype(np.float32),
-            unit,
-            float(1 + i * two),
-            "",
-        )
-    x = np.empty((1, 1 + two), dtype=[("Name", "O"), ("Type", "O"), ("Data", "O"), ("Raster", "O")])
+        values = draw.seen(kind, rasters[i if two else 0], unit)[None, :].astype(np.float32)
+        y[0, i] = (paths[kind], "Signal", values, unit, float(1 + i * two), "")
+    x = fields(1 + two, "Name", "Type", "Data", "Raster")
     for i in range(1 + two):
         x[0, i] = ("time", "Double", rasters[i][None, :], f"HostService{i}")
     file = path / "capture.mat"
     told = {"Application": "ControlDesk", "Version": 7.0}
-    scipy.io.savemat(
-        file, {"rec_001": {"X": x, "Y": y, "Description": told, "RTProgram": "rig.sdf"}}
-    )
+    held = {"X": x, "Y": y, "Description": told, "RTProgram": "rig.sdf"}
+    scipy.io.savemat(file, {"rec_001": held})
     return record(draw, file, {"pressure": "p1", "x": "x"}, tolerance=5e-3)
 
 
@@ -500,15 +467,13 @@ def dspace(draw: Draw, path: Path) -> Case:
 def hdf5(draw: Draw, path: Path) -> Case:
     import h5py
 
-    t = draw.times()
-    signals = draw.signals()
-    file = path / "run.h5"
+    t, file = draw.times(), path / "run.h5"
     with h5py.File(file, "w") as made:
         group = made.create_group("run/signals") if draw.of(True, False) else made
         for name, values, unit in (
             ("time", t, "s"),
-            ("p1", signals["pressure"](t) / 1e3, "kPa"),
-            ("x", signals["x"](t), "m"),
+            ("p1", draw.seen("pressure", t, "kPa"), "kPa"),
+            ("x", draw.seen("x", t, "m"), "m"),
         ):
             group.create_dataset(name, data=values).attrs["unit"] = unit
     return record(draw, file, {"pressure": "p1", "x": "x"})
@@ -518,10 +483,9 @@ def hdf5(draw: Draw, path: Path) -> Case:
 @shape
 def lvm(draw: Draw, path: Path) -> Case:
     t = np.arange(500) * 0.002
-    signals = draw.signals()
     sign, kind = draw.of(".", ","), draw.of("One", "No", "Multi")
     names = draw.of(("Pressure", "Position"), ("p", "x"))
-    made = (signals["pressure"](t) / 1e5, signals["x"](t) * 1e3)
+    made = draw.seen("pressure", t, "bar"), draw.seen("x", t, "mm")
     lines = ["LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab"]
     lines += [f"Decimal_Separator\t{sign}", "Multi_Headings\tNo", f"X_Columns\t{kind}"]
     lines += ["Time_Pref\tAbsolute", "Operator\tlab", "Date\t2024/03/12", f"Time\t14:05:01{sign}25"]
@@ -544,7 +508,6 @@ def lvm(draw: Draw, path: Path) -> Case:
 def tdms(draw: Draw, path: Path) -> Case:
     from nptdms import ChannelObject, TdmsWriter
 
-    signals = draw.signals()
     steps = (0.001, draw.of(0.001, 0.01))
     kind = draw.of("waveform", "waveform", "time channel")
     start = np.datetime64("2024-03-12T14:05:01.250000")
@@ -552,15 +515,14 @@ def tdms(draw: Draw, path: Path) -> Case:
     if kind == "time channel":
         t = np.arange(0, 4, 0.001)
         made.append(ChannelObject("Data", "Time", t, {"unit_string": "s"}))
-    for (name, unit, what), step in zip(
-        (("p", "bar", "pressure"), ("x", "mm", "x")), steps, strict=True
-    ):
+    both = (("p", "bar", "pressure"), ("x", "mm", "x"))
+    for (name, unit, what), step in zip(both, steps, strict=True):
         t = np.arange(0, 4, 0.001 if kind == "time channel" else step)
         told: dict[str, Any] = {"unit_string": unit}
         if kind == "waveform":
             told |= {"wf_increment": step, "wf_start_offset": 0.0, "wf_start_time": start}
             told["wf_samples"] = len(t)
-        made.append(ChannelObject("Data", name, signals[what](t) / TO_SI[unit], told))
+        made.append(ChannelObject("Data", name, draw.seen(what, t, unit), told))
     file = path / "log.tdms"
     with TdmsWriter(file) as writer:
         writer.write_segment(made)
@@ -635,14 +597,8 @@ def joint_states(draw: Draw, path: Path) -> Case:
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = store.types
     t, signals = np.arange(0, 5, 0.01), draw.signals()
-    state, header, time = (
-        kinds[n]
-        for n in (
-            "sensor_msgs/msg/JointState",
-            "std_msgs/msg/Header",
-            "builtin_interfaces/msg/Time",
-        )
-    )
+    state, header = kinds["sensor_msgs/msg/JointState"], kinds["std_msgs/msg/Header"]
+    time = kinds["builtin_interfaces/msg/Time"]
     file = path / "joints"
     with Writer(file, version=9) as writer:
         connection = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
@@ -686,8 +642,7 @@ def mcap_of_json(draw: Draw, path: Path) -> Case:
 @shape
 def nested_json(draw: Draw, path: Path) -> Case:
     t = draw.times()
-    signals = draw.signals()
-    p, x = signals["pressure"](t) / 1e3, signals["x"](t) * 1e3
+    p, x = draw.seen("pressure", t, "kPa"), draw.seen("x", t, "mm")
     kind = draw.of("channels", "mapping", "records", "lines", "united records")
     file = path / "run.json"
     several = (("time", "s", t.tolist()), ("p", "kPa", p.tolist()), ("x", "mm", x.tolist()))
@@ -720,12 +675,11 @@ def frame_with_an_index_of_times(draw: Draw, path: Path) -> Case:
 
     t = draw.times()
     made, names = columns(draw, t)
-    begin = pd.Timestamp("2024-10-27 00:59:59", tz=draw.of(None, "UTC")) + pd.to_timedelta(
-        t, unit="s"
-    )
+    since = pd.to_timedelta(t, unit="s")
+    begin = pd.Timestamp("2024-10-27 00:59:59", tz=draw.of(None, "UTC")) + since
     if begin.tz is not None:
         begin = begin.tz_convert(draw.of("Europe/Berlin", "UTC"))
-    index = draw.of(begin, pd.to_timedelta(t, unit="s"), pd.Index(t, name="time [s]"))
+    index = draw.of(begin, since, pd.Index(t, name="time [s]"))
     frame = pd.DataFrame(made, index=index)
     if draw.of(True, False):
         return record(draw, frame, names)
@@ -774,8 +728,6 @@ def asked(sentence: str, answers: dict[str, Any], given: dict[str, Any]) -> str 
 def read(case: Case) -> tuple[str, str]:
     """(outcome, what was said)."""
     given: dict[str, Any] = {}
-    if case.answers.get("kind"):
-        case.answers.pop("kind")
     for _ in range(5):
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
@@ -811,17 +763,17 @@ def one(number: int, seed: int, folder: Path, show: bool = False) -> harness.Row
     return {**row, "why": [words] if show or not outcome.startswith("right") else []}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     with tempfile.TemporaryDirectory() as scratch:
         for number in harness.numbers(given):
             yield number, partial(one, number, given.seed, given.keep or Path(scratch), given.show)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--keep", type=Path, help="folder in which the files stay")
-    parser.add_argument("--show", action="store_true", help="what was said of each file")
-
+OPTIONS = {
+    "--keep": {"type": Path, "help": "folder in which the files stay"},
+    "--show": harness.flag("what was said of each file"),
+}
 
 if __name__ == "__main__":
-    rows = harness.main(__doc__, cases, count=100, seed=0, options=options)
+    rows = harness.main(__doc__, cases, count=100, seed=0, options=OPTIONS)
     sys.exit(any(row["verdict"] == "WRONG IN SILENCE" for row in rows))

@@ -11,9 +11,7 @@ the least one found. Times as ratios to ours in the same run.
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 
 import casadi as ca
@@ -139,14 +137,13 @@ def one(muscle: str, method: str, starts: np.ndarray) -> harness.Row:
         run = METHODS[method](table)
     except ImportError as missing:
         return {"verdict": "skipped", "why": [str(missing)]}
-    begin = time.perf_counter()
     with np.errstate(all="ignore"):  # local solvers run away from some starts
-        found = [run(start) for start in starts]
-    took = 1e3 * (time.perf_counter() - begin) / len(starts)
-    return {"muscle": muscle, "method": method, "squares": found, "ms": took}
+        fits = harness.took(lambda: [run(start) for start in starts])
+    each = 1e3 * fits.clock / len(starts)
+    return {"muscle": muscle, "method": method, "squares": fits.result, "ms": each}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     random = np.random.default_rng(given.seed)
     size = (given.count, 6)
     starts = 10 ** random.uniform(-1, 1, size) * random.choice([-1, 1], size)

@@ -28,21 +28,22 @@ with the floor found and with none sought.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import harness
 import numpy as np
 
 import pam_ocp as pam
+from pam_ocp.fitting.static.static import law_class
+from pam_ocp.muscles.law import LAWS
 
 RIG = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.25}
 MAPS = (("DMSP-20-300_static.csv", 0.300, 1.0), ("DMSP-10-250_static.csv", 0.250, 0.5))
-FREE_FORMS = ("polynomial-1-3", "polynomial-2-2", "spline-2:0,0.12,0.25")
+LAW_NAMES = [*LAWS, "polynomial-1-3", "polynomial-2-2", "spline-2:0,0.12,0.25"]
 PLACES = 60
 LEVEL = 0.95
 MOVED = 0.1
@@ -67,32 +68,18 @@ class Case:
         return pam.read_table(dict(self.columns), rest_length=self.rest_length)
 
 
-_TRUTHS: dict[tuple[str, str], tuple[Any, dict[str, float]]] = {}
-
-
-def law_names() -> list[str]:
-    from pam_ocp.muscles.law import LAWS
-
-    return [*LAWS, *FREE_FORMS]
-
-
+@cache
 def truth(name: str, source: str, length: float, scale: float) -> tuple[Any, dict[str, float]]:
     """A law as fitted to a bundled map, and its known constants."""
-    if (name, source) not in _TRUTHS:
-        from pam_ocp.fitting.static.static import law_class
-
-        constants = law_class(name).fixed_coefficients()
-        fixed = {
-            n: v * (scale if "ratio" not in n else 1) for n, v in RIG.items() if n in constants
-        }
-        table = pam.read_table(source, rest_length=length)
-        _TRUTHS[name, source] = pam.fit_force(table, name, fixed=fixed).law, fixed
-    return _TRUTHS[name, source]
+    constants = law_class(name).fixed_coefficients()
+    fixed = {n: v * (scale if "ratio" not in n else 1) for n, v in RIG.items() if n in constants}
+    table = pam.read_table(source, rest_length=length)
+    return pam.fit_force(table, name, fixed=fixed).law, fixed
 
 
 def sample(random: np.random.Generator, name: str | None = None) -> Case:
     """One random table."""
-    name = name or str(random.choice(law_names()))
+    name = name or str(random.choice(LAW_NAMES))
     source, length, scale = MAPS[int(random.integers(2))]
     while True:
         base, fixed = truth(name, source, length, scale)
@@ -223,7 +210,7 @@ def judged(case: Case, random: np.random.Generator) -> harness.Row:
 def one(number: int, seed: int) -> harness.Row:
     """Every table by its own number, so that a part of a study is a part of it."""
     random = np.random.default_rng([seed, number])
-    return judged(sample(random, law_names()[number % len(law_names())]), random)
+    return judged(sample(random, LAW_NAMES[number % len(LAW_NAMES)]), random)
 
 
 def groups(row: harness.Row) -> Iterator[str]:
@@ -317,7 +304,7 @@ def of_floors(rows: list[harness.Row]) -> str:
 
 
 # ---- the study -----------------------------------------------------------------------------------
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     work = one_floor if given.floor else one
     for number in harness.numbers(given):
         yield number, partial(work, number, given.seed)
@@ -328,9 +315,7 @@ def summary(rows: list[harness.Row]) -> str:
     return of_floors(good) if good and "floor" in good[0] else of_intervals(good)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--floor", action="store_true", help="slack cells that show a force")
-
+OPTIONS = {"--floor": harness.flag("slack cells that show a force")}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=500, seed=1, options=options)
+    harness.main(__doc__, cases, summary, count=500, seed=1, options=OPTIONS)

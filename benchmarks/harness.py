@@ -37,14 +37,16 @@ import sys
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
 Row = dict[str, Any]
 Work = Callable[[], Row]
-Cases = Callable[[argparse.Namespace], Iterable[tuple[object, Work]]]
+Given = argparse.Namespace
+Keyed = Iterator[tuple[object, Work]]
+Cases = Callable[[Given], Keyed]
 
 
 # ---- seconds -------------------------------------------------------------------------------------
@@ -227,7 +229,7 @@ def _seed(word: str) -> int | str:
     return word if word is argparse.SUPPRESS else int(word)
 
 
-def chosen(given: argparse.Namespace, key: object) -> bool:
+def chosen(given: Given, key: object) -> bool:
     """Whether ``--only`` names a case: its number, or a part of its name."""
     words = [part for word in given.only for part in _parts(word)]
     return not words or str(key) in words or any(w in str(key) for w in words if not w.isdigit())
@@ -237,9 +239,7 @@ def _parts(word: str) -> list[str]:
     return word.split(",") if re.fullmatch(r"[\d,]+", word) else [word]
 
 
-def numbers(
-    given: argparse.Namespace, wanted: Callable[[int], bool] = lambda number: True
-) -> Iterator[int]:
+def numbers(given: Given, wanted: Callable[[int], bool] = lambda number: True) -> Iterator[int]:
     """Numbers of cases: those of ``--only``, or as many as are asked for of those wanted."""
     if given.only:
         yield from (int(part) for word in given.only for part in _parts(word))
@@ -270,7 +270,7 @@ def show(row: Row) -> None:
         print(f"       {each[:300]}", flush=True)
 
 
-def run(cases: Cases, given: argparse.Namespace) -> list[Row]:
+def run(cases: Cases, given: Given) -> list[Row]:
     """All cases that are asked for, those of the table included."""
     rows, known = [], stored(given.table, given.seed)
     for key, work in cases(given):
@@ -306,12 +306,18 @@ def main(
     *,
     count: int | None = None,
     seed: int | None = None,
-    options: Callable[[argparse.ArgumentParser], object] | None = None,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    **usual: Any,
 ) -> list[Row]:
-    """Run a study from the command line; ``options`` adds its own to the usual ones."""
+    """Run a study from the command line.
+
+    options : of its own, {name: arguments of add_argument}. usual : values of the usual ones where
+    none are given.
+    """
     made = parser(doc, count, seed)
-    if options is not None:
-        options(made)
+    made.set_defaults(**usual)
+    for name, arguments in (options or {}).items():
+        made.add_argument(name, **arguments)
     given = made.parse_args()
     print(f"seed {given.seed}", flush=True)
     rows = run(cases, given)
@@ -321,10 +327,15 @@ def main(
     return rows
 
 
-def asked(count: int | None = None, seed: int = 0, **options: Any) -> argparse.Namespace:
+def flag(text: str) -> dict[str, Any]:
+    """An option that is given or not."""
+    return {"action": "store_true", "help": text}
+
+
+def asked(count: int | None = None, seed: int = 0, **options: Any) -> Given:
     """What the command line would give, for a study that is called from Python."""
     usual = parser(None, count, seed).parse_args([])
-    return argparse.Namespace(**{**vars(usual), **options})
+    return Given(**{**vars(usual), **options})
 
 
 # ---- what is written -----------------------------------------------------------------------------
@@ -353,7 +364,7 @@ def write(path: Path, text: str) -> None:
 
 
 def importable(folder: str) -> None:
-    """Let helpers of the tests be imported: ``importable("rig")``."""
-    path = str(Path(__file__).resolve().parents[1] / "tests" / folder)
+    """Let modules of another folder of the tree be imported: ``importable("tests/rig")``."""
+    path = str(Path(__file__).resolve().parents[1] / folder)
     if path not in sys.path:
-        sys.path.insert(0, path)
+        sys.path.append(path)  # behind those of this folder: names stand twice

@@ -25,12 +25,14 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 LONGEST = 60.0
 """Behind the signal; then the process is killed [s]."""
 STOPS = [{"x": -0.015}, {"x": 0.015}]
 Work = Callable[[], Any]
+Verb = Callable[[Any, str], Work]
 
 
 # ---- what verbs are given ------------------------------------------------------------------------
@@ -63,26 +65,13 @@ def many(pam: Any, **options: Any) -> Work:
     return lambda: pam.simulate_many(slide(pam), masses, duration=1.0, **options)
 
 
-def pooled(pam: Any, kind: Any) -> Work:
-    def work() -> Any:
+# ---- verbs of more than a line -------------------------------------------------------------------
+def pooled(kind: Any) -> Verb:
+    def work(pam: Any) -> Any:
         with kind(2) as pool:
             return many(pam, executor=pool)()
 
-    return work
-
-
-# ---- the verbs -----------------------------------------------------------------------------------
-def simulate(pam: Any, folder: str) -> Work:
-    """Some minutes in one call of the integrator."""
-    return lambda: pam.simulate(slide(pam), t=[0.0, 2e5], step=1e-4, max_steps=10**9)
-
-
-def plan(pam: Any, folder: str) -> Work:
-    return lambda: pam.plan(slide(pam), STOPS)
-
-
-def plan_work(pam: Any, folder: str) -> Work:
-    return lambda: pam.plan(slide(pam), STOPS, minimise="work", duration=0.5)
+    return lambda pam, folder: partial(work, pam)
 
 
 def plan_infeasible(pam: Any, folder: str) -> Work:
@@ -101,25 +90,9 @@ def plan_valves(pam: Any, folder: str) -> Work:
     return lambda: pam.plan(plant, [{"x": 0.03}, {"x": 0.05}], tolerance=None)
 
 
-def pareto(pam: Any, folder: str) -> Work:
-    return lambda: pam.pareto(slide(pam), STOPS, points=7)
-
-
 def robust_plan(pam: Any, folder: str) -> Work:
     draws = {"draws": [{"mass": mass} for mass in (1.9, 2.0, 2.1)], "spread": {"x": 2e-3}}
     return lambda: pam.robust_plan(slide(pam), STOPS, tolerance=None, share=None, **draws)
-
-
-def compare_laws(pam: Any, folder: str) -> Work:
-    return lambda: pam.compare_laws(table(pam))
-
-
-def fit_force(pam: Any, folder: str) -> Work:
-    return lambda: pam.fit_force(table(pam), loss="bisquare")
-
-
-def bootstrap(pam: Any, folder: str) -> Work:
-    return lambda: pam.fit_force(table(pam)).bootstrap(100_000)
 
 
 def fit_plant(pam: Any, folder: str) -> Work:
@@ -143,11 +116,6 @@ def design_cells(pam: Any, folder: str) -> Work:
     return lambda: pam.experiments.design_cells(fit, 12)
 
 
-def equilibria(pam: Any, folder: str) -> Work:
-    given = {"muscle.pressure": 2e5}
-    return lambda: pam.operating.equilibria(hanging(pam), given, starts=1000)
-
-
 def equilibrium_branch(pam: Any, folder: str) -> Work:
     way = ("mass", 5.0, 60.0, {"muscle.pressure": 3e5})
     return lambda: pam.operating.equilibrium_branch(hanging(pam), *way, longest=0.01)
@@ -169,10 +137,6 @@ def limit_cycles(pam: Any, folder: str) -> Work:
         return pam.vibration.continue_cycle(small, "muscle.gain", within, step=0.1)
 
     return followed
-
-
-def load_study(pam: Any, folder: str) -> Work:
-    return lambda: pam.load_study("DMSP-20-300")
 
 
 def closed_loop_ipopt(pam: Any, folder: str) -> Work:
@@ -219,37 +183,40 @@ def files(pam: Any, folder: str) -> Work:
     return there_and_back
 
 
-def figures(pam: Any, folder: str) -> Work:
-    _, record = recorded(pam)
-    return lambda: record.plot()
-
-
-def simulate_many(pam: Any, folder: str) -> Work:
-    return many(pam)
-
-
-def simulate_many_workers(pam: Any, folder: str) -> Work:
-    return many(pam, workers=2)
-
-
-def simulate_many_pool(pam: Any, folder: str) -> Work:
-    return pooled(pam, ProcessPoolExecutor)
-
-
-def simulate_many_threads(pam: Any, folder: str) -> Work:
-    return pooled(pam, ThreadPoolExecutor)
-
-
-VERBS: dict[str, Callable[[Any, str], Work]] = {
-    verb.__name__: verb
-    for verb in (
-        simulate, plan, plan_work, plan_infeasible, plan_valves, pareto, robust_plan, compare_laws,
-        fit_force, bootstrap, fit_plant, equilibria, load_study, closed_loop_ipopt, free_run,
-        design_signal, design_cells, equilibrium_branch, hopf_border, limit_cycles, export_fmu,
-        export_controller, check_fmu, files, figures, simulate_many, simulate_many_workers,
-        simulate_many_pool, simulate_many_threads,
-    )
-}  # fmt: skip
+LONG = {"t": [0.0, 2e5], "step": 1e-4, "max_steps": 10**9}
+"""Some minutes in one call of the integrator."""
+GIVEN = {"muscle.pressure": 2e5}
+VERBS: dict[str, Verb] = {
+    "simulate": lambda pam, _: lambda: pam.simulate(slide(pam), **LONG),
+    "plan": lambda pam, _: lambda: pam.plan(slide(pam), STOPS),
+    "plan_work": lambda pam, _: lambda: pam.plan(slide(pam), STOPS, minimise="work", duration=0.5),
+    "plan_infeasible": plan_infeasible,
+    "plan_valves": plan_valves,
+    "pareto": lambda pam, _: lambda: pam.pareto(slide(pam), STOPS, points=7),
+    "robust_plan": robust_plan,
+    "compare_laws": lambda pam, _: lambda: pam.compare_laws(table(pam)),
+    "fit_force": lambda pam, _: lambda: pam.fit_force(table(pam), loss="bisquare"),
+    "bootstrap": lambda pam, _: lambda: pam.fit_force(table(pam)).bootstrap(100_000),
+    "fit_plant": fit_plant,
+    "equilibria": lambda pam, _: lambda: pam.operating.equilibria(hanging(pam), GIVEN, starts=1000),
+    "load_study": lambda pam, _: lambda: pam.load_study("DMSP-20-300"),
+    "closed_loop_ipopt": closed_loop_ipopt,
+    "free_run": free_run,
+    "design_signal": design_signal,
+    "design_cells": design_cells,
+    "equilibrium_branch": equilibrium_branch,
+    "hopf_border": hopf_border,
+    "limit_cycles": limit_cycles,
+    "export_fmu": export_fmu,
+    "export_controller": export_controller,
+    "check_fmu": check_fmu,
+    "files": files,
+    "figures": lambda pam, _: recorded(pam)[1].plot,
+    "simulate_many": lambda pam, _: many(pam),
+    "simulate_many_workers": lambda pam, _: many(pam, workers=2),
+    "simulate_many_pool": pooled(ProcessPoolExecutor),
+    "simulate_many_threads": pooled(ThreadPoolExecutor),
+}
 """(pam_ocp, a folder) -> what is done again and again, so that an interrupt always finds it."""
 
 

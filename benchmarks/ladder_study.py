@@ -12,8 +12,7 @@ many of the samples lie in bands of 90 %.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TypeAlias
 
@@ -122,7 +121,7 @@ def judged(number: int, seed: int) -> harness.Row:
     return {"parts": parts, "bands": band.coverage, "best": ladder.best.name, "text": text}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[object, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for number in harness.numbers(given):
         yield number, partial(judged, number, given.seed)
 

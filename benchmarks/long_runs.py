@@ -18,23 +18,21 @@ are compared with those after a fifth. Answers are compared where the same is as
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import os
 import subprocess
 import sys
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import harness
 import numpy as np
+from mpc import predicted
 
 import pam_ocp as pam
 from pam_ocp.export.runner import Runner, UnpackedFmu
@@ -169,25 +167,20 @@ def day(count: int, in_c: bool) -> harness.Row:
 def library(what: Any, folder: Path, name: str, variables: Sequence[str]) -> list[str]:
     """Of its exported FMU: the shared library, the token, references of variables."""
     path = pam.export_fmu(what, folder / f"{name}.fmu", platforms="native", fmi="2.0")
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder / name)
-    about = fmpy.read_model_description(str(path))
-    references = {v.name: str(v.valueReference) for v in about.modelVariables}
-    found = next((folder / name / "binaries").rglob("*.so"))
-    return [str(found), about.guid, *(references[n] for n in variables)]
+    unit = UnpackedFmu(path, folder / name)
+    found = next((unit.folder / "binaries").rglob("*.so"))
+    return [str(found), unit.description.guid, *(str(unit.references[n]) for n in variables)]
 
 
 def mpc(count: int) -> harness.Row:
     plant, regulator, rest = controller(0.005)
-    names = [v.name for v in plant.states]
-    low, high = (plant.vector("state", attribute=a) for a in ("min", "max"))
     regulator.reset({v.name: rest[v.name] for v in plant.inputs})
     state = np.array(rest.x)
 
     def step(k: int) -> float:
         nonlocal state
         regulator.control(state, wanted(k))
-        state = np.clip(regulator.prediction().array(names)[1], low, high)
+        state = predicted(plant, regulator)
         return float(state[0])
 
     return settled(count, step)
@@ -249,16 +242,13 @@ RUNS = {
 }
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for name, count in RUNS.items():
         yield name, partial(globals()[name], max(100, round(count * given.share)))
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(seconds=math.inf)  # each in a process of its own
-    parser.add_argument("--share", type=float, default=1.0, help="of each run")
-
+OPTIONS = {"--share": {"type": float, "default": 1.0, "help": "of each run"}}
 
 if __name__ == "__main__":
-    rows = harness.main(__doc__, cases, options=options)
+    rows = harness.main(__doc__, cases, options=OPTIONS, seconds=math.inf)
     sys.exit(any(row["verdict"] != "flat" for row in rows))

@@ -228,7 +228,7 @@ def scheduler(seed: int) -> None:
 
 def array(count: int) -> bool:
     """Run an array of a case for each shard, and the study in one go; whether bits are equal."""
-    harness.importable("studies")
+    harness.importable("tests/studies")
     import job_array as jobs
 
     doomed = jobs.drawn(count, random.Random(int(time())))

@@ -191,22 +191,18 @@ def simulation(quick: bool) -> dict[str, float]:
     p, scale = plant.vector("parameter"), plant.vector("state", attribute="nominal")
     x0 = plant.vector("state") / scale
 
-    def slope(time: float, z: Any) -> Any:
-        u = [np.interp(time, t, row) for row in wave]
+    def rates(_: float, z: Any, u: Any, parameters: Any = None) -> Any:
         return np.asarray(plant.function(z * scale, u, p)[0]).ravel() / scale
+
+    def slope(time: float, z: Any) -> Any:
+        return rates(time, z, [np.interp(time, t, row) for row in wave])
 
     def scipy(method: str) -> float:
         return timed(
             lambda: solve_ivp(slope, (0, 1), x0, method, t_eval=t, rtol=1e-8, atol=1e-8), 1
         )
 
-    system = control.NonlinearIOSystem(
-        lambda time, z, u, _: np.asarray(plant.function(z * scale, u, p)[0]).ravel() / scale,
-        None,
-        inputs=2,
-        states=4,
-        outputs=4,
-    )
+    system = control.NonlinearIOSystem(rates, None, inputs=2, states=4, outputs=4)
     settings = {"solve_ivp_kwargs": {"rtol": 1e-8, "atol": 1e-8}, "solve_ivp_method": "LSODA"}
     machine = timed(lambda: pam.simulate(plant, inputs, compiled=True, **common), 20)
     found = {"simulate 1 s [s]": ours, "simulate 1 s, compiled [s]": machine}

@@ -9,7 +9,6 @@ killed. Random faults: ``mutate.py``.
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import sys
 import tempfile
@@ -76,7 +75,7 @@ def one(scratch: Scratch, mutant: Mutant) -> harness.Row:
     return {**answer, "text": answer["by"]}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     with tempfile.TemporaryDirectory() as temporary:
         scratch = Scratch(Path(temporary))
         for mutant in MUTANTS:

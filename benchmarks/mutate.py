@@ -13,7 +13,6 @@ Needs pytest-cov (extra ``test``). The coverage of a room is collected first and
 
 from __future__ import annotations
 
-import argparse
 import ast
 import dataclasses
 import json
@@ -23,7 +22,6 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -213,7 +211,7 @@ def still_there(scratch: Scratch, fault: Fault) -> Fault | None:
     return Fault.at(fault.file, text, at, fault.new, fault.kind)
 
 
-def wanted(tree: Path, given: argparse.Namespace) -> list[tuple[str, Fault]]:
+def wanted(tree: Path, given: harness.Given) -> list[tuple[str, Fault]]:
     """(room, fault) of those that are drawn, or of the survivors of a table."""
     if given.again:
         rows = (json.loads(line) for line in given.again.read_text("utf-8").splitlines())
@@ -238,7 +236,7 @@ def one(
     return {**row, **answer, "text": str(fault)}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     with tempfile.TemporaryDirectory() as temporary:
         scratch = Scratch(Path(temporary) / "tree")
         keep = given.keep or Path(temporary) / "coverage"
@@ -260,13 +258,13 @@ def summary(rows: list[harness.Row]) -> str:
     return harness.table(("room", "faults", "killed", "survived", "stale"), lines)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("counts", nargs="*", help=f"room=count, of {', '.join(ROOMS)}")
-    parser.add_argument("--again", type=Path, help="ask again about the survivors in this table")
-    parser.add_argument("--keep", type=Path, help="folder of the coverage, used again if there")
-    parser.add_argument("--budget", type=float, default=BUDGET, help="seconds of tests a fault")
-
+OPTIONS = {
+    "counts": {"nargs": "*", "help": f"room=count, of {', '.join(ROOMS)}"},
+    "--again": {"type": Path, "help": "ask again about the survivors in this table"},
+    "--keep": {"type": Path, "help": "folder of the coverage, used again if there"},
+    "--budget": {"type": float, "default": BUDGET, "help": "seconds of tests a fault"},
+}
 
 if __name__ == "__main__":
-    rows = harness.main(__doc__, cases, summary, seed=0, options=options)
+    rows = harness.main(__doc__, cases, summary, seed=0, options=OPTIONS)
     sys.exit(not all(row["verdict"].startswith("killed") for row in rows))

@@ -23,15 +23,15 @@ def plant(case: str) -> pam.Plant:
     return slide() if case == "a" else commanded()
 
 
+def driven(muscle: pam.Muscle, feed: Any) -> pam.Plant:
+    """The slide between two such muscles."""
+    damping = pam.losses.ConstantDamping(20.0)
+    return pam.AntagonisticSlide(muscle, 2.0, 0.10, stroke=0.016, damping=damping, feed=feed)
+
+
 def slide() -> pam.Plant:
-    return pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        2.0,
-        0.10,
-        stroke=0.016,
-        damping=pam.losses.ConstantDamping(20.0),
-        feed=pam.feeds.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
-    )
+    feed = pam.feeds.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR)
+    return driven(pam.muscle("DMSP-20-200N"), feed)
 
 
 class RateOfCommand:
@@ -58,12 +58,4 @@ class RateOfCommand:
 
 
 def commanded() -> pam.Plant:
-    muscle = replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2)
-    return pam.AntagonisticSlide(
-        muscle,
-        2.0,
-        0.10,
-        stroke=0.016,
-        damping=pam.losses.ConstantDamping(20.0),
-        feed=RateOfCommand(),
-    )
+    return driven(replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2), RateOfCommand())

@@ -13,9 +13,8 @@ from the truth in standard deviations (2 is the end of the 95 % interval).
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,26 +28,12 @@ import numpy as np
 import pam_ocp as pam
 from pam_ocp.muscles.gas import Gas
 from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
-from pam_ocp.plants.feeds import (
-    Compressor,
-    FirstOrderSpool,
-    LumpedTube,
-    OnOffValves,
-    PairRegulator,
-    PressureRegulator,
-    QuickExhaust,
-    Receiver,
-    Regulator,
-    SecondOrderSpool,
-    ServoValve,
-    SpoolValve,
-    Tube,
-)
 
+F, L = pam.feeds, pam.losses
 MUSCLE = "DMSP-20-200N"
-SMALL = Receiver(1e-3, source=Compressor(2e-4, pressure=7e5))
+SMALL = F.Receiver(1e-3, source=F.Compressor(2e-4, pressure=7e5))
 WARM = Gas(heat=ConstantHeatTransfer(40.0))
-L, LAWS = pam.losses, pam.laws
+LAWS = pam.laws
 LOSSES: dict[str, tuple[Any, tuple[str, ...]]] = {
     "Coulomb friction": (L.CoulombFriction(30.0, excess=0.3, speed=5e-3), ("friction_constant",)),
     "Bouc-Wen": (L.BoucWen(), ("hysteresis_force", "hysteresis_yield")),
@@ -81,103 +66,110 @@ LOSSES: dict[str, tuple[Any, tuple[str, ...]]] = {
 }
 FEEDS: dict[str, tuple[Any, tuple[str, ...]]] = {
     "regulator": (
-        Regulator(0.05, venting_lag=0.08, slew=6e6, dead_time=0.01),
-        ("muscle.lag", "muscle.venting_lag"),
+        F.Regulator(0.05, venting_lag=0.08, slew=6e6, dead_time=0.01),
+        ("lag", "venting_lag"),
     ),
-    "valve": (SpoolValve(leak=4e-10), ("muscle.gas.conductance", "muscle.gas.leak")),
-    "heat": (SpoolValve(gas=WARM), ("muscle.gas.heat_transfer", "muscle.gas.conductance")),
+    "valve": (F.SpoolValve(leak=4e-10), ("gas.conductance", "gas.leak")),
+    "heat": (F.SpoolValve(gas=WARM), ("gas.heat_transfer", "gas.conductance")),
     "heat by pressure, rubber": (
-        SpoolValve(gas=Gas(heat=PressureHeatTransfer(), rubber=Rubber(20.0, stiffening=2e-3))),
-        ("muscle.gas.conductance",),
+        F.SpoolValve(gas=Gas(heat=PressureHeatTransfer(), rubber=Rubber(20.0, stiffening=2e-3))),
+        ("gas.conductance",),
     ),
     "warm supply": (
-        SpoolValve(gas=WARM, supply_temperature=330.0),
-        ("muscle.gas.supply_temperature", "muscle.gas.conductance"),
+        F.SpoolValve(gas=WARM, supply_temperature=330.0),
+        ("gas.supply_temperature", "gas.conductance"),
     ),
-    "on/off valves": (OnOffValves(), ("muscle.gas.conductance",)),
+    "on/off valves": (F.OnOffValves(), ("gas.conductance",)),
     "unequal openings": (
-        SpoolValve(exhaust_conductance=1.5e-8),
-        ("muscle.gas.conductance", "muscle.gas.exhaust_conductance"),
+        F.SpoolValve(exhaust_conductance=1.5e-8),
+        ("gas.conductance", "gas.exhaust_conductance"),
     ),
-    "meters": (SpoolValve(totals=True), ("muscle.gas.conductance",)),
-    "receiver": (SpoolValve(supply=SMALL), ("receiver.volume",)),
+    "meters": (F.SpoolValve(totals=True), ("gas.conductance",)),
+    "receiver": (F.SpoolValve(supply=SMALL), ("receiver.volume",)),
     "receiver behind a regulator": (
-        SpoolValve(supply=Receiver(5e-4, source=PressureRegulator(conductance=5e-9)), gas=WARM),
+        F.SpoolValve(
+            supply=F.Receiver(5e-4, source=F.PressureRegulator(conductance=5e-9)), gas=WARM
+        ),
         ("receiver.conductance",),
     ),
     "warm receiver": (
-        SpoolValve(
-            supply=Receiver(1e-3, source=Compressor(pressure=6e5), wall_conductance=1.0), gas=WARM
+        F.SpoolValve(
+            supply=F.Receiver(1e-3, source=F.Compressor(pressure=6e5), wall_conductance=1.0),
+            gas=WARM,
         ),
-        ("muscle.gas.conductance",),
+        ("gas.conductance",),
     ),
-    "tube": (SpoolValve(tube=Tube(2e-5, 0.01)), ("muscle.gas.tube_lag",)),
-    "lumped tube": (SpoolValve(tube=LumpedTube(1.0, 4e-3, 2)), ("muscle.gas.tube_length",)),
+    "tube": (F.SpoolValve(tube=F.Tube(2e-5, 0.01)), ("gas.tube_lag",)),
+    "lumped tube": (F.SpoolValve(tube=F.LumpedTube(1.0, 4e-3, 2)), ("gas.tube_length",)),
     "first-order spool": (
-        SpoolValve(spool=FirstOrderSpool(8e-3), offset=0.01),
-        ("muscle.valve.time", "muscle.valve.offset"),
+        F.SpoolValve(spool=F.FirstOrderSpool(8e-3), offset=0.01),
+        ("valve.time", "valve.offset"),
     ),
     "spool with play": (
-        SpoolValve(spool=FirstOrderSpool(8e-3, hysteresis=0.02)),
-        ("muscle.valve.time",),
+        F.SpoolValve(spool=F.FirstOrderSpool(8e-3, hysteresis=0.02)),
+        ("valve.time",),
     ),
     "second-order spool": (
-        SpoolValve(spool=SecondOrderSpool(40.0), exhaust_overlap=0.05),
-        ("muscle.valve.frequency",),
+        F.SpoolValve(spool=F.SecondOrderSpool(40.0), exhaust_overlap=0.05),
+        ("valve.frequency",),
     ),
     "quick exhaust": (
-        SpoolValve(tube=Tube(1e-5, 0.02), quick_exhaust=QuickExhaust()),
-        ("muscle.gas.conductance",),
+        F.SpoolValve(tube=F.Tube(1e-5, 0.02), quick_exhaust=F.QuickExhaust()),
+        ("gas.conductance",),
     ),
-    "position feedback": (
-        pam.plants.PositionFeedback(gain=5e5, lag=0.05),
-        ("muscle.gain", "muscle.lag"),
-    ),
-    "servo valve": (
-        ServoValve(command_lag=5e-3, leak=4e-10),
-        ("muscle.pressure_gain", "muscle.command_lag"),
-    ),
+    "position feedback": (pam.plants.PositionFeedback(gain=5e5, lag=0.05), ("gain", "lag")),
+    "servo valve": (F.ServoValve(command_lag=5e-3, leak=4e-10), ("pressure_gain", "command_lag")),
 }
 PLAIN = pam.muscle(MUSCLE)
 BODIES: dict[str, tuple[pam.Muscle, tuple[str, ...]]] = {
-    "body with mass": (replace(PLAIN, mass_per_length=0.4, end_mass=0.8), ("muscle.end_mass",)),
-    "bladder": (replace(PLAIN, law=LAWS.with_bladder(PLAIN.law, 3e4)), ("muscle.threshold",)),
+    "body with mass": (replace(PLAIN, mass_per_length=0.4, end_mass=0.8), ("end_mass",)),
+    "bladder": (replace(PLAIN, law=LAWS.with_bladder(PLAIN.law, 3e4)), ("threshold",)),
     "rigid ends": (
         replace(PLAIN, law=LAWS.with_ends(PLAIN.law, rigid=0.08, taper=1.03, tube=100.0)),
-        ("muscle.rigid", "muscle.gas.conductance"),
+        ("rigid", "gas.conductance"),
     ),
-    "two in parallel": (pam.muscles.in_parallel(PLAIN, 2), ("muscle.gas.conductance",)),
-    "strength": (replace(PLAIN, burst_pressure=7e5, pull_off=1.2e3), ("muscle.gas.conductance",)),
+    "two in parallel": (pam.muscles.in_parallel(PLAIN, 2), ("gas.conductance",)),
+    "strength": (replace(PLAIN, burst_pressure=7e5, pull_off=1.2e3), ("gas.conductance",)),
 }
 SENSOR = pam.plants.Sensor(gain=1.1, zero=1e-3, filter=0.02)
 FITTED = replace(PLAIN, mass_per_length=0.4, end_mass=0.8)
-SHARED = Receiver(1e-3, source=Compressor(2e-4, pressure=7e5), wall_conductance=1.0)
+SHARED = F.Receiver(1e-3, source=F.Compressor(2e-4, pressure=7e5), wall_conductance=1.0)
 PAIRS: dict[str, tuple[Callable[[], pam.Plant], tuple[str, ...]]] = {
     "body on a pulley": (
         lambda: pam.AntagonisticJoint(
-            FITTED, moment_arm=0.03, link_mass=1.0, link_length=0.1, feed=Regulator(0.03)
+            FITTED, moment_arm=0.03, link_mass=1.0, link_length=0.1, feed=F.Regulator(0.03)
         ),
         ("inertia", "muscle1.radius"),
     ),
     "body on a lever": (
         lambda: pam.AntagonisticJoint(
-            FITTED, moment_arm=lambda angle: 0.03 * ca.cos(angle), feed=Regulator(0.03)
+            FITTED, moment_arm=lambda angle: 0.03 * ca.cos(angle), feed=F.Regulator(0.03)
         ),
         ("inertia",),
     ),
     "shared receiver": (
         lambda: pam.AntagonisticSlide(
-            PLAIN, damping=60.0, feed=SpoolValve(supply=SHARED, gas=WARM)
+            PLAIN, damping=60.0, feed=F.SpoolValve(supply=SHARED, gas=WARM)
         ),
         ("receiver.volume",),
     ),
     "regulator of a pair": (
         lambda: pam.AntagonisticSlide(
-            PLAIN, damping=60.0, feed=PairRegulator(0.05, venting_lag=0.08)
+            PLAIN, damping=60.0, feed=F.PairRegulator(0.05, venting_lag=0.08)
         ),
         ("muscle1.lag", "muscle1.venting_lag"),
     ),
 }
+QUICK = F.Regulator(0.03)
+PARTS: dict[str, tuple[pam.Muscle, Any, Any, tuple[str, ...]]] = {
+    **{n: (PLAIN, QUICK, loss, free) for n, (loss, free) in LOSSES.items()},
+    **{n: (PLAIN, feed, None, free) for n, (feed, free) in FEEDS.items()},
+    **{n: (muscle, F.SpoolValve(), None, free) for n, (muscle, free) in BODIES.items()},
+    "sensor": (PLAIN, QUICK, None, ("x.filter", "x.gain")),
+}
+"""Muscle, feed and loss of a hanging load with the component, and what a fit frees, of the muscle
+where it has that.
+"""
 COMPONENTS = [*LOSSES, *FEEDS, *BODIES, *PAIRS, "sensor"]
 LIMIT = 600.0
 """Of a fit, by the clock, which a busy machine makes go fast [s]."""
@@ -194,27 +186,14 @@ def built(name: str) -> tuple[pam.Plant, list[str]]:
     if name in PAIRS:
         make, free = PAIRS[name]
         return make(), list(free)
-    plant, free = load(name)[0], parts(name)[-1]
-    return plant, list(free)
-
-
-def parts(name: str) -> tuple[pam.Muscle, Any, Any, tuple[str, ...]]:
-    """Muscle, feed and loss of a hanging load with the component, and what a fit frees."""
-    if name == "sensor":
-        return PLAIN, Regulator(0.03), None, ("x.filter", "x.gain")
-    if name in FEEDS:
-        feed, free = FEEDS[name]
-        return PLAIN, feed, None, free
-    if name in BODIES:
-        muscle, free = BODIES[name]
-        return muscle, SpoolValve(), None, free
-    loss, free = LOSSES[name]
-    return PLAIN, Regulator(0.03), loss, tuple(f"muscle.{n}" for n in free)
+    plant = load(name)[0]
+    known = {v.name for v in plant.variables}
+    return plant, [f"muscle.{n}" if f"muscle.{n}" in known else n for n in PARTS[name][-1]]
 
 
 def load(name: str, change: Callable[[Any], Any] = lambda feed: feed) -> tuple[pam.Plant, Any]:
     """The hanging load with the component, and its feed, which may be another one's change."""
-    muscle, feed, loss, _ = parts(name)
+    muscle, feed, loss, _ = PARTS[name]
     feed, damping = change(feed), 100.0 if name in (*FEEDS, *BODIES) else 60.0
     plant = pam.HangingLoad(muscle, 10.0, damping=damping, feed=feed, losses=loss or ())
     if name == "sensor":
@@ -241,7 +220,7 @@ def accounted(name: str) -> books.Books:
     if name in PAIRS:
         plant = built(name)[0]
         return books.Books(plant, books.of_a_pair(plant))
-    muscle, _, loss, _ = parts(name)
+    muscle, _, loss, _ = PARTS[name]
     plant, feed = load(name, books.with_heat)
     return books.Books(plant, books.ledgers(plant, muscle, feed, loss))
 
@@ -372,15 +351,13 @@ def one(name: str, verb: str, seed: int) -> harness.Row:
     return {"text": VERBS[verb](name, draw)}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for name in COMPONENTS:
         for verb in given.verbs:
             yield f"{name}: {verb}", partial(one, name, verb, given.seed)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--verbs", nargs="+", choices=VERBS, default=list(VERBS))
-
+OPTIONS = {"--verbs": {"nargs": "+", "choices": VERBS, "default": list(VERBS)}}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, options=options)
+    harness.main(__doc__, cases, options=OPTIONS)

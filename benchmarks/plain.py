@@ -13,13 +13,11 @@ import sys
 from pathlib import Path
 from time import process_time
 
-BEGIN = process_time()
-
-import casadi as ca  # noqa: E402
-import numpy as np  # noqa: E402
+import casadi as ca
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent / "peers"))
-import equations as e  # noqa: E402
+import equations as e
 
 DEGREE = 3
 NOMINAL = (0.01, 0.5, 1.0, 1.0)
@@ -65,8 +63,8 @@ class Plain:
         count = equal + g[-1].numel()
         self.lbg = np.zeros(count)
         self.ubg = np.zeros(count)
-        low, high = self._limits(n)
-        self.lbg[equal:], self.ubg[equal:] = low, high
+        self.lbg[equal:] = np.tile([*[-1.0, -1.0, 0.0, 0.0] * DEGREE, -1.0, -1.0], n)
+        self.ubg[equal:] = np.tile([*[1.0, 1.0, np.inf, np.inf] * DEGREE, 1.0, 1.0], n)
         objective = duration if case == "a" else WEIGHT * ca.sum2(cost)
         unknowns = ca.vertcat(ca.vec(w), last, duration)
         options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
@@ -100,11 +98,6 @@ class Plain:
         cost = h * ca.sumsqr(u * (100 if nx == 6 else 1))
         results = [ca.vertcat(*defects), whole @ d, ca.vertcat(*path), cost]
         return ca.Function("stage", [x, points, u, h, mass], results)
-
-    def _limits(self, n: int) -> tuple[np.ndarray, np.ndarray]:
-        one = [*([-1.0] * 2 + [0.0] * 2) * DEGREE, -1.0, -1.0]
-        other = [*([1.0] * 2 + [np.inf] * 2) * DEGREE, 1.0, 1.0]
-        return np.tile(one, n), np.tile(other, n)
 
     def _bounds(self, size: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         high = np.array([e.STROKE, np.inf, e.LARGEST, e.LARGEST, e.LARGEST, e.LARGEST][: self.nx])

@@ -16,8 +16,6 @@ valves, on the mesh that was asked for; no least work, air or exergy, no loads o
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -173,7 +171,7 @@ def with_valves(rng: Draw) -> Task:
             return task
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[object, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     rng = np.random.default_rng(given.seed)
     if given.optima:
         number = 0
@@ -199,10 +197,10 @@ def summary(rows: list[harness.Row]) -> str:
     return f"feasible: median {np.median(seconds):.2f} s, longest {max(seconds):.2f} s"
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--optima", action="store_true", help="twelve starts for each task")
-    parser.add_argument("--valves", action="store_true", help="of tasks with valves")
-
+OPTIONS = {
+    "--optima": harness.flag("twelve starts for each task"),
+    "--valves": harness.flag("of tasks with valves"),
+}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=100, seed=1, options=options)
+    harness.main(__doc__, cases, summary, count=100, seed=1, options=OPTIONS)

@@ -472,7 +472,7 @@ def pair(rng: Draw) -> Made:
 
 def pendulum(rng: Draw) -> Made:
     """One muscle on a lever swings a pendulum; angular momentum or the rate is the state."""
-    muscle, top = any_muscle(rng), 0.0
+    muscle = any_muscle(rng)
     top = top_of(rng, muscle)
     size, rest = sized(muscle, top), float(muscle.rest_length)
     radius, length = rest * rng.uniform(0.08, 0.14), rng.uniform(0.2, 0.5)

@@ -10,16 +10,14 @@ call of the planner with its independent replay.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
 from functools import cache, partial
-from time import perf_counter
 from typing import Any
 
 import casadi as ca
 import harness
 import numpy as np
 import pam_2dir
+from harness import took
 
 import pam_ocp as pam
 from pam_ocp.planning.transcription.guess import by_stops
@@ -58,12 +56,8 @@ def reference(case: str) -> float:
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
     guess = np.clip(by_stops(program.problem, program.mesh), lbx, ubx)
     bounds = {"lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
-    seconds = []
-    for _ in range(REPEATS):
-        begin = perf_counter()
-        solver(x0=guess, p=program.parameters(), **bounds)
-        seconds.append(perf_counter() - begin)
-    return min(seconds)
+    solve = partial(solver, x0=guess, p=program.parameters(), **bounds)
+    return min(took(solve).clock for _ in range(REPEATS))
 
 
 def again(case: str, method: str) -> harness.Row:
@@ -71,16 +65,13 @@ def again(case: str, method: str) -> harness.Row:
     again, base = planner(case, **METHODS[method]), reference(case)
     first, changes = again(), []
     for name, change in CHANGES.items():
-        calls, solves = [], []
-        for _ in range(REPEATS):
-            begin = perf_counter()
-            plan = again(guess=first, **change)
-            calls.append(perf_counter() - begin)
-            solves.append(plan.statistics["solve_seconds"])
-        cold = again(**change)
+        calls = [took(partial(again, guess=first, **change)) for _ in range(REPEATS)]
+        solves = [call.result.statistics["solve_seconds"] for call in calls]
+        plan, cold = calls[-1].result, again(**change)
         iterations = [each.statistics["iterations"] for each in (plan, cold)]
+        quickest = min(call.clock for call in calls)
         off = plan.objective / cold.objective - 1
-        changes.append([name, min(solves) / base, min(calls) / base, *iterations, off])
+        changes.append([name, min(solves) / base, quickest / base, *iterations, off])
     lines = [
         f"{name:<14}solve {solve:.3f}, call {call:.3f}; {warm} iterations warm, {cold} cold; "
         f"objective {off:+.1e}"
@@ -89,7 +80,7 @@ def again(case: str, method: str) -> harness.Row:
     return {"verdict": plan.statistics["solver"], "why": lines, "changes": changes}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     for case in pam_2dir.WISHES:
         for method in METHODS:
             yield f"({case}) {method}", partial(again, case, method)

@@ -14,8 +14,6 @@ Kalman filter, and an Mpc, end, and whether a motion is planned from there.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -351,7 +349,7 @@ def closed(case: Case, name: str, memory: str) -> harness.Row:
     return {"left": left, "last": last, "text": text}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     """``count`` cases, each with every loss, memories in turn; then those that are controlled."""
     rng = np.random.default_rng(given.seed)
     for i in range(given.count):
@@ -384,9 +382,7 @@ def summary(rows: list[harness.Row]) -> str:
     return text
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--controlled", type=int, default=10, help="cases of closed loops")
-
+OPTIONS = {"--controlled": {"type": int, "default": 10, "help": "cases of closed loops"}}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=60, seed=1, options=options)
+    harness.main(__doc__, cases, summary, count=60, seed=1, options=OPTIONS)

@@ -12,13 +12,11 @@ side by side they are run by one command each.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -139,7 +137,7 @@ def line(kind: str, seconds: float) -> harness.Row:
     """Answers, missing answers and the longest call of a driver over a line that is bad all the
     time.
     """
-    harness.importable("rig")
+    harness.importable("tests/rig")
     import rig_tools
     from test_drivers import opened, talk
 
@@ -245,7 +243,7 @@ def _reaction(fault: pam.rig.Fault) -> float:
 
 def learning(seed: int) -> harness.Row:
     """Gain of ten runs of a sine of 1 Hz, and the worst run, of a twin at random."""
-    harness.importable("rig")
+    harness.importable("tests/rig")
     from rig_tools import twin_at_random, wanted_sine
 
     rig, _, model = twin_at_random(seed)
@@ -274,7 +272,7 @@ def tracking(seed: int, way: str) -> harness.Row:
     """RMSE of 20 unseen motions after home() and tune(), in parts of the stroke, on a new twin:
     widely drawn, small muscles and lightly damped loads among them.
     """
-    harness.importable("rig")
+    harness.importable("tests/rig")
     from rig_tools import twin_at_random
 
     rig, twin, model = twin_at_random(seed, way=way, wide=True)
@@ -309,7 +307,7 @@ USUAL = {"faults": 50, "lines": 3600, "realtime": 600, "learning": 10, "tracking
 """Counts, or seconds of lines and realtime."""
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     number = given.number or USUAL[given.what]
     if given.what == "faults":
         for name in kinds_of_faults():
@@ -328,10 +326,10 @@ def cases(given: argparse.Namespace) -> Iterator[tuple[str, harness.Work]]:
             yield f"seed {seed}", partial(tracking, seed, way)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("what", nargs="?", choices=USUAL, default="faults")
-    parser.add_argument("number", nargs="?", type=float, help="a count, or seconds")
-
+OPTIONS = {
+    "what": {"nargs": "?", "choices": USUAL, "default": "faults"},
+    "number": {"nargs": "?", "type": float, "help": "a count, or seconds"},
+}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, options=options)
+    harness.main(__doc__, cases, options=OPTIONS)

@@ -44,16 +44,8 @@ LIMIT = {True: 120.0, False: 900.0}
 SLOWER = 1.2
 MORE_IS_BETTER = ("SciPy", "python-control", "scaling")
 """Beginnings or parts of figures that had better be large."""
-NO_SPEED = (
-    "laws that",
-    "plain,",
-    "plain CasADi",
-    "plain loop [",
-    "SciPy LM",
-    "error",
-    "wall",
-    "worst",
-)
+NO_SPEED = ("laws that", "plain,", "plain CasADi", "plain loop [", "SciPy LM")
+NO_SPEED += ("error", "wall", "worst")
 """Parts of figures that say nothing of our own speed, or scatter too much to be compared. Ratios to
 plain CasADi are compared: they move with ours."""
 ON_REQUEST = ("long_works",)

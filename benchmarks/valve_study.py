@@ -13,10 +13,9 @@ and "TWICE" are what must not be.
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -224,7 +223,7 @@ def no_rest(error: pam.PamError) -> harness.Row:
     return {"verdict": "no rest", "why": [str(error)]}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     rng = np.random.default_rng(given.seed)
     for case in range(given.count):
         try:

@@ -12,9 +12,7 @@ a task together, and of the clock.
 
 from __future__ import annotations
 
-import argparse
 import pickle
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -61,21 +59,22 @@ def one(index: int, seed: int, keep: Path | None) -> harness.Row:
     return {"index": index, "task": str(task), "text": str(task), **judged(task, file)}
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     terms = set(given.terms.split(",")) if given.terms else None
 
     def wanted(index: int) -> bool:
-        return terms is None or drawn(index, given.seed).arguments.get("minimise") in terms
+        if terms is None:
+            return True
+        return str(drawn(index, given.seed).arguments.get("minimise")) in terms  # sums are dicts
 
     for index in harness.numbers(given, wanted):
         yield index, partial(one, index, given.seed, given.keep)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(seconds=240.0)
-    parser.add_argument("--terms", default="", help="only tasks that minimise these, as work,air")
-    parser.add_argument("--keep", type=Path, help="folder for the answers, to judge them again")
-
+OPTIONS = {
+    "--terms": {"default": "", "help": "only tasks that minimise these, as work,air"},
+    "--keep": {"type": Path, "help": "folder for the answers, to judge them again"},
+}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, count=150, seed=1, options=options)
+    harness.main(__doc__, cases, count=150, seed=1, options=OPTIONS, seconds=240.0)

@@ -15,7 +15,6 @@ refuses is counted by its sentence.
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 import signal
@@ -176,10 +175,6 @@ def onnx_slope(plant: pam.Plant, folder: Path, precision: str) -> Slope:
     return slope
 
 
-def in_onnx(made: Drawn, folder: Path) -> np.ndarray:
-    return integrated(onnx_slope(made.plant, folder, "double"), made)
-
-
 def in_single(made: Drawn, folder: Path) -> np.ndarray:
     """Raises Amplified where rounding the states alone has half of the effect."""
     single, p = onnx_slope(made.plant, folder, "single"), made.plant.vector("parameter")
@@ -197,20 +192,14 @@ def in_single(made: Drawn, folder: Path) -> np.ndarray:
     return found
 
 
-def in_modelica(made: Drawn, folder: Path) -> np.ndarray:
-    return integrated(modelica_slope(made.plant, folder), made)
-
-
 def modelica_slope(plant: pam.Plant, folder: Path) -> Slope:
     """The equations of the source as a Python function of (x, u)."""
     text = pam.export.export_modelica(plant, folder / "plant.mo").read_text("utf-8")
     equations = text.split("\nequation\n")[1].rsplit("\nend ", 1)[0]
-    for modelica, python in (
-        ("noEvent(if ", "where("),
-        (" then ", ", "),
-        (" else ", ", "),
-        ("^", "**"),
-    ):
+    # both branches of a condition are computed only where they are asked for, as in Modelica
+    branch = ", lambda: "
+    pairs = (("noEvent(if ", "where("), (" then ", branch), (" else ", branch), ("^", "**"))
+    for modelica, python in pairs:
         equations = equations.replace(modelica, python)
     equations = re.sub(r"der\((\w+)\) =", r"der_\1 =", equations)
     names = identifiers([v.name for v in plant.variables], RESERVED)
@@ -220,30 +209,14 @@ def modelica_slope(plant: pam.Plant, folder: Path) -> Slope:
     known |= {n: getattr(math, n) for n in ("acos", "atan", "atan2", "sinh", "cosh", "tanh")}
     known |= {"abs": abs, "min": min, "max": max, "floor": math.floor, "ceil": math.ceil}
     known |= {"sign": lambda a: (a > 0) - (a < 0)}
+    known |= {"where": lambda test, then, other: then() if test else other()}
     values = re.findall(r"^\s*parameter Real (\w+)\(.*?\) = ([^\s;]+)", text, re.M)
     known |= {name: float(value) for name, value in values}
     x, u = ([names[v.name] for v in group] for group in (plant.states, plant.inputs))
-    # both branches of a condition are computed only where they are asked for, as in Modelica
-    body = "\n".join(f"    {lazy(line)}" for line in lines)
+    body = "\n".join(f"    {line}" for line in lines)
     taken = "".join(f"    {', '.join(g)}, = {n}\n" for n, g in (("x_", x), ("u_", u)) if g)
     exec(f"def slope_(x_, u_):\n{taken}{body}\n    return [{', '.join(slopes)}]\n", known)
     return lambda x_, u_: known["slope_"](x_.tolist(), u_.tolist())
-
-
-def lazy(line: str) -> str:
-    """``where(a, b, c)`` as Python's ``((b) if (a) else (c))``."""
-    while (at := line.find("where(")) >= 0:
-        parts, depth, begin = [], 0, at + len("where(")
-        for end in range(begin, len(line)):
-            depth += (line[end] == "(") - (line[end] == ")")
-            if depth < 0 or (depth == 0 and line[end] == "," and len(parts) < 2):
-                parts.append(line[begin:end].strip())
-                begin = end + 1
-            if depth < 0:
-                break
-        condition, then, other = parts
-        line = f"{line[:at]}(({then}) if ({condition}) else ({other})){line[end + 1 :]}"
-    return line
 
 
 # ---- MuJoCo --------------------------------------------------------------------------------------
@@ -363,8 +336,13 @@ def backwards(
 
 
 # ---- the study -----------------------------------------------------------------------------------
-WORLDS = {"jax": in_jax, "torch": in_torch, "onnx": in_onnx, "onnx single": in_single}
-WORLDS |= {"modelica": in_modelica}
+WORLDS: dict[str, Callable[[Drawn, Path], np.ndarray]] = {
+    "jax": in_jax,
+    "torch": in_torch,
+    "onnx": lambda made, folder: integrated(onnx_slope(made.plant, folder, "double"), made),
+    "onnx single": in_single,
+    "modelica": lambda made, folder: integrated(modelica_slope(made.plant, folder), made),
+}
 
 
 def compared(computed: Callable[[], float], limit: float) -> harness.Row:
@@ -429,7 +407,7 @@ def _over(signum: int, frame: Any) -> None:
     raise TimeoutError
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
+def cases(given: harness.Given) -> harness.Keyed:
     absent = {w for w in given.worlds for n, m in NEEDS.items() if n in w and not find_spec(m)}
     print(f"not installed: {', '.join(sorted(absent)) or 'none'}")
     signal.signal(signal.SIGALRM, _over)
@@ -460,10 +438,10 @@ def summary(rows: list[harness.Row]) -> str:
     return "\n".join([*parts, *(f"refused {n} times by {s}" for s, n in refused.items())])
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--minutes", type=float, default=math.inf, help="no plant is begun later")
-    parser.add_argument("--worlds", nargs="*", default=list(LIMITS), choices=list(LIMITS))
-
+OPTIONS = {
+    "--minutes": {"type": float, "default": math.inf, "help": "no plant is begun later"},
+    "--worlds": {"nargs": "*", "default": list(LIMITS), "choices": list(LIMITS)},
+}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=40, options=options)
+    harness.main(__doc__, cases, summary, count=40, options=OPTIONS)

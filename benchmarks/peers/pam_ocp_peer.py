@@ -10,6 +10,9 @@ import numpy as np
 
 import pam_ocp as pam
 
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from pam_2dir import slide
+
 METHODS = {
     "held": (pam.Collocation(e.INTERVALS, 3), "50 x 3, constant input"),
     "fine": (pam.Collocation(e.INTERVALS, 4), "50 x 4, constant input"),
@@ -18,18 +21,6 @@ METHODS = {
 }
 SIZE = np.array([1, 1, 1e5, 1e5])
 """Of the states, in SI; pressures are in bar in the tasks."""
-
-
-def slide():
-    """The plant of PAM-2DIR as pam_ocp states it."""
-    return pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        e.MASS,
-        e.CONTRACTION,
-        stroke=e.STROKE,
-        damping=pam.losses.ConstantDamping(e.DAMPING),
-        feed=pam.feeds.Regulator(e.LAG, max_pressure=1e5 * e.LARGEST, max_rate=1e5 * e.RATE),
-    )
 
 
 def plan(kind="held"):
