@@ -28,6 +28,7 @@ from c_program import (
     selftest,
     with_gaps,
 )
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.control import (
@@ -44,7 +45,6 @@ from pam_ocp.control import (
 )
 from pam_ocp.control.references import sine
 from pam_ocp.core.block import Block
-from pam_ocp.core.errors import InputError
 from pam_ocp.core.exceptions import WriteError
 from pam_ocp.export.c_code import package, single
 
@@ -305,12 +305,9 @@ def test_an_export_is_replaced_and_anything_else_is_left_alone(tmp_path):
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     (theirs / "thesis.tex").write_text("years of work")
-    with pytest.raises(WriteError, match="no export of C code"):
-        pam.export_c(pid_block(), theirs)
-    with pytest.raises(WriteError, match="is a file"):
-        pam.export_c(pid_block(), theirs / "thesis.tex")
-    with pytest.raises(WriteError, match="s3://bucket/c is a URL"):
-        pam.export_c(pid_block(), "s3://bucket/c")
+    refused("no export of C code", pam.export_c, pid_block(), theirs, error=WriteError)
+    refused("is a file", pam.export_c, pid_block(), theirs / "thesis.tex", error=WriteError)
+    refused("s3://bucket/c is a URL", pam.export_c, pid_block(), "s3://bucket/c", error=WriteError)
     assert [p.name for p in theirs.iterdir()] == ["thesis.tex"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c", "theirs"]
 
@@ -323,10 +320,8 @@ def test_what_cannot_be_written_is_refused_in_one_sentence(tmp_path):
         "inputs has the shape": {"inputs": np.zeros((3, 1))},
         "steps": {"steps": 0},
     }.items():
-        with pytest.raises(InputError, match=words):
-            pam.export_c(made, place, **arguments)
-    with pytest.raises(InputError, match="not known as a block"):
-        pam.export_c(object(), place)
+        refused(words, pam.export_c, made, place, **arguments)
+    refused("not known as a block", pam.export_c, object(), place)
     assert not place.exists()
 
 

@@ -9,7 +9,7 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
-from conftest import BAR, benchmark_slide
+from conftest import BAR, benchmark_slide, refused
 
 import pam_ocp as pam
 from pam_ocp import InputError, UnknownNameError
@@ -119,12 +119,9 @@ def test_terminals_gather_what_can_be_connected(tmp_path):
 
 
 def test_names_that_do_not_fit_are_refused(tmp_path):
-    with pytest.raises(InputError, match="inputs: x is a state"):
-        chosen(tmp_path, "2.0", inputs=["x"])
-    with pytest.raises(InputError, match=r"outputs: muscle1\.command is an input"):
-        chosen(tmp_path, "2.0", outputs=[FIRST])
+    refused("inputs: x is a state", chosen, tmp_path, "2.0", inputs=["x"])
+    refused(r"outputs: muscle1\.command is an input", chosen, tmp_path, "2.0", outputs=[FIRST])
     with pytest.raises(UnknownNameError, match="did you mean 'stiffness'"):
         chosen(tmp_path, "2.0", outputs=["stifness"])
-    with pytest.raises(InputError, match="outputs is empty"):
-        chosen(tmp_path, "2.0", outputs=[])
+    refused("outputs is empty", chosen, tmp_path, "2.0", outputs=[])
     assert list(tmp_path.iterdir()) == []

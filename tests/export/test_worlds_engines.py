@@ -7,6 +7,7 @@ import zipfile
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.export.worlds.modelica import RESERVED, identifiers
@@ -96,8 +97,7 @@ def test_what_mujoco_cannot_do_is_told(tmp_path):
         made.installed(model),
     ):
         pass
-    with pytest.raises(pam.InputError, match="give MujocoMuscle"):
-        pam.export.to_mujoco([pam.muscle(MUSCLE)])
+    refused("give MujocoMuscle", pam.export.to_mujoco, [pam.muscle(MUSCLE)])
     with pytest.raises(pam.InputError, match="has no actuator 'muscle1'"):
         made.reset(mujoco.MjModel.from_xml_string("<mujoco/>"), None)
     (tmp_path / "no.xml").write_text("<robot/>")

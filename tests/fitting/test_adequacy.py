@@ -441,7 +441,7 @@ def test_values_stay_within_bounds_and_steps_that_diverge_are_halved(
     without end (LinAlgError); and a search with long steps to where short ones diverge (FitError).
     """
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
-    import adequacy_study  # type: ignore[import-not-found]
+    import adequacy_study
 
     told = adequacy_study.one(1795730912, number, fault)
     # both end with a mass at its bound or beside it: over 200 times the noise is left, standard

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.stats import t as student
@@ -280,35 +281,27 @@ def test_all_are_judged_by_the_same_runs():
 )
 def test_arguments_that_cannot_be_are_named(more, message):
     given = {"outputs": ["q"], "inputs": ["u"], "order": 2, **WAYS, **more}
-    with pytest.raises(InputError, match=message):
-        NarxStructure(**given)
+    refused(message, NarxStructure, **given)
 
 
 def test_other_arguments_that_cannot_be_are_named():
     with pytest.raises(InputError, match="order = 4: give a whole number from 1 to 3"):
         SubspaceStructure(["q"], ["u"], 4, past=3, **WAYS)
-    with pytest.raises(InputError, match="warm_up = 0"):
-        GruStructure(["q"], ["u"], warm_up=0.0, **WAYS)
+    refused("warm_up = 0", GruStructure, ["q"], ["u"], warm_up=0.0, **WAYS)
     structure = SubspaceStructure(["q"], ["u"], 2, past=6, **WAYS)
     records = arx_process(0, 3)
     model = structure.fit(records)
-    with pytest.raises(InputError, match="reads 6 of the past"):
-        model.predict(np.zeros((1, 5, 1)), np.zeros((1, 9, 1)))
-    with pytest.raises(InputError, match=r"past \(6, 1\)"):
-        model.predict(np.zeros((6, 1)), np.zeros((9, 1)))
-    with pytest.raises(InputError, match="no column u"):
-        structure.fit([pam.Trajectory([0, 1, 2], {"q": [0, 1, 2]})])
+    refused("reads 6 of the past", model.predict, np.zeros((1, 5, 1)), np.zeros((1, 9, 1)))
+    refused(r"past \(6, 1\)", model.predict, np.zeros((6, 1)), np.zeros((9, 1)))
+    refused("no column u", structure.fit, [pam.Trajectory([0, 1, 2], {"q": [0, 1, 2]})])
 
 
 def test_records_that_cannot_be_are_refused():
     structure = SubspaceStructure(["q"], ["u"], 2, past=6, **WAYS)
     slow = [pam.Trajectory(2 * r.t, {"q": r["q"], "u": r["u"]}) for r in arx_process(0, 1)]
-    with pytest.raises(FitError, match="no records"):
-        structure.fit([])
-    with pytest.raises(FitError, match="one sampling interval"):
-        structure.fit([*arx_process(0, 1), *slow])
-    with pytest.raises(FitError, match="longer than past = 6"):
-        structure.fit(arx_process(0, 2, samples=7))
+    refused("no records", structure.fit, [], error=FitError)
+    refused("one sampling interval", structure.fit, [*arx_process(0, 1), *slow], error=FitError)
+    refused("longer than past = 6", structure.fit, arx_process(0, 2, samples=7), error=FitError)
     pytest.importorskip("optax")
     with pytest.raises(FitError, match=r"longer than first = 0\.1 s"):
         small("narx").fit(arx_process(0, 2, samples=8))
@@ -319,8 +312,7 @@ def test_a_missing_library_is_named_with_its_extra(missing, monkeypatch):
     for name in ("jax", "optax"):  # as if the other one were there, wherever the test runs
         monkeypatch.setitem(sys.modules, name, None if name == missing else ModuleType(name))
     structure = NarxStructure(["q"], ["u"], order=2, **WAYS)
-    with pytest.raises(InputError, match=rf"needs {missing}.*pam_ocp\[learn\]"):
-        structure.fit(arx_process(0, 2))
+    refused(rf"needs {missing}.*pam_ocp\[learn\]", structure.fit, arx_process(0, 2))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="forks")
@@ -374,8 +366,7 @@ def test_ratios_are_those_of_mean_losses_with_bands_of_their_differences():
     np.testing.assert_allclose(choice.against("B")["A"][0][[0, 2, 1]], 1 / expected)
     assert f"{expected[0]:.2f} ({expected[1]:.2f}, {expected[2]:.2f})" in str(ratios)
     np.testing.assert_allclose(ratios["the choice"], ratios[choice.name])
-    with pytest.raises(UnknownNameError, match="did you mean 'A'"):
-        choice.against("a")
+    refused("did you mean 'A'", choice.against, "a", error=UnknownNameError)
 
 
 def test_bands_hold_the_true_ratio_as_often_as_they_say():

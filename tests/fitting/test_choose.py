@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError, OutOfTime
@@ -149,8 +150,7 @@ def test_groups_stay_together_and_failures_are_told() -> None:
 def test_what_cannot_be_is_refused(
     structures: Any, count: int, options: Any, error: Any, words: str | None
 ) -> None:
-    with pytest.raises(error, match=words):
-        choose(structures, parabolas(0)[:count], **options)
+    refused(words, choose, structures, parabolas(0)[:count], error=error, **options)
 
 
 def test_an_arx_model_of_an_arx_process_predicts_it_to_its_noise() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from static_tables import fit_20
 
 import pam_ocp as pam
@@ -171,8 +172,8 @@ def test_promised_standard_errors_are_the_scatter_of_re_fits(fit: ForceFit) -> N
 
 def test_a_law_with_a_covariance_serves_as_its_fit_does(fit: ForceFit) -> None:
     limits = {"pressure": (0.35e5, 6.75e5), "contraction": (0.02, 0.25)}
-    one = design_cells(fit, 5, **limits)  # type: ignore[arg-type]
-    other = design_cells(fit.law, 5, covariance=fit.covariance, noise=fit.sigma, **limits)  # type: ignore[arg-type]
+    one = design_cells(fit, 5, **limits)
+    other = design_cells(fit.law, 5, covariance=fit.covariance, noise=fit.sigma, **limits)
     assert other.cells.pressure == pytest.approx(one.cells.pressure, rel=1e-6)
     for name, error in one.stderr_after.items():
         assert other.stderr_after[name] == pytest.approx(error, rel=1e-6)
@@ -225,18 +226,14 @@ def test_report_and_file_say_what_to_measure(fit: ForceFit, tmp_path: Path) -> N
 def test_bad_arguments_are_refused_in_words(
     fit: ForceFit, arguments: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises((InputError, UnknownNameError), match=words):
-        design_cells(fit, **({"n": 4} | arguments))
+    refused(words, design_cells, fit, error=(InputError, UnknownNameError), **{"n": 4} | arguments)
 
 
 def test_what_a_law_needs_is_named(fit: ForceFit) -> None:
-    with pytest.raises(InputError, match="noise is missing"):
-        design_cells(fit.law, 8)
-    with pytest.raises(InputError, match="pressure is missing"):
-        design_cells(fit.law, 8, noise=5.0)
+    refused("noise is missing", design_cells, fit.law, 8)
+    refused("pressure is missing", design_cells, fit.law, 8, noise=5.0)
     with pytest.raises(InputError, match=r"give finite numbers, \(6, 6\)"):
         design_cells(fit.law, 8, noise=5.0, covariance=np.eye(5))
     with pytest.raises(InputError, match="not positive definite"):
         design_cells(fit.law, 8, noise=5.0, covariance=np.diag([1, 1, 1, 1, 1, -1]))
-    with pytest.raises(InputError, match="known is a Muscle"):
-        design_experiment(pam.muscle("DMSP-20-400N"), 8)  # type: ignore[call-overload]
+    refused("known is a Muscle", design_experiment, pam.muscle("DMSP-20-400N"), 8)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import BAR, benchmark_slide
+from conftest import BAR, benchmark_slide, refused
 
 import pam_ocp as pam
-from pam_ocp.core.errors import FitError, InputError, UnknownNameError
+from pam_ocp.core.errors import FitError, UnknownNameError
 from pam_ocp.fitting import PlantFit, fit_plant
 from pam_ocp.fitting.dynamic.experiment import prepare
 from pam_ocp.plants.memory import BoucWen
@@ -264,8 +264,7 @@ def test_a_wrong_model_is_given_away_by_its_residuals(rig: pam.Plant, records: A
 def test_bad_arguments_are_refused_in_words(
     arguments: dict[str, Any], words: str, rig: pam.Plant, records: Any
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        fit_plant(rig, records, **{"free": ["damping"], **arguments})
+    refused(words, fit_plant, rig, records, **{"free": ["damping"], **arguments})
 
 
 @pytest.mark.parametrize(
@@ -280,10 +279,8 @@ def test_what_is_no_plant_and_no_record_is_named(
     plant: Any, given: Any, words: str, rig: pam.Plant, records: Any
 ) -> None:
     chosen = rig if plant else plant, records if given == "the records" else given
-    with pytest.raises(InputError, match=words):
-        fit_plant(*chosen, ["damping"])
-    with pytest.raises(InputError, match=words):
-        pam.fit_free_run(*chosen, ["damping"], horizon=0.2)
+    refused(words, fit_plant, *chosen, ["damping"])
+    refused(words, pam.fit_free_run, *chosen, ["damping"], horizon=0.2)
 
 
 def test_bounds_may_be_texts_with_units(rig: pam.Plant) -> None:
@@ -308,10 +305,8 @@ def test_records_that_cannot_serve_are_refused(rig: pam.Plant, records: Any, fit
         (alien, "no state or output of the plant"),
         ([], "records is empty"),
     ):
-        with pytest.raises(InputError, match=words):
-            fit_plant(rig, given, ["damping"])
-    with pytest.raises(UnknownNameError, match="fitted parameter"):
-        fit.interval("mass")
+        refused(words, fit_plant, rig, given, ["damping"])
+    refused("fitted parameter", fit.interval, "mass", error=UnknownNameError)
 
 
 def test_a_report_names_the_pairs_of_parameters_that_go_together(fit: PlantFit) -> None:

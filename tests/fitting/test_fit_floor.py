@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.special import pdtrc
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import ForceTable, hysteresis, look
 from pam_ocp.fitting.tables.floor import _poisson
 from pam_ocp.muscles.law import SixParameterLaw
@@ -151,8 +151,7 @@ def test_the_zero_of_a_load_cell_is_taken_off_all_forces_when_asked() -> None:
     mended = table.with_floor("zero")
     assert np.mean((mended.force - PULL)[PULL > 0]) == pytest.approx(0.0, abs=1.5)
     assert mended.with_floor("zero").force == pytest.approx(mended.force)  # once is enough
-    with pytest.raises(pam.InputError, match="'5 N', 'found', 'zero' or None"):
-        table.with_floor("what")
+    refused("'5 N', 'found', 'zero' or None", table.with_floor, "what")
 
 
 @pytest.mark.parametrize(
@@ -172,8 +171,7 @@ def test_a_fit_says_whether_taut_cells_carry_the_zero(zero: float, words: str) -
 def test_there_is_no_zero_to_take_off_without_slack_cells() -> None:
     chosen = PULL > 50
     table = ForceTable(P[chosen], KAPPA[chosen], PULL[chosen])
-    with pytest.raises(InputError, match="no cells that are slack"):
-        table.with_floor("zero")
+    refused("no cells that are slack", table.with_floor, "zero")
 
 
 # ---- everywhere ----------------------------------------------------------------------------------

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.linalg import expm
 from scipy.optimize import minimize
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import fit_plant
 
 SPRING, DAMPER, STEP = 40.0, 1.5, 0.05
@@ -181,5 +181,4 @@ def test_a_vanishing_process_noise_is_none(run: pam.Trajectory) -> None:
 def test_bad_arguments_are_refused_in_words(
     arguments: dict[str, Any], words: str, run: pam.Trajectory
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        fit_plant(oscillator(), run, FREE, **(NOISY | arguments))
+    refused(words, fit_plant, oscillator(), run, FREE, **NOISY | arguments)

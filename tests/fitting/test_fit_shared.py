@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.optimize import least_squares
 from static_tables import grid, joined, measured, six
 
@@ -228,21 +229,15 @@ def test_bad_arguments_are_refused_in_words(arguments: dict[str, Any], words: st
 
 
 def test_tables_that_cannot_serve_are_refused(joint: JointForceFit) -> None:
-    with pytest.raises(InputError, match="one ForceTable"):
-        fit_forces(cells(TEN))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="at least two"):
-        fit_forces([cells(TEN)])
-    with pytest.raises(InputError, match="table 2 is an int"):
-        fit_forces([cells(TEN), 3])  # type: ignore[list-item]
+    refused("one ForceTable", fit_forces, cells(TEN))
+    refused("at least two", fit_forces, [cells(TEN)])
+    refused("table 2 is an int", fit_forces, [cells(TEN), 3])
     few = [cells(TEN).subset(slice(0, 4)), cells(TWENTY).subset(slice(0, 4))]
-    with pytest.raises(InputError, match="8 taut cells, fewer than the 11 unknowns"):
-        fit_forces(few, shared=["a3"])
+    refused("8 taut cells, fewer than the 11 unknowns", fit_forces, few, shared=["a3"])
     with pytest.raises(UnknownNameError, match="muscle of the joint fit"):
         joint["30"]
-    with pytest.raises(InputError, match="profile_interval of the joint fit"):
-        joint["10"].profile_interval("a3")
-    with pytest.raises(InputError, match="save_muscle"):
-        joint["10"].to_json("never.json")
+    refused("profile_interval of the joint fit", joint["10"].profile_interval, "a3")
+    refused("save_muscle", joint["10"].to_json, "never.json")
 
 
 def test_a_poor_table_borrows_from_a_rich_one() -> None:
@@ -276,8 +271,7 @@ def test_a_joint_fit_tries_the_starts_that_it_is_given() -> None:
 
     whole = fit_forces({"20": cells(TWENTY), "10": cells(TEN)}, shared=["a3"]).problem
     blind = Blind(whole.parts, whole.places, whole.names)
-    with pytest.raises(FitError, match="no finite force anywhere in the scan"):
-        minimise(blind)
+    refused("no finite force anywhere in the scan", minimise, blind, error=FitError)
     found = minimise(blind, np.array([[1e9], [-40.0]]))
     assert found.coefficients[blind.nonlinear] == pytest.approx([-42.0], rel=1e-6)
     assert found.solver.scanned == 3

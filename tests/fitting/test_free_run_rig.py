@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 from pam_ocp.fitting.dynamic import rollout as rollout_module
 from pam_ocp.fitting.dynamic.experiment import groups
 from pam_ocp.fitting.dynamic.free_run_fit import fit_free_run, free_run
@@ -248,8 +248,7 @@ def test_progress_is_told_and_a_time_limit_keeps_the_best() -> None:
 )
 def test_what_cannot_be_is_refused(options: dict[str, object], words: str) -> None:
     given = {"horizon": 0.1, "every": 0.1, **options}
-    with pytest.raises(InputError, match=words):
-        fit_free_run(lagging(), record(1), ["k"], **given)  # type: ignore[arg-type]
+    refused(words, fit_free_run, lagging(), record(1), ["k"], **given)
 
 
 # ---- held inputs that are late, and the length of the steps -----------------------------------

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
@@ -187,7 +188,7 @@ def test_the_truth_lies_within_the_intervals(ladder: Ladder) -> None:
 def test_errors_that_follow_each_other_widen_the_intervals() -> None:
     """Beside white noise of the same size: by sqrt((1 + a)/(1 - a)) for a mean."""
     random, n, a, blocks = np.random.default_rng(8), 4000, 0.8, 40
-    ratios = {0.0: [], a: []}  # type: ignore[var-annotated]
+    ratios = {0.0: [], a: []}
     for follows, found in ratios.items():
         for _ in range(40):
             e = random.standard_normal(n)
@@ -251,8 +252,7 @@ def test_two_muscles_have_lags_of_their_own_on_a_rung() -> None:
     assert found.chosen is rung
     single = rungs_of(partial(pam.HangingLoad, "DMSP-20-200N", 5.0), names=["lag", "unequal lags"])
     assert [r.name for r in single] == ["lag"]
-    with pytest.raises(InputError, match='"unequal lags" without "lag"'):
-        rungs_of(joint, names=["static", "unequal lags"])
+    refused('"unequal lags" without "lag"', rungs_of, joint, names=["static", "unequal lags"])
 
 
 def test_hysteresis_grows_with_pressure_and_the_force_law_is_freed_on_rungs() -> None:
@@ -358,8 +358,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
     assert found.unclimbed == ("+ lag", "+ dead time")
     assert "no time left" in found.report()
     seen[:] = [1]
-    with pytest.raises(OutOfTime, match="before the first rung"):
-        climbed(record)
+    refused("before the first rung", climbed, record, error=OutOfTime)
 
 
 @pytest.mark.parametrize(
@@ -383,8 +382,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
 def test_what_cannot_be_is_refused(
     record: pam.Trajectory, options: dict[str, Any], error: type[Exception], words: str
 ) -> None:
-    with pytest.raises(error, match=words):
-        climbed(record, **options)
+    refused(words, climbed, record, error=error, **options)
 
 
 def test_a_ladder_of_nothing_that_can_be_fitted_says_why(record: pam.Trajectory) -> None:
@@ -443,12 +441,10 @@ def test_bands_hold_what_they_say_of_another_record(ladder: Ladder) -> None:
         assert band.coverage[name] == pytest.approx(0.9, abs=0.04)
         half = band.half[..., OUTPUTS.index(name)]
         assert np.median(half) == pytest.approx(1.645 * noise, rel=0.15)
-    with pytest.raises(InputError, match="level = 90"):
-        ladder.predict(again, level=90)
+    refused("level = 90", ladder.predict, again, level=90)
     failed = replace(ladder.rungs[0], failure="it ran away", model=None)
     broken = replace(ladder, rungs=(failed, *ladder.rungs[1:]))
-    with pytest.raises(InputError, match=r"has no fit \(it ran away\)"):
-        broken.predict(again, failed.name)
+    refused(r"has no fit \(it ran away\)", broken.predict, again, failed.name)
 
 
 def test_bands_are_wider_where_the_plants_of_folds_differ() -> None:
@@ -494,5 +490,4 @@ def test_intervals_of_a_rung_widen_with_their_level(ladder: Ladder) -> None:
         assert (high - low) / (2 * c.stderr) == pytest.approx(2.0687, abs=1e-4)
     lag = ladder.intervals("lag", 0.5)
     assert lag.keys() == ladder["lag"].coefficients.keys()
-    with pytest.raises(UnknownNameError, match="rung"):
-        ladder.intervals("kinks")
+    refused("rung", ladder.intervals, "kinks", error=UnknownNameError)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from rig_files import REST, grid
 
 import pam_ocp as pam
@@ -210,8 +211,7 @@ def test_values_that_the_user_names_are_missing_and_nothing_else():
     force = [("off" if r == 3 else 1234.5 if r == 4 else f) for r, f in enumerate(CELLS["force"])]
     read, _ = heard(pam.read_table, table(F_N=force), missing=["off", 1234.5])
     np.testing.assert_allclose(read.force, np.delete(CELLS["force"], [3, 4]))
-    with pytest.raises(InputError, match=r"missing = \[True\]: give the values"):
-        pam.read_table(table(), missing=[True])
+    refused(r"missing = \[True\]: give the values", pam.read_table, table(), missing=[True])
 
 
 def test_a_record_loses_the_rows_of_its_sentinels_with_and_without_a_plant(plant: Any):
@@ -325,8 +325,7 @@ def test_a_table_in_a_unit_that_cannot_be_is_doubted_and_read(changed: Any, word
     ],
 )
 def test_a_unit_that_is_impossible_is_refused_with_the_one_that_fits(changed: Any, words: str):
-    with pytest.raises(InputError, match=words):
-        pam.read_table(table(**changed))
+    refused(words, pam.read_table, table(**changed))
 
 
 def test_the_answer_settles_a_doubt():
@@ -389,8 +388,7 @@ def test_a_record_in_a_unit_that_cannot_be_is_doubted_and_read(plant: Any, rig: 
 def test_a_record_in_a_unit_that_is_impossible_is_refused_with_the_one_that_fits(
     plant: pam.Plant, rig: Any, words: str
 ):
-    with pytest.raises(InputError, match=words):
-        pam.read_record(rig, plant)
+    refused(words, pam.read_record, rig, plant)
 
 
 def test_degrees_taken_for_radians_are_doubted_and_read_by_the_answer():

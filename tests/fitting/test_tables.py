@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -208,8 +209,7 @@ def test_nearly_equal_contractions_are_one_level() -> None:
     ],
 )
 def test_bad_tables_are_refused_in_words(columns: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        read_table(columns, rest_length=L0)
+    refused(words, read_table, columns, rest_length=L0)
 
 
 @pytest.mark.parametrize("hole", [None, "", float("nan"), "n/a", "NaN", "#N/A", "--"])
@@ -219,8 +219,7 @@ def test_rows_with_empty_cells_are_dropped_and_counted_or_refused(hole: Any) -> 
         read = read_table(columns, rest_length=L0)
     assert read.force.tolist() == [400.0, 450.0, 0.0]
     assert "1 of 4 rows" in read.notes[0]
-    with pytest.raises(InputError, match="column 'force_N', row 2 is empty"):
-        read_table(columns, rest_length=L0, empty="refuse")
+    refused("column 'force_N', row 2 is empty", read_table, columns, rest_length=L0, empty="refuse")
 
 
 @pytest.mark.parametrize(
@@ -237,8 +236,7 @@ def test_rows_with_empty_cells_are_dropped_and_counted_or_refused(hole: Any) -> 
     ],
 )
 def test_bad_arguments_are_refused_in_words(arguments: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        read_table(table(), **{"rest_length": L0, **arguments})
+    refused(words, read_table, table(), **{"rest_length": L0, **arguments})
 
 
 @pytest.mark.parametrize(
@@ -253,8 +251,7 @@ def test_bad_arguments_are_refused_in_words(arguments: dict[str, Any], words: st
     ],
 )
 def test_bad_files_are_refused_with_their_line(text: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=words):
-        read_table(write(tmp_path, "t.csv", text), rest_length=L0)
+    refused(words, read_table, write(tmp_path, "t.csv", text), rest_length=L0)
 
 
 def test_a_missing_file_names_its_neighbours(tmp_path: Path) -> None:
@@ -266,10 +263,8 @@ def test_a_missing_file_names_its_neighbours(tmp_path: Path) -> None:
 
 
 def test_a_source_of_the_wrong_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="give a path, a pandas DataFrame or a mapping"):
-        read_table(3.0, rest_length=L0)
-    with pytest.raises(InputError, match="equally long"):
-        ForceTable([1e5, 2e5], [0.0, 0.1], [1.0])
+    refused("give a path, a pandas DataFrame or a mapping", read_table, 3.0, rest_length=L0)
+    refused("equally long", ForceTable, [1e5, 2e5], [0.0, 0.1], [1.0])
 
 
 def test_a_damaged_binary_file_is_refused(tmp_path: Path) -> None:
@@ -334,8 +329,7 @@ def test_mappings_and_records_of_such_cells_too(tmp_path: Path) -> None:
     ],
 )
 def test_mixed_units_are_refused(content: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=words):
-        read_table(write(tmp_path, "rig.csv", content), rest_length=L0)
+    refused(words, read_table, write(tmp_path, "rig.csv", content), rest_length=L0)
 
 
 def test_what_is_no_number_with_a_unit() -> None:
