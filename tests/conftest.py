@@ -111,6 +111,21 @@ def flat(value: Any) -> Any:
     return np.asarray(value).ravel()
 
 
+def noisy_record(
+    plant: pam.Plant,
+    run: pam.Trajectory,
+    told: Mapping[str, Any],
+    noise: Mapping[str, float],
+    random: np.random.Generator,
+    between: Any = "previous",
+) -> pam.Trajectory:
+    """What a rig keeps of a motion: inputs as they were told, measured variables with noise."""
+    columns = dict(told)
+    for name, size in noise.items():
+        columns[name] = run[name] + size * random.standard_normal(len(run.t))
+    return pam.Trajectory(run.t, columns, [plant.variable(n) for n in columns], between)
+
+
 def rates_and_outputs(
     plant: pam.Plant, values: Mapping[str, float] | None = None
 ) -> tuple[dict[str, float], dict[str, float]]:

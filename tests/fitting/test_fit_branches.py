@@ -31,9 +31,8 @@ def cycles(repeats: int = 2, noise: float = 2.0, width: float = 0.0, seed: int =
         for branch, shift in (("inflation", -width / 2), ("deflation", width / 2)):
             for kappa in KAPPA:
                 for p in PRESSURE if branch == "inflation" else PRESSURE[::-1]:
-                    force = (
-                        float(TRUTH.tension(p, kappa)) + shift + noise * random.standard_normal()
-                    )
+                    error = shift + noise * random.standard_normal()
+                    force = float(TRUTH.tension(p, kappa)) + error
                     rows.append((p, kappa, force, branch, str(run + 1)))
     p, k, f, b, r = zip(*rows, strict=True)
     return ForceTable(np.array(p), np.array(k), np.array(f), 0.3, "cycles", b, r)
@@ -52,15 +51,8 @@ def cycles(repeats: int = 2, noise: float = 2.0, width: float = 0.0, seed: int =
     ],
 )
 def test_branches_are_recognised_in_the_usual_words(header: str, words: tuple[Any, ...]) -> None:
-    table = read_table(
-        {
-            "p [bar]": [2, 4, 4],
-            "kappa": [0.1, 0.1, 0.1],
-            "F [N]": [100, 300, 310],
-            header: words,
-            "repeat": [1, 1, 2],
-        }
-    )
+    cells = {"p [bar]": [2, 4, 4], "kappa": [0.1, 0.1, 0.1], "F [N]": [100, 300, 310]}
+    table = read_table({**cells, header: words, "repeat": [1, 1, 2]})
     assert table.branch == ("inflation", "inflation", "deflation")
     assert table.run == ("1", "1", "2")
     assert table.branches == ("inflation", "deflation")
@@ -141,14 +133,10 @@ def test_hysteresis_is_the_width_between_the_branches() -> None:
 
 
 def test_deflation_is_interpolated_along_pressure_only() -> None:
-    p = np.array([2e5, 4e5, 3e5, 5e5, 2.5e5])
-    table = ForceTable(
-        p,
-        np.array([0.1] * 4 + [0.2]),
-        np.array([100.0, 300.0, 190.0, 390.0, 50.0]),
-        branch=("deflation", "deflation", "inflation", "inflation", "inflation"),
-    )
-    found = hysteresis(table)
+    p, kappa = np.array([2e5, 4e5, 3e5, 5e5, 2.5e5]), np.array([0.1] * 4 + [0.2])
+    force = np.array([100.0, 300.0, 190.0, 390.0, 50.0])
+    branch = ("deflation",) * 2 + ("inflation",) * 3
+    found = hysteresis(ForceTable(p, kappa, force, branch=branch))
     assert found.pressure.tolist() == [3e5]
     assert found.width == pytest.approx([200.0 - 190.0])
 
@@ -170,10 +158,6 @@ def test_tables_without_branches_are_refused() -> None:
     refused(r"no cells of inflation \(branches: none\)", hysteresis, plain)
     refused("the table has no branches", fit_branches, plain)
     refused("weights belong to a whole table", fit_branches, cycles(), weights=np.ones(80))
-    apart = ForceTable(
-        np.array([1e5, 2e5, 3e5]),
-        np.full(3, 0.1),
-        np.ones(3),
-        branch=("inflation", "deflation", "deflation"),
-    )
+    p, branch = np.array([1e5, 2e5, 3e5]), ("inflation", "deflation", "deflation")
+    apart = ForceTable(p, np.full(3, 0.1), np.ones(3), branch=branch)
     refused("share no range of pressure", hysteresis, apart)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import BAR, benchmark_slide, refused
+from conftest import BAR, benchmark_slide, noisy_record, refused
 
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError
@@ -37,12 +37,8 @@ def run(rig: pam.Plant, seed: int, way: str = "previous") -> pam.Trajectory:
 def measured(
     rig: pam.Plant, motion: pam.Trajectory, seed: int, command: float = 0.0, way: str | None = None
 ) -> pam.Trajectory:
-    random = np.random.default_rng([seed, 1])
-    columns = {
-        n: motion[n] + command * random.standard_normal(T.size) for n in motion.named("input")
-    }
-    columns["x"] = motion["x"] + 2e-5 * random.standard_normal(T.size)
-    return pam.Trajectory(T, columns, [rig.variable(n) for n in columns], way)
+    noise = dict.fromkeys(motion.named("input"), command) | {"x": 2e-5}
+    return noisy_record(rig, motion, {}, noise, np.random.default_rng([seed, 1]), way)
 
 
 @pytest.mark.parametrize("way", ["previous", "linear"])
@@ -128,9 +124,8 @@ def test_input_noise_is_refused_where_it_cannot_be(rig: pam.Plant) -> None:
 def test_a_free_run_that_diverges_says_so() -> None:
     t = np.array([0.1, 0.2])
     wild = np.array([[[1.0], [np.inf]], [[1.0], [1.1]], [[1.0], [5e3]]])
-    runs = FreeRun(
-        ("x",), np.zeros(3), np.array([0.0, 1.0, 2.0]), t, np.ones((3, 2, 1)), wild, np.ones(1)
-    )
+    starts, shown = np.array([0.0, 1.0, 2.0]), np.ones((3, 2, 1))
+    runs = FreeRun(("x",), np.zeros(3), starts, t, shown, wild, np.ones(1))
     assert runs.diverged.tolist() == [True, False, True]
     assert "2 of 3 free runs diverge" in str(runs)
     assert np.isinf(runs.rmse["x"])

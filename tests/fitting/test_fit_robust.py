@@ -140,12 +140,9 @@ def test_absolute_values_agree_with_a_linear_programme() -> None:
     a, y = columns(found.cells), found.cells.force
     n, k = a.shape
     # min sum(u + v), a c + u - v = y
-    answer = linprog(
-        np.concatenate([np.zeros(k), np.ones(2 * n)]),
-        A_eq=np.hstack([a, np.eye(n), -np.eye(n)]),
-        b_eq=y,
-        bounds=[(None, None)] * k + [(0, None)] * (2 * n),
-    )
+    cost, equal = np.repeat([0.0, 1.0], [k, 2 * n]), np.hstack([a, np.eye(n), -np.eye(n)])
+    ranges = [(None, None)] * k + [(0, None)] * (2 * n)
+    answer = linprog(cost, A_eq=equal, b_eq=y, bounds=ranges)
     assert np.sum(np.abs(found.residuals)) == pytest.approx(answer.fun, rel=1e-7)
 
 
@@ -153,15 +150,10 @@ def test_huber_agrees_with_scipy() -> None:
     found = fit_force(measured(), fixed=HOLD, loss="huber")
     a, y = columns(found.cells), found.cells.force
     size = np.linalg.norm(a, axis=0)
-    answer = least_squares(
-        lambda c: a / size @ c - y,
-        np.linalg.lstsq(a / size, y, rcond=None)[0],
-        loss="huber",
-        f_scale=found.terms.threshold,
-        xtol=1e-14,
-        ftol=1e-14,
-        gtol=1e-14,
-    )
+    plain = np.linalg.lstsq(a / size, y, rcond=None)[0]
+    how = {"loss": "huber", "f_scale": found.terms.threshold}
+    how |= {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    answer = least_squares(lambda c: a / size @ c - y, plain, **how)
     assert linear(found) == pytest.approx(answer.x / size, rel=1e-5)
     assert found.cost == pytest.approx(2 * answer.cost, rel=1e-9)
 
@@ -335,13 +327,8 @@ def test_bounds_may_be_texts_with_units() -> None:
 
 
 def test_a_saved_fit_keeps_its_terms(tmp_path: Path) -> None:
-    one = fit_force(
-        measured(),
-        loss="huber",
-        censored=True,
-        bounds={"a1": (-np.inf, 1e-3)},
-        priors={"a3": (-50.0, 10.0)},
-    )
+    terms = {"bounds": {"a1": (-np.inf, 1e-3)}, "priors": {"a3": (-50.0, 10.0)}}
+    one = fit_force(measured(), loss="huber", censored=True, **terms)
     read = ForceFit.from_json(one.to_json(tmp_path / "fit.json"))
     assert read.terms == one.terms
     assert read.report() == one.report()

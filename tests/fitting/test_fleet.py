@@ -177,12 +177,8 @@ def test_a_catalogue_comes_back_from_its_store_as_it_was(records, tmp_path, remo
     found = list(Catalogue.open(store))
     assert [r.name for r in found] == [r.name for r in records]
     for one, other in zip(found, records, strict=True):
-        assert (one.who, one.when, one.muscle, one.kind) == (
-            other.who,
-            other.when,
-            other.muscle,
-            other.kind,
-        )
+        for name in ("who", "when", "muscle", "kind"):
+            assert getattr(one, name) == getattr(other, name)
         for name in ("pressure", "contraction", "force", "slack"):
             assert np.array_equal(getattr(one.table, name), getattr(other.table, name))
         assert one.table.rest_length == other.table.rest_length
@@ -195,10 +191,8 @@ def test_a_catalogue_is_asked_by_columns_and_days(records, tmp_path):
     whole = Catalogue.open(tmp_path)
     assert len(whole.select(who="A")) == 3
     assert len(whole.select(who=["A", "B"], muscle="m1")) == 2
-    assert [e["when"] for e in whole.select(when=("2024-02", "2024-03")).entries] == [
-        "2024-02-15",
-        "2024-03-15",
-    ]
+    between = whole.select(when=("2024-02", "2024-03")).entries
+    assert [e["when"] for e in between] == ["2024-02-15", "2024-03-15"]
     assert len(whole.select(when=(None, "2024-01-15"))) == 1
     assert list(whole.to_pandas().muscle.unique()) == ["m0", "m1", "m2"]
     with pytest.raises(UnknownNameError):
