@@ -4,7 +4,6 @@ and plant and controller in an SSP.
 
 from __future__ import annotations
 
-import zipfile
 from typing import Any
 from xml.etree import ElementTree
 
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide, refused
 from fmu_tools import COMMANDS, coupled, sound
+from hostile import contents
 
 import pam_ocp as pam
 from pam_ocp import InputError
@@ -79,8 +79,8 @@ def test_without_integrals_it_is_the_static_law_and_can_follow_a_motion(tmp_path
     plant = benchmark_slide()
     plain = pam.lqr(plant, plant.equilibrium(x=0.0, stiffness=2.2e4))
     built = state_feedback_controller(plain, follow=True)
-    wanted = {"reference.x": 1e-3, "feedforward.muscle1.command": 2.5 * BAR}
-    given = {**dict(zip(STATES, plain.point.x, strict=True)), **wanted}
+    given = dict(zip(STATES, plain.point.x, strict=True))
+    given |= {"reference.x": 1e-3, "feedforward.muscle1.command": 2.5 * BAR}
     u0 = np.array([2.5 * BAR, plain.point.u[1]])
     expected = u0 - plain.K @ np.array([-1e-3, 0, 0, 0])
     run = pam.simulate(built, given, duration=0.1)
@@ -130,9 +130,8 @@ def test_what_is_no_state_feedback_is_refused(feedback):
 def test_gains_are_one_array_in_fmi_3_tunable_while_running(tmp_path):
     """Against the block's own step with these gains, whose entries FMI 2 has one by one."""
     plant = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
-    law = pam.lqr(
-        plant, plant.equilibrium(x=0.0, stiffness=2e4), integral={"x": 20.0}, sample_time=2e-3
-    )
+    rest = plant.equilibrium(x=0.0, stiffness=2e4)
+    law = pam.lqr(plant, rest, integral={"x": 20.0}, sample_time=2e-3)
     made = block(chain([law], name="whole"), plant=plant)
     unit = sound(made, tmp_path, "3.0", matrices=True)
     (name,) = (n for n in unit.references if n.endswith(".K"))
@@ -273,9 +272,9 @@ def test_a_unit_of_single_precision_computes_with_floats(tmp_path):
     error = 0.1 - x
     u = ca.fmax(k[0] * error + m, -2.0)
     step = ca.Function("step", [m, x, k], [m + k[1] * error, ca.vertcat(u, u * u / 3)])
-    gains = tuple(
-        pam.Variable(n, "parameter", start=v, max=m)
-        for n, v, m in (("kp", 7.3, 9), ("ki", 0.07, 0.1))
+    gains = (
+        pam.Variable("kp", "parameter", start=7.3, max=9),
+        pam.Variable("ki", "parameter", start=0.07, max=0.1),
     )
     outputs = (pam.Variable("u", "output"), pam.Variable("power", "output"))
     memory = (pam.Variable("sum", "state", start=0.3),)
@@ -338,9 +337,9 @@ def test_a_system_has_booleans_enumerations_and_arrays(feedback, fmi, tmp_path):
     with pytest.warns(UserWarning, match="law gets what switch gives one step"):
         path = export_ssp(parts, wires, tmp_path / "s.ssp", **shapes)
     fmpy.ssp.ssd.read_ssd(str(path))  # validates
-    with zipfile.ZipFile(path) as archive:
-        root = ElementTree.fromstring(archive.read("SystemStructure.ssd"))
-        archive.extract("resources/law.fmu", tmp_path)
+    inside = contents(path)
+    root = ElementTree.fromstring(inside["SystemStructure.ssd"])
+    (tmp_path / "law.fmu").write_bytes(inside["resources/law.fmu"])
     types = {
         (part.get("name"), end.get("name")): end[0].tag.partition("}")[2]
         for part in root.iter(SSP % "Description" + "Component")
@@ -353,7 +352,7 @@ def test_a_system_has_booleans_enumerations_and_arrays(feedback, fmi, tmp_path):
     items = [i.attrib for i in root.iter(SSP % "Common" + "Item")]
     names = ["waiting", "filling", "moving"]
     assert items == [{"name": n, "value": str(k)} for k, n in enumerate(names)]
-    variables = UnpackedFmu(tmp_path / "resources" / "law.fmu", tmp_path / "law").variables
+    variables = UnpackedFmu(tmp_path / "law.fmu", tmp_path / "law").variables
     told = {p.get("name") for p in root.iter(SSP % "ParameterValues" + "Parameter")}
     gains = {v.name for v in law.parameters if v.name.startswith("K.")}
     assert ("K" in variables, len(gains & told)) == ((True, 0) if fmi == "3.0" else (False, 8))
