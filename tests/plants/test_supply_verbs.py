@@ -6,6 +6,8 @@ from itertools import cycle
 
 import numpy as np
 import pytest
+from conftest import noisy_record
+from fmu_tools import require_agreement
 
 import pam_ocp as pam
 from pam_ocp.muscles.gas import Gas
@@ -59,12 +61,7 @@ def test_its_fmu_moves_as_it_does_in_python(name, fmi, tmp_path):
     own = [v.name for v in plant.states if v.name.startswith("muscle.") and "pressure" in v.name]
     start = {"x": 0.03, **dict.fromkeys(own, 3e5)}
     motion = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start, rtol=1e-11)
-    fmu = pam.export_fmu(plant, tmp_path / "plant.fmu", platforms="native", fmi=fmi)
-    check = pam.check_fmu(fmu, against=motion)
-    assert check.findings == ()
-    assert set(check.deviations) == {"CoSimulation", "ModelExchange"}
-    assert check.largest < 1e-6
-    assert np.ptp(motion["x"]) > 1e-3
+    require_agreement(plant, motion, tmp_path, fmi)
 
 
 @pytest.mark.slow
@@ -82,10 +79,8 @@ def noisy(plant, seed, tenths):
     command = np.repeat(draw.uniform(-0.25, 0.25, tenths), 10)
     start = {"x": 0.03, "muscle.pressure": 3e5}
     run = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start)
-    columns = {"muscle.command": command}
-    for name, size in {"x": 2e-5, "muscle.pressure": 500.0}.items():
-        columns[name] = run[name] + size * draw.standard_normal(t.size)
-    return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    noise = {"x": 2e-5, "muscle.pressure": 500.0}
+    return noisy_record(plant, run, {"muscle.command": command}, noise, draw)
 
 
 @pytest.mark.slow
