@@ -10,7 +10,7 @@ import locale
 import random
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -109,6 +109,38 @@ def refused(
 def flat(value: Any) -> Any:
     """A CasADi matrix as a row of numbers."""
     return np.asarray(value).ravel()
+
+
+def noisy_record(
+    plant: pam.Plant,
+    run: pam.Trajectory,
+    told: Mapping[str, Any],
+    noise: Mapping[str, float],
+    random: np.random.Generator,
+    between: Any = "previous",
+) -> pam.Trajectory:
+    """What a rig keeps of a motion: inputs as they were told, measured variables with noise."""
+    columns = dict(told)
+    for name, size in noise.items():
+        columns[name] = run[name] + size * random.standard_normal(len(run.t))
+    return pam.Trajectory(run.t, columns, [plant.variable(n) for n in columns], between)
+
+
+def rates_and_outputs(
+    plant: pam.Plant, values: Mapping[str, float] | None = None
+) -> tuple[dict[str, float], dict[str, float]]:
+    """({state: its rate}, {output: its value}) where states and inputs have these values; those
+    not named have their own.
+    """
+    known = {v.name: v.start for v in (*plant.states, *plant.inputs)}
+    at = known | dict(values or {})
+    assert len(at) == len(known), "neither a state nor an input"
+    x, u = ([at[v.name] for v in part] for part in (plant.states, plant.inputs))
+    rates, outputs = (flat(e) for e in plant.function(x, u, plant.vector("parameter"))[:2])
+    return (
+        dict(zip((v.name for v in plant.states), rates, strict=True)),
+        dict(zip((v.name for v in plant.outputs), outputs, strict=True)),
+    )
 
 
 def scipy_states(

@@ -125,6 +125,15 @@ def coupled(path: Path, folder: Path, steps: int, step: float) -> dict[str, Any]
     return {n: np.array([row[n] for row in rows]) for n in rows[0]}
 
 
+def require_agreement(plant: Any, motion: Any, folder: Path, fmi: Any = "2.0") -> None:
+    """The plant's FMU moves in every mode as the motion does, and is well; and something moves."""
+    checked = check_fmu(exported(plant, folder, fmi), against=motion)
+    assert checked.findings == ()
+    assert set(checked.deviations) == set(KINDS)
+    assert checked.largest < 1e-6
+    assert np.ptp(motion["x"]) > 1e-3
+
+
 def sound(system: Any, folder: Path, fmi: Any, **options: Any) -> UnpackedFmu:
     """The FMU of a plant or a block, checked and unpacked."""
     found = check_fmu(exported(system, folder, fmi, **options))

@@ -132,6 +132,13 @@ def packed(path: Path, content: dict[str, bytes]) -> Path:
     return path
 
 
+def replaced(path: Path, target: Path, file: str, old: str, new: str) -> Path:
+    """A copy of an archive in which a file says something else at one place."""
+    content = contents(path)
+    assert old.encode() in content[file], old
+    return packed(target, content | {file: content[file].replace(old.encode(), new.encode(), 1)})
+
+
 def contents(path: Path) -> dict[str, bytes]:
     """The files of an archive."""
     with zipfile.ZipFile(path) as archive:

@@ -82,9 +82,8 @@ def test_offset_free_feedback_as_a_block_gives_the_same_commands(valved):
 
 
 def test_offsets_of_a_regulators_command_are_estimated_in_a_block_as_in_python(slide):
-    estimator = kalman(
-        slide, REST, measured={"x": 1e-5}, disturbances={"muscle1.command": 1e4}, sample_time=STEP
-    )
+    known = {"measured": {"x": 1e-5}, "disturbances": {"muscle1.command": 1e4}}
+    estimator = kalman(slide, REST, **known, sample_time=STEP)
     feedback = lqr(slide, REST, sample_time=STEP)
     same_commands(OffsetFree(feedback, estimator, ["x"], {"x": 0.002}), slide, noise={"x": 1e-5})
 
@@ -104,12 +103,8 @@ def test_feedback_along_a_motion_and_the_motion_alone_give_the_same_commands(val
 
 def test_an_extended_filter_and_a_feedback_in_a_chain_give_the_same_commands(slide):
     feedback = lqr(slide, REST, sample_time=STEP)
-    estimator = KalmanFilter(
-        slide,
-        sample_time=STEP,
-        measured={"x": 1e-5, "muscle1.pressure": 500.0},
-        unknown={"mass": (0.2, 0.01)},
-    )
+    known = {"measured": {"x": 1e-5, "muscle1.pressure": 500.0}, "unknown": {"mass": (0.2, 0.01)}}
+    estimator = KalmanFilter(slide, sample_time=STEP, **known)
     made = block(chain([estimator, feedback]), plant=slide)
     same_commands(feedback, slide, made=made, estimator=estimator, noise={"x": 1e-5})
 
@@ -118,28 +113,16 @@ def test_a_motion_inverse_dynamics_and_pressure_loops_in_a_chain_feed_forward(va
     """The commands that the controllers give for the motion, sample by sample."""
     t = STEP * np.arange(60)
     x, v, a = (np.array(n) for n in zip(*map(sine(0.0, 0.006, 2.0), t), strict=True))
-    motion = pam.Trajectory(
-        t,
-        {"x": x, "v": v, "acceleration": a, "stiffness": np.full(60, 2.2e4)},
-        [
-            valved.variable("x"),
-            valved.variable("v"),
-            pam.Variable("acceleration", "output", unit="m/s2"),
-            valved.variable("stiffness"),
-        ],
-    )
+    columns = {"x": x, "v": v, "stiffness": np.full(60, 2.2e4), "acceleration": a}
+    variables = [valved.variable(n) for n in ("x", "v", "stiffness")]
+    variables.append(pam.Variable("acceleration", "output", unit="m/s2"))
+    motion = pam.Trajectory(t, columns, variables)
     inverse, loop = InverseDynamics(valved), PressureLoop(valved)
-    parts = [
-        block(motion, sample_time=STEP, guard=False),
-        block(inverse, sample_time=STEP, guard=False),
-        block(loop, sample_time=STEP, guard=False),
-    ]
+    parts = [block(part, sample_time=STEP, guard=False) for part in (motion, inverse, loop)]
     controller = BlockController(block(chain(parts), plant=valved))
     rng = np.random.default_rng(3)
     for k in range(60):
-        seen = {
-            f"muscle{i}.pressure": p for i, p in zip((1, 2), rng.uniform(1e5, 6e5, 2), strict=True)
-        }
+        seen = {f"muscle{i}.pressure": rng.uniform(1e5, 6e5) for i in (1, 2)}
         p = inverse(x[k], v[k], a[k], 2.2e4)
         expected = loop({"muscle1": p[0], "muscle2": p[1]}, seen)
         ends = valved.variable("muscle1.command")
@@ -207,13 +190,8 @@ def test_before_the_first_measurement_the_command_is_the_safe_one():
 @pytest.mark.parametrize("ki", [10.0, 0.0])
 def test_switching_on_begins_at_the_command_that_stands(ki):
     """By the integral where there is one; else the difference fades with its time constant."""
-    made = block(
-        PID(2.0, ki),
-        sample_time=0.01,
-        limits={"command": (-1.0, 1.0)},
-        safe={"command": 0.6},
-        fade_time=0.05,
-    )
+    guard = {"limits": {"command": (-1.0, 1.0)}, "safe": {"command": 0.6}, "fade_time": 0.05}
+    made = block(PID(2.0, ki), sample_time=0.01, **guard)
     off, on = [{"enable": 0.0, "measured": -0.1}] * 20, [{"measured": -0.1}] * 30
     found = [f["command"] for f in commands_of(made, [*off, *on])]
     assert found[19] == 0.6
@@ -255,11 +233,9 @@ def test_what_is_no_number_is_never_sent(slide):
     absurd = np.array([np.nan, np.inf, -np.inf, 1e29, -1e29, 0.0])
     low, high = (np.array([getattr(v, a) for v in made.outputs]) for a in ("min", "max"))
     for _ in range(3000):
-        values = np.where(
-            rng.random(len(made.inputs)) < 0.2,
-            rng.choice(absurd, len(made.inputs)),
-            rng.standard_normal(len(made.inputs)),
-        )
+        size = len(made.inputs)
+        wrong, usual = rng.choice(absurd, size), rng.standard_normal(size)
+        values = np.where(rng.random(size) < 0.2, wrong, usual)
         memory, outputs = (np.asarray(m).ravel() for m in made.step(memory, values, p))
         assert np.all(np.isfinite(memory))
         assert np.all((outputs >= low) & (outputs <= high))
@@ -269,16 +245,10 @@ def test_what_is_no_number_is_never_sent(slide):
 def test_all_memory_stays_where_one_of_it_would_be_no_number(symbol):
     memory, y, none = (symbol.sym(n, size) for n, size in (("m", 2), ("y", 1), ("p", 0)))
     after = [memory[0] + 1 / y, memory[1] + 1]
-    law = Block(
-        "sums",
-        STEP,
-        (pam.Variable("y", "input"),),
-        (pam.Variable("command", "output", min=-9.0, max=9.0),),
-        (),
-        tuple(pam.Variable(n, "state", start=0.0) for n in ("sum", "count")),
-        ca.Function("step", [memory, y, none], [ca.vertcat(*after), memory[1]]),
-        commands=("command",),
-    )
+    step = ca.Function("step", [memory, y, none], [ca.vertcat(*after), memory[1]])
+    ends = (pam.Variable("y", "input"),), (pam.Variable("command", "output", min=-9.0, max=9.0),)
+    kept = tuple(pam.Variable(n, "state", start=0.0) for n in ("sum", "count"))
+    law = Block("sums", STEP, *ends, (), kept, step, commands=("command",))
     made = guarded(law)
     state, told = made.start("memory"), []
     for value in (1.0, 2.0, 0.0, 4.0):
@@ -356,20 +326,9 @@ def test_chains_that_do_not_fit_are_refused(slide):
     refused("part of the chain", chain, *given, error=UnknownNameError)
 
 
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: pam.control.block(pam.control.PID(1.0, 0.1), plant=5), "plant is an int"),
-        (lambda: pam.control.mpc_block("x"), "mpc_block: controller is a str: give an Mpc"),
-        (lambda: pam.control.PointPid(5, {}, proportional=1.0), "plant is an int"),
-        (
-            lambda: pam.control.PointPid(
-                pam.HangingLoad("DMSP-20-400N", 20.0), 3, proportional=1.0
-            ),
-            "PointPid: at is an int",
-        ),
-        (lambda: pam.export.save_ssv({"a": 1}, "a.ssv"), "plant is a dict"),
-    ],
-)
-def test_what_is_no_plant_and_no_controller_is_named(call, said):
-    refused(said, call)
+def test_what_is_no_plant_and_no_controller_is_named(hanging):
+    refused("plant is an int", block, PID(1.0, 0.1), plant=5)
+    refused("mpc_block: controller is a str: give an Mpc", pam.control.mpc_block, "x")
+    refused("plant is an int", PointPid, 5, {}, proportional=1.0)
+    refused("PointPid: at is an int", PointPid, hanging, 3, proportional=1.0)
+    refused("plant is a dict", pam.export.save_ssv, {"a": 1}, "a.ssv")

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import rates_and_outputs, refused
 from test_valve_control import opening_by_hand
 
 import pam_ocp as pam
@@ -233,15 +233,12 @@ def test_blocks_of_controllers_send_the_same_commands():
     feedback = pam.lqr(plant, goal, sample_time=2e-3, sampled=True)
     rng = np.random.default_rng(5)
     made = BlockController(block(feedback))
+    u, nominal = plant.variable("muscle.command"), plant.vector("state", attribute="nominal")
     for _ in range(8):
-        seen = {
-            n: v + 0.3 * rng.standard_normal() * plant.variable(n).nominal for n, v in begin.items()
-        }
-        sent, again = feedback(0.0, seen), made(0.0, seen)
-        u = plant.variable("muscle.command")
-        assert again["muscle.command"] == pytest.approx(
-            np.clip(sent["muscle.command"], u.min, u.max), rel=1e-9, abs=1e-12
-        )
+        off = 0.3 * nominal * rng.standard_normal(len(nominal))
+        seen = {n: v + e for (n, v), e in zip(begin.items(), off, strict=True)}
+        wanted = np.clip(feedback(0.0, seen)["muscle.command"], u.min, u.max)
+        assert made(0.0, seen)["muscle.command"] == pytest.approx(wanted, rel=1e-9, abs=1e-12)
 
 
 def test_a_controller_as_a_plant_carries_the_spool():
@@ -250,11 +247,8 @@ def test_a_controller_as_a_plant_carries_the_spool():
     built = state_feedback_controller(feedback)
     seen = {**begin, "x": goal["x"] - 1e-6, "muscle.valve.spool": 0.1}
     seen["muscle.pressure"] = goal["muscle.pressure"]
-    u = built.vector(
-        "input", {n: v for n, v in seen.items() if n in {i.name for i in built.inputs}}
-    )
-    y = np.asarray(built.function(built.vector("state"), u, built.vector("parameter"))[1]).ravel()
-    sent = dict(zip([v.name for v in built.outputs], y, strict=True))["muscle.command"]
+    told = {v.name: seen[v.name] for v in built.inputs if v.name in seen}
+    sent = rates_and_outputs(built, told)[1]["muscle.command"]
     wanted = np.clip(feedback(0.0, seen)["muscle.command"], -1, 1)
     assert sent == pytest.approx(wanted, rel=1e-6)
 
@@ -263,9 +257,8 @@ def test_an_estimate_is_one_of_the_plants_own_states():
     plant, _, goal, begin = hanging(F.SpoolValve(overlap=OVERLAP, spool=F.FirstOrderSpool()))
     loop = {"duration": 1.2, "sample_time": 4e-3, "rtol": 1e-6}
     feedback = pam.lqr(plant, goal, sample_time=4e-3, sampled=True)
-    watch = pam.control.kalman(
-        plant, goal, measured={"x": 1e-5, "muscle.pressure": 300.0}, sample_time=4e-3
-    )
+    measured = {"x": 1e-5, "muscle.pressure": 300.0}
+    watch = pam.control.kalman(plant, goal, measured=measured, sample_time=4e-3)
     law = pam.control.WithEstimate(feedback, watch)
     run = pam.closed_loop(law, plant, start=begin, **loop)
     assert ends_at(run, goal["x"], 0.03)

@@ -24,16 +24,13 @@ def triangle(middle, amplitude, frequency=0.5):
     return lambda t: middle + amplitude * (1 - 2 * abs(1 - 2 * (frequency * t % 1.0)))
 
 
-def missed(plant, path, compensate, position="x", stiffness=None, **more):
+def missed(plant, path, compensate, stiffness=None, **more):
     """Root mean square of the tracking error, once the first stroke is over."""
-    conditions = {position: path(0.0)} | ({"stiffness": stiffness} if stiffness else {})
-    start = plant.equilibrium(conditions)
-    controller = HysteresisCompensation(
-        plant.with_values(start), sample_time=STEP, compensate=compensate, **more
-    )
-    run = pam.closed_loop(controller, plant, {position: path}, duration=3.0, start=start, rtol=1e-7)
-    late = run.t > 1.0
-    return float(np.sqrt(np.mean((run[position] - run.reference[position])[late] ** 2)))
+    start = plant.equilibrium({"x": path(0.0)} | ({"stiffness": stiffness} if stiffness else {}))
+    how = {"sample_time": STEP, "compensate": compensate, **more}
+    controller = HysteresisCompensation(plant.with_values(start), **how)
+    run = pam.closed_loop(controller, plant, {"x": path}, duration=3.0, start=start, rtol=1e-7)
+    return float(np.sqrt(np.mean((run["x"] - run.reference["x"])[run.t > 1.0] ** 2)))
 
 
 LOSSES = [
@@ -57,27 +54,21 @@ def test_a_triangle_is_tracked_at_least_four_times_better(loss):
 def test_random_plants_and_feeds_are_tracked_at_least_four_times_better(seed):
     rng = np.random.default_rng(700 + seed)
     n = rng.integers(1, 4)
-    loss = L.PrandtlIshlinskii(
-        *rng.uniform(4, 15, (2, n)), rng.uniform(0.002, 0.02, n), *rng.uniform(-1, 3, 2)
-    )
-    feed = [
-        pam.feeds.SpoolValve(),
-        pam.feeds.Regulator(rng.uniform(0.02, 0.1)),
-        pam.feeds.OnOffValves(),
-        pam.feeds.IdealPressure(),
-    ][seed]
-    frequency = rng.choice([0.0, 1.0])
+    forces, yields = rng.uniform(4, 15, (2, n)), rng.uniform(0.002, 0.02, n)
+    loss = L.PrandtlIshlinskii(*forces, yields, *rng.uniform(-1, 3, 2))
+    slow = pam.feeds.Regulator(rng.uniform(0.02, 0.1))
+    valves = pam.feeds.SpoolValve(), pam.feeds.OnOffValves()
+    feed = (valves[0], slow, valves[1], pam.feeds.IdealPressure())[seed]
+    more = {"frequency": rng.choice([0.0, 1.0])}
     if seed % 2:
         plant = pam.HangingLoad(MUSCLE, rng.uniform(5, 30), losses=loss, feed=feed)
-        position, path, more = "x", triangle(0.048, 0.016), {}
+        path = triangle(0.048, 0.016)
     else:
         plant = pam.AntagonisticSlide(MUSCLE, rng.uniform(1, 5), losses=loss, feed=feed)
-        position, path = "x", triangle(0.0, 0.012)
+        path = triangle(0.0, 0.012)
         middle = plant.equilibrium({"x": 0.0, "muscle1.pressure": 3.2e5})
-        more = {"stiffness": middle["stiffness"]}
-    without, compensated = (
-        missed(plant, path, c, position, frequency=frequency, **more) for c in (False, True)
-    )
+        more["stiffness"] = middle["stiffness"]
+    without, compensated = (missed(plant, path, c, **more) for c in (False, True))
     assert compensated < without / 4
 
 

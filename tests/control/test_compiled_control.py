@@ -32,13 +32,10 @@ def shared(tmp_path_factory):
 def moves(**options):
     """Inputs of an Mpc on a double integrator, from x = 1 to 0, and the library's hand in it."""
     mpc = Mpc(free_mass(), horizon=10, sample_time=H, track={"x": 1.0, "v": 0.1}, **options)
-    state, found = {"x": 1.0, "v": 0.0}, []
+    (x, v), found = (1.0, 0.0), []
     for _ in range(5):
-        found.append(mpc.control(state, {"x": 0.0, "v": 0.0})["f"])
-        state = {
-            "x": state["x"] + H * state["v"] + H**2 / 2 * found[-1],
-            "v": state["v"] + H * found[-1],
-        }
+        found.append(mpc.control({"x": x, "v": v}, {"x": 0.0, "v": 0.0})["f"])
+        x, v = x + H * v + H**2 / 2 * found[-1], v + H * found[-1]
     return np.array(found)
 
 
@@ -53,15 +50,8 @@ def test_a_compiled_mpc_moves_as_the_other(cache, monkeypatch):
 
 def bounded(**options):
     """A mass that may not go faster than 0.4 m/s nor be pushed harder than 1 N."""
-    return Mpc(
-        free_mass(limit=1.0),
-        horizon=12,
-        sample_time=0.1,
-        track={"x": 1.0},
-        rate={"f": 1e-3},
-        bounds={"v": (-0.4, 0.4)},
-        **options,
-    )
+    asked = {"track": {"x": 1.0}, "rate": {"f": 1e-3}, "bounds": {"v": (-0.4, 0.4)}}
+    return Mpc(free_mass(limit=1.0), horizon=12, sample_time=0.1, **asked, **options)
 
 
 @pytest.mark.slow
@@ -111,14 +101,9 @@ def test_the_compiled_call_of_real_time_is_that_of_python_to_the_last_bit(cache)
 
 
 def test_a_compiled_filter_is_the_linear_kalman_filter(cache):
-    found = KalmanFilter(
-        free_mass(),
-        sample_time=H,
-        measured={"x": 1e-2, "v": 0.3},
-        process={"v": 0.5},
-        uncertainty={"x": 0.1, "v": 0.4},
-        compiled=True,
-    )
+    known = {"measured": {"x": 1e-2, "v": 0.3}, "process": {"v": 0.5}}
+    known["uncertainty"] = {"x": 0.1, "v": 0.4}
+    found = KalmanFilter(free_mass(), sample_time=H, **known, compiled=True)
     assert list(cache.glob("function/*"))
     # by hand, in SI
     a, q = np.array([[1.0, H], [0.0, 1.0]]), 0.25

@@ -66,9 +66,7 @@ def compared(commands, names, u, rtol=1e-10):
 def test_lqi_integrates_but_at_the_ends_of_the_inputs(slide, point):
     law = lqr(slide, REST, integral={"x": 80.0, "stiffness": 5.0}, sample_time=STEP)
     u0 = np.array([point[n] for n in law.inputs])
-    low, high = (
-        np.array([getattr(slide.variable(n), a) for n in law.inputs]) for a in ("min", "max")
-    )
+    low, high = ends(slide, law.inputs)
     integral, frozen = np.zeros(2), 0
     goal = np.array([point["x"], point["stiffness"]])
     for measured in seen(slide, point, size=0.5):
@@ -154,9 +152,8 @@ def test_offset_free_feedback_goes_to_the_rest_of_the_linear_plant_under_the_dis
     names = [v.name for v in plant.inputs]
     chosen, push = [names.index(n) for n in feedback.inputs], names.index("push")
     nx, nu = len(a), len(chosen)
-    size = np.array(
-        [*(v.nominal for v in plant.states), *(plant.inputs[i].nominal for i in chosen)]
-    )
+    moving = (*plant.states, *(plant.inputs[i] for i in chosen))
+    size = np.array([v.nominal for v in moving])
     matrix = np.block([[a, b[:, chosen]], [c, np.zeros((1, nu))]]) * size
     scale = np.append(size[:nx], plant.variable("x").nominal)[:, None]
     for measured in seen(plant, rest, 10):
@@ -215,9 +212,8 @@ def test_feedback_along_a_motion_takes_gains_and_motion_of_the_moment(slide):
 def test_position_control_is_pid_inverse_dynamics_and_pressure_loops_in_turn(slide, point):
     path, gains = sine(0.0, 0.012, 3.0), PID.placed(3.0)
     inverse, loop = InverseDynamics(slide), PressureLoop(slide, time_constant=0.02)
-    law = PositionController(
-        slide, path, PID.placed(3.0), sample_time=STEP, stiffness=2.2e4, inner=loop
-    )
+    how = {"stiffness": 2.2e4, "inner": loop}
+    law = PositionController(slide, path, PID.placed(3.0), sample_time=STEP, **how)
     pid, full = PID(gains.kp, gains.ki, gains.kd, gains.filter_time), False
     for k, measured in enumerate(seen(slide, point)):
         x, v, a = path(k * STEP)
@@ -231,13 +227,8 @@ def test_position_control_is_pid_inverse_dynamics_and_pressure_loops_in_turn(sli
 
 def test_an_extended_filter_is_that_of_finite_differences_and_joint_measurements(slide, point):
     """Of the model's own step, whose Jacobians are those of differences here."""
-    filter = KalmanFilter(
-        slide,
-        sample_time=STEP,
-        measured={"x": 1e-4, "muscle1.pressure": 2e3},
-        unknown={"mass": (0.3, 0.1)},
-        start=point,
-    )
+    known = {"measured": {"x": 1e-4, "muscle1.pressure": 2e3}, "unknown": {"mass": (0.3, 0.1)}}
+    filter = KalmanFilter(slide, sample_time=STEP, start=point, **known)
     sent = {v.name: float(point[v.name]) + 3e4 for v in slide.inputs}
     scale, n = filter._scale, len(filter._scale)
     rows = np.eye(n)[[filter.names.index(m) for m in ("x", "muscle1.pressure")]]
@@ -253,9 +244,8 @@ def test_an_extended_filter_is_that_of_finite_differences_and_joint_measurements
         gain = p @ rows.T @ np.linalg.inv(rows @ p @ rows.T + noise)
         z, p = z + gain @ (y - rows @ z), p - gain @ rows @ p
         known = {k: measured[k] for k in ("x", "muscle1.pressure")}
-        assert [*filter.correct(known, sent).state.values()] == pytest.approx(
-            (z * scale)[: n - 1], rel=1e-9
-        )
+        state = [*filter.correct(known, sent).state.values()]
+        assert state == pytest.approx((z * scale)[: n - 1], rel=1e-9)
         slopes = [(step(z + 1e-5 * e) - step(z - 1e-5 * e)) / 2e-5 for e in np.eye(n)]
         half = np.asarray(filter._predict(z, u, q)[2])
         a, density = np.transpose(slopes), filter._density

@@ -7,7 +7,6 @@ from conftest import BAR, refused
 from scipy import linalg
 
 import pam_ocp as pam
-from pam_ocp import InputError
 from pam_ocp.control.analysis import (
     along_stroke,
     bode_cloud,
@@ -67,34 +66,22 @@ def test_the_position_of_a_slide_alone_does_not_show_both_pressures(slide):
 def test_modes_over_pressure_and_contraction_are_those_of_the_second_order_equation(long_muscle):
     plant = pam.HangingLoad(long_muscle, mass=20.0, damping=pam.losses.ConstantDamping(100.0))
     p, kappa = np.array([2.0, 4.0]) * BAR, np.array([0.05, 0.10, 0.15])
-    found = mode_map(plant, {"muscle.command": p, "x": kappa * 0.4}, free=["gravity"])
+    grid = {"muscle.command": p, "x": kappa * 0.4}
+    found = mode_map(plant, grid, free=["gravity"])
     k = np.array([[long_muscle.stiffness(a, b) for b in kappa] for a in p])
     assert found.frequency == pytest.approx(np.sqrt(k / 20.0) / (2 * np.pi), rel=1e-6)
     assert found.damping == pytest.approx(100.0 / (2 * np.sqrt(k * 20.0)), rel=1e-6)
     assert found.stable.all()
-    weak = mode_map(
-        plant,
-        {"muscle.command": p, "x": kappa * 0.4},
-        free=["gravity"],
-        within={"muscle.force": (600.0, np.inf)},
-    )
+    weak = mode_map(plant, grid, free=["gravity"], within={"muscle.force": (600.0, np.inf)})
     force = np.array([[long_muscle.force(a, b) for b in kappa] for a in p])
     assert np.array_equal(np.isnan(weak.frequency), force < 600.0)
 
 
 def test_far_above_resonance_a_cloud_falls_with_the_mass(hanging):
-    """|x/p_command| -> (dF/dp) / (m w^2 |1 + i w lag|),
-    dF/dp the same at one place and pressure.
-    """
+    """|x/p_command| -> (dF/dp) / (m w^2 |1 + i w lag|), dF/dp the same at one place, pressure."""
     cases = [{"parameters": {"mass": m}} for m in (15.0, 20.0, 30.0)]
-    cloud = bode_cloud(
-        hanging,
-        {"muscle.command": 4 * BAR},
-        cases,
-        source="muscle.command",
-        output="x",
-        hertz=(0.1, 300.0),
-    )
+    asked = {"source": "muscle.command", "output": "x", "hertz": (0.1, 300.0)}
+    cloud = bode_cloud(hanging, {"muscle.command": 4 * BAR}, cases, **asked)
     slope = [hanging_gain(p) for p in cloud.points]
     size = np.abs(cloud.responses[:, -1])
     w = 2 * np.pi * 300.0
@@ -129,13 +116,8 @@ def test_every_figure_is_drawn_without_pyplot(slide, hanging):
     point = slide.equilibrium(x=0.0, stiffness=2.2e4)
     feedback = lqr(slide, point)
     run = closed_loop(feedback, slide, duration=0.02).trajectory
-    cloud = bode_cloud(
-        slide,
-        {"x": 0.0, "stiffness": 2.2e4},
-        pam.simulation.sweep(mass=[1.0, 3.0]),
-        source="muscle1.command",
-        output="x",
-    )
+    rest, masses = {"x": 0.0, "stiffness": 2.2e4}, pam.simulation.sweep(mass=[1.0, 3.0])
+    cloud = bode_cloud(slide, rest, masses, source="muscle1.command", output="x")
     stroke = along_stroke(slide, "x", [0.0, 0.001], {"stiffness": 2.2e4})
     found = mode_map(hanging, {"muscle.command": [2e5, 3e5], "x": [0.02, 0.04]}, free=["gravity"])
     figures = [
@@ -149,13 +131,10 @@ def test_every_figure_is_drawn_without_pyplot(slide, hanging):
     refused("runs is empty", plots.plot_tracking, {}, ["x"])
 
 
-def test_a_mode_map_names_the_axis_that_is_empty(hanging):
-    with pytest.raises(InputError, match=r"axis 'muscle\.command' of mode_map holds no value"):
-        mode_map(hanging, {"muscle.command": [], "x": [0.02, 0.03]})
-
-
-def test_what_is_no_system_is_refused_in_a_sentence(slide, tmp_path):
+def test_what_is_no_system_and_an_empty_axis_are_refused_in_a_sentence(slide, hanging):
+    axes = {"muscle.command": [], "x": [0.02, 0.03]}
+    refused(r"axis 'muscle\.command' of mode_map holds no value", mode_map, hanging, axes)
     refused(r"margins: loop is a dict, not a control\.StateSpace", margins, {})
     refused(r"modes: system is a float, not a control\.StateSpace", pam.operating.modes, 1.0)
-    with pytest.raises(InputError, match="guess is a str, not a Trajectory or a HopfPoint"):
-        pam.vibration.limit_cycle(slide, "here")
+    words = "guess is a str, not a Trajectory or a HopfPoint"
+    refused(words, pam.vibration.limit_cycle, slide, "here")

@@ -9,7 +9,6 @@ from design_tools import example
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp import InputError
 from pam_ocp.control.along_motion import OpenLoop, tvlqr
 from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.loop import closed_loop
@@ -78,13 +77,14 @@ def test_at_rest_a_design_for_held_inputs_is_that_of_dlqr(slide):
     assert pytest.approx(np.tile(still.K, (len(law.K), 1, 1)), rel=1e-3, abs=1e-6) == law.K
 
 
-def test_a_motion_without_inputs_is_refused_and_a_wrong_end_too(slide, hanging):
+def test_what_is_no_motion_of_the_plant_and_a_wrong_end_are_refused(slide, hanging):
     motion = pam.simulate(hanging, duration=0.1)
     refused(r"holds no column 'muscle1\.pressure'", tvlqr, slide, motion)
-    with pytest.raises(
-        InputError, match=r"final has shape \(1, 1\); the Riccati matrix has \(3, 3\)"
-    ):
-        tvlqr(hanging, motion, final=[[1.0]])
+    words = r"final has shape \(1, 1\); the Riccati matrix has \(3, 3\)"
+    refused(words, tvlqr, hanging, motion, final=[[1.0]])
+    refused("motion is a dict, not a Trajectory", tvlqr, slide, {})
+    refused("plant is a dict, not a Plant", tvlqr, {}, {})
+    refused("plant is a str, not a Plant", pam.lqr, "slide")
 
 
 def test_open_loop_plays_the_plan(slide):
@@ -104,9 +104,3 @@ def test_the_example_holds_its_plan_under_wrong_mass_and_force_to_a_fifth_of_ope
     for pair in runs.values():
         opened, closed = (module.peak(run, motion) for run in pair.values())
         assert closed < opened / 5
-
-
-def test_what_is_no_plant_or_motion_is_refused(slide):
-    refused("motion is a dict, not a Trajectory", tvlqr, slide, {})
-    refused("plant is a dict, not a Plant", tvlqr, {}, {})
-    refused("plant is a str, not a Plant", pam.lqr, "slide")

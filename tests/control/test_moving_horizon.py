@@ -5,6 +5,7 @@ load.
 import numpy as np
 import pytest
 from conftest import benchmark_slide, refused
+from mpc_cases import COMMANDS
 from mpc_cases import mass as free_mass
 from scipy.optimize import lsq_linear
 from test_estimate import H, damped_spring
@@ -36,11 +37,8 @@ def test_on_a_linear_plant_it_is_the_kalman_filter(horizon):
         if k % 3 == 0:
             del seen["v"]
         inputs = {"f": rng.standard_normal()}
-        pairs = (
-            (kalman.correct(seen), window.correct(seen)),
-            (kalman.predict(inputs), window.predict(inputs)),
-        )
-        for expected, found in pairs:
+        by_filter, by_window = ([e.correct(seen), e.predict(inputs)] for e in (kalman, window))
+        for expected, found in zip(by_filter, by_window, strict=True):
             assert found.state == pytest.approx(expected.state, abs=1e-8)
             assert found.values == pytest.approx(expected.values, abs=1e-8)
             assert found.deviation == pytest.approx(expected.deviation, rel=1e-8)
@@ -50,20 +48,11 @@ def recorded(mass: float, duration: float, step: float, seed: int):
     """(plant, rest, samples of a slide of this mass under a square wave, noise, random numbers)."""
     plant = benchmark_slide()
     rest = plant.equilibrium(x=0.0, stiffness=2e4)
-    base = {v.name: rest[v.name] for v in plant.inputs}
-
-    def command(t: float) -> dict[str, float]:
-        up = 0.6e5 if t % 0.2 < 0.1 - 1e-9 else -0.6e5
-        return {
-            "muscle1.command": base["muscle1.command"] + up,
-            "muscle2.command": base["muscle2.command"] - up,
-        }
-
     state = {v.name: rest[v.name] for v in plant.states}
-    real = plant.with_values({"mass": mass})
-    rows = []
+    real, rows = plant.with_values({"mass": mass}), []
     for k in range(round(duration / step)):
-        inputs = command(k * step)
+        up = 0.6e5 if k * step % 0.2 < 0.1 - 1e-9 else -0.6e5
+        inputs = {n: rest[n] + s * up for n, s in zip(COMMANDS, (1, -1), strict=True)}
         rows.append((dict(state), inputs))
         run = pam.simulate(real, inputs, start=state, duration=step)
         state = {n: run[n][-1] for n in state}
@@ -183,9 +172,8 @@ def test_it_takes_the_filters_place_in_a_closed_loop():
     known = {"measured": {"x": 1e-4}, "process": {"v": 1e-3}, "unknown": {"push": (1.0, 0.01)}}
     window = MovingHorizonEstimator(plant, sample_time=0.1, **known)
     mpc = Mpc(plant, horizon=20, sample_time=0.1, track={"x": 1.0}, rate={"f": 0.01})
-    loop = closed_loop(
-        mpc, plant, {"x": 0.5}, duration=6.0, estimator=window, disturbances={"push": 0.8}, seed=3
-    )
+    real = {"estimator": window, "disturbances": {"push": 0.8}, "seed": 3}
+    loop = closed_loop(mpc, plant, {"x": 0.5}, duration=6.0, **real)
     found = loop.estimate.row(-1)
     assert abs(found["push"] - 0.8) < 4 * found["deviation.push"] < 0.1
     assert loop.steady_error("x", 1.0) < 5e-3

@@ -200,13 +200,9 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
     rest = plant.equilibrium(x=0.0, stiffness=2e4)
     start = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs)}
     model = plant.with_values(start)
-    observer = KalmanFilter(
-        model,
-        sample_time=0.005,
-        measured={"x": 2e-5, "muscle1.pressure": 500, "muscle2.pressure": 500},
-        process={"v": 0.01},
-        unknown={"mass": (0.5, 0.05)},
-    )
+    known = {"measured": {"x": 2e-5, "muscle1.pressure": 500, "muscle2.pressure": 500}}
+    known |= {"process": {"v": 0.01}, "unknown": {"mass": (0.5, 0.05)}}
+    observer = KalmanFilter(model, sample_time=0.005, **known)
     weights = {"track": {"x": 1.0, "stiffness": 0.05}, "rate": dict.fromkeys(COMMANDS, 0.05)}
     mpc = Mpc(model, horizon=30, sample_time=0.005, delay=1, **weights)
     fmu = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms=["native"])

@@ -5,7 +5,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import flat, refused
 from mpc_cases import COMMANDS, exact, mass
 from mpc_cases import slide_mpc as any_slide_mpc
 
@@ -45,10 +45,8 @@ class Running:
         known = {k.replace(".", "_"): v for k, v in told.items()}
         row = [known.get(v.name.replace(".", "_"), v.start) for v in self.block.inputs]
         memory, outputs = self.block.step(self.memory, row, self.parameters)
-        self.memory = np.asarray(memory).ravel()
-        found = dict(
-            zip((v.name for v in self.block.outputs), np.asarray(outputs).ravel(), strict=True)
-        )
+        self.memory = flat(memory)
+        found = dict(zip((v.name for v in self.block.outputs), flat(outputs), strict=True))
         self.sent = {n: found[n] for n in self.block.commands}
         return found
 
@@ -117,19 +115,9 @@ def test_limits_parameters_and_what_an_estimator_finds_may_change_while_it_runs(
 
 
 def test_openings_of_valves_are_sent_as_commands():
-    plant = pam.HangingLoad(
-        pam.muscle("DMSP-20-400N"), mass=20.0, feed=pam.feeds.SpoolValve(overlap=0.1)
-    )
-    mpc = Mpc(
-        plant,
-        horizon=8,
-        sample_time=0.005,
-        track={"x": 1.0},
-        solver="riccati",
-        method="rosenbrock",
-        substeps=1,
-        iterations=1,
-    )
+    plant = pam.HangingLoad("DMSP-20-400N", mass=20.0, feed=pam.feeds.SpoolValve(overlap=0.1))
+    how = {"solver": "riccati", "method": "rosenbrock", "substeps": 1, "iterations": 1}
+    mpc = Mpc(plant, horizon=8, sample_time=0.005, track={"x": 1.0}, **how)
     rest = plant.equilibrium(x=0.03)
     mpc.reset({"muscle.command": rest["muscle.command"]})
     block = Running(mpc_block(mpc))

@@ -15,9 +15,8 @@ from pam_ocp.control.state_feedback import OffsetFree
 @pytest.fixture
 def pushed(long_muscle):
     """A joint on which a torque acts from outside, and its rest."""
-    plant = pam.AntagonisticJoint(
-        long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2, loads=[pam.loads.ExternalForce()]
-    )
+    link = {"inertia": 0.05, "link_mass": 1.0, "link_length": 0.2}
+    plant = pam.AntagonisticJoint(long_muscle, **link, loads=[pam.loads.ExternalForce()])
     return plant, plant.equilibrium(theta=0.2, stiffness=25.0)
 
 

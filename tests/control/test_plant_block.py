@@ -40,12 +40,10 @@ def test_alone_it_moves_as_scipy_says(slide):
     low = slide.vector("input")
     commands = low + 2e4 * np.random.default_rng(5).uniform(-1, 1, (40, len(low)))
     made = plant_block(slide, sample_time=STEP)
-    columns = ran(
-        made, 40, lambda k: dict(zip([v.name for v in slide.inputs], commands[k], strict=True))
-    )
-    states = scipy_states(
-        slide, lambda t: commands[min(int(t / STEP + 1e-9), 39)], STEP * np.arange(40)
-    )
+    names = [v.name for v in slide.inputs]
+    columns = ran(made, 40, lambda k: dict(zip(names, commands[k], strict=True)))
+    held = lambda t: commands[min(int(t / STEP + 1e-9), 39)]  # noqa: E731
+    states = scipy_states(slide, held, STEP * np.arange(40))
     for i, v in enumerate(slide.states):
         assert np.max(np.abs(columns[v.name] - states[:, i])) < 1e-4 * v.nominal
     held = slide.function(states[7], commands[6], slide.vector("parameter"))[1]
@@ -75,15 +73,9 @@ def test_an_estimator_and_disturbances_are_part_of_it(slide):
     made = plant_block(plant, block(chain([filter, law], name="lqg"), plant=plant), start=point)
     pull = next(v.name for v in plant.inputs if v.disturbance)
     columns = ran(made, 200, lambda k: {pull: 10.0 * (k >= 50)})
-    loop = pam.closed_loop(
-        law,
-        plant,
-        estimator=kalman(plant, point, measured={"x": 1e-5}, sample_time=STEP),
-        disturbances={pull: (10.0, 0.1)},
-        noise={},
-        duration=0.4,
-        start=point,
-    )
+    watch = kalman(plant, point, measured={"x": 1e-5}, sample_time=STEP)
+    real = {"disturbances": {pull: (10.0, 0.1)}, "noise": {}, "start": point}
+    loop = pam.closed_loop(law, plant, estimator=watch, duration=0.4, **real)
     assert np.ptp(loop["x"]) > 1e-4
     assert off(plant, ["x", "v"], columns, loop.trajectory) < 1e-4
 
@@ -91,10 +83,8 @@ def test_an_estimator_and_disturbances_are_part_of_it(slide):
 def test_substeps_follow_the_tolerance(slide):
     """RODAS3 is of order 3: an error smaller by 1000 takes ten times as many steps."""
     spool = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.feeds.SpoolValve())
-    counts = [
-        plant_block(spool, sample_time=STEP, tolerance=t).loops["steps of the plant"]
-        for t in (1e-6, 1e-9)
-    ]
+    made = (plant_block(spool, sample_time=STEP, tolerance=t) for t in (1e-6, 1e-9))
+    counts = [one.loops["steps of the plant"] for one in made]
     assert 4 <= counts[1] / counts[0] <= 32
 
 
@@ -106,9 +96,8 @@ def test_it_leaves_as_c_and_as_an_fmu(tmp_path, slide):
     folder = pam.export_c(made, tmp_path / "c", name="whole", steps=50)
     assert "passed" in selftest(folder, "whole")
     unit = pam.export_fmu(made, tmp_path / "whole.fmu", platforms=["native"])
-    found = fmpy.simulate_fmu(
-        str(unit), stop_time=0.2, step_size=STEP, output=["x"], start_values={"wanted.x": 0.003}
-    )
+    told = {"output": ["x"], "start_values": {"wanted.x": 0.003}}
+    found = fmpy.simulate_fmu(str(unit), stop_time=0.2, step_size=STEP, **told)
     columns = ran(made, 100, lambda k: {"wanted.x": 0.003})
     assert np.max(np.abs(found["x"][1:101] - columns["x"])) < 1e-12
 

@@ -12,7 +12,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from conftest import BAR, refused
+from conftest import BAR, rates_and_outputs, refused
 from searches import search_of
 
 import pam_ocp as pam
@@ -28,9 +28,8 @@ C = pam.gas.conductance_from_flow(700.0)
 
 
 def hanging(overlap: float = 0.02, **feed: Any) -> pam.Plant:
-    return pam.HangingLoad(
-        pam.muscle("DMSP-20-400N"), mass=20.0, feed=pam.feeds.SpoolValve(overlap=overlap, **feed)
-    )
+    valve = pam.feeds.SpoolValve(overlap=overlap, **feed)
+    return pam.HangingLoad("DMSP-20-400N", mass=20.0, feed=valve)
 
 
 def at_rest(plant: pam.Plant, point: Any) -> dict[str, float]:
@@ -58,10 +57,8 @@ def test_the_command_gives_exactly_the_opening(overlap):
 
 
 def test_a_critically_lapped_valve_is_rounded_over_1e_4_of_its_travel():
-    inversion = pam.plants.Inversion(hanging(0.0))
-    assert inversion.commands({"muscle.opening": 0.3})["muscle.command"] == pytest.approx(
-        0.3 * (1 - 5e-5) + 5e-5, rel=1e-12
-    )
+    sent = pam.plants.Inversion(hanging(0.0)).commands({"muscle.opening": 0.3})
+    assert sent["muscle.command"] == pytest.approx(0.3 * (1 - 5e-5) + 5e-5, rel=1e-12)
 
 
 def test_the_overlap_is_a_parameter_of_the_plant():
@@ -81,19 +78,13 @@ def flow_by_hand(w: float, p: float) -> float:
     "feed", [pam.feeds.SpoolValve(overlap=0.1), pam.feeds.OnOffValves()], ids=["spool", "on/off"]
 )
 def test_the_flow_is_that_of_the_opening(feed):
-    plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=feed)
-    inversion, names = pam.plants.Inversion(plant), [v.name for v in plant.outputs]
-    x = plant.vector("state", {"x": 0.05, "muscle.pressure": 2.2 * BAR})
+    plant = pam.HangingLoad("DMSP-20-400N", mass=20.0, feed=feed)
+    inversion, at = pam.plants.Inversion(plant), {"x": 0.05, "muscle.pressure": 2.2 * BAR}
     for w in (-1.0, -0.3, -0.002, 0.002, 0.4, 1.0):
-        sent = inversion.commands({"muscle.opening": w})
-        for model, u in (
-            (plant, [sent[v.name] for v in plant.inputs]),
-            (plant.in_openings(), [w]),
-        ):
-            y = np.asarray(model.function(x, u, model.vector("parameter"))[1]).ravel()
-            assert y[names.index("muscle.mass_flow")] == pytest.approx(
-                flow_by_hand(w, 2.2 * BAR), rel=1e-9
-            )
+        opening, expected = {"muscle.opening": w}, flow_by_hand(w, 2.2 * BAR)
+        for model, u in ((plant, inversion.commands(opening)), (plant.in_openings(), opening)):
+            flow = rates_and_outputs(model, at | u)[1]["muscle.mass_flow"]
+            assert flow == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_slope_of_a_closed_valve_is_the_mean_of_filling_and_venting():
@@ -108,9 +99,8 @@ def test_the_slope_of_a_closed_valve_is_the_mean_of_filling_and_venting():
 
 
 def test_openings_travel_with_a_plant():
-    plant = pickle.loads(
-        pickle.dumps(pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.feeds.SpoolValve()))
-    )
+    slide = pam.AntagonisticSlide("DMSP-20-200N", feed=pam.feeds.SpoolValve())
+    plant = pickle.loads(pickle.dumps(slide))
     inner = plant.in_openings()
     assert [v.name for v in inner.inputs] == ["muscle1.opening", "muscle2.opening"]
     assert inner.mirror_map["muscle1.opening"] == (1.0, "muscle2.opening")
@@ -173,25 +163,20 @@ def test_lqr_and_tvlqr_reach_the_set_point_from_closed_rest(kind, overlap):
     still = pam.lqr(plant, goal, sample_time=4e-3)
     motion = closed_loop(still, plant, start=begin, **loop).trajectory
     assert missed(motion, x, start, goal) < 0.01
-    along = pam.control.tvlqr(
-        plant, motion, t=np.linspace(0, 1.5, 151), sample_time=4e-3, rtol=1e-5
-    )
+    times = np.linspace(0, 1.5, 151)
+    along = pam.control.tvlqr(plant, motion, t=times, sample_time=4e-3, rtol=1e-5)
     begin[x] += 0.1 * (goal[x] - start[x])
     assert missed(closed_loop(along, plant, start=begin, **loop), x, start, goal) < 0.01
 
 
 @pytest.mark.parametrize(("kind", "overlap"), FEEDS)
 def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
-    feed = (
-        pam.feeds.OnOffValves()
-        if overlap == 0.1 and kind == "joint"
-        else pam.feeds.SpoolValve(overlap=overlap)
-    )
+    on_off = overlap == 0.1 and kind == "joint"
+    feed = pam.feeds.OnOffValves() if on_off else pam.feeds.SpoolValve(overlap=overlap)
     plant, x, start, goal = case(kind, feed)
     track = {x: 1.0} | ({"stiffness": 0.05} if kind in ("slide", "joint") else {})
-    mpc = pam.Mpc(
-        plant, horizon=20, sample_time=0.01, track=track, rate={v.name: 0.05 for v in plant.inputs}
-    )
+    rate = {v.name: 0.05 for v in plant.inputs}
+    mpc = pam.Mpc(plant, horizon=20, sample_time=0.01, track=track, rate=rate)
     loop = mpc.closed_loop(plant, {n: goal[n] for n in track}, 1.0, start=at_rest(plant, start))
     assert loop.statistics.failures == 0
     assert missed(loop.trajectory, x, start, goal) < 0.01
@@ -222,9 +207,8 @@ def test_mpc_takes_weights_and_bounds_of_commands_and_predicts_in_commands():
 def test_mpc_against_the_plants_fmu_sends_commands(tmp_path):
     plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve())
     path = export_fmu(plant, tmp_path / "plant.fmu", platforms="native")
-    mpc = pam.Mpc(
-        plant, horizon=15, sample_time=0.02, track={x: 1.0}, rate={"muscle.opening": 0.05}
-    )
+    weights = {"track": {x: 1.0}, "rate": {"muscle.opening": 0.05}}
+    mpc = pam.Mpc(plant, horizon=15, sample_time=0.02, **weights)
     begin, measured = at_rest(plant, start), {x: 1e-5, "muscle.pressure": 200.0}
     estimator = pam.KalmanFilter(plant, sample_time=0.02, measured=measured, start=begin)
     loop = mpc.closed_loop(path, {x: goal[x]}, 1.0, start=begin, estimator=estimator, seed=3)
@@ -241,17 +225,15 @@ def test_a_kalman_filter_follows_the_pressure_from_the_commands():
     loop["start"] = {**at_rest(plant, goal), x: goal[x]}
     run = closed_loop(pam.control.WithEstimate(feedback, watch), plant, **loop)
     assert missed(run, x, start, goal) < 0.01
-    assert watch.point.x[2] + watch.deviation[2] == pytest.approx(
-        run["muscle.pressure"][-1], abs=0.03 * BAR
-    )
+    estimate = watch.point.x[2] + watch.deviation[2]
+    assert estimate == pytest.approx(run["muscle.pressure"][-1], abs=0.03 * BAR)
 
 
 def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
     plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve())
     loop = {"duration": 1.2, "sample_time": 4e-3, "rtol": 1e-6, "start": at_rest(plant, start)}
-    grid = pam.control.scheduled_lqr(
-        plant, {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}, sample_time=4e-3
-    )
+    axes, wanted = {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}
+    grid = pam.control.scheduled_lqr(plant, axes, wanted, sample_time=4e-3)
     assert missed(closed_loop(grid, plant, **loop), x, start, goal) < 0.01
     known = {"measured": {x: 1e-5, "muscle.pressure": 500.0}}
     known["disturbances"] = {"muscle.command": 0.1}
@@ -270,24 +252,18 @@ def test_as_nlsys_gives_a_linear_model_that_can_be_controlled():
     linear = control.linearize(system, system.x0, system.u0)
     assert np.linalg.matrix_rank(control.ctrb(linear.A, linear.B / 1e8)) >= 2
     assert np.abs(linear.B).max() > 1e6
-    assert pam.operating.as_nlsys(plant, point, inputs=["muscle.command"]).input_labels == [
-        "muscle_command"
-    ]
+    commanded = pam.operating.as_nlsys(plant, point, inputs=["muscle.command"])
+    assert commanded.input_labels == ["muscle_command"]
 
 
 def test_the_pressure_loop_leaves_no_error_in_the_dead_zone():
     plant = hanging(0.2)
-    left = []
+    left, loop = [], {"duration": 0.8, "sample_time": 2e-3, "rtol": 1e-6}
+    loop["start"] = {"x": 0.06, "muscle.pressure": 2.9 * BAR}
     for model in (plant, plant.in_commands()):
         inner = PressureLoop(model, gain=5e-6)
-        run = closed_loop(
-            lambda t, y, inner=inner: inner({"muscle": 3.0 * BAR}, y),
-            plant,
-            duration=0.8,
-            sample_time=2e-3,
-            rtol=1e-6,
-            start={"x": 0.06, "muscle.pressure": 2.9 * BAR},
-        )
+        law = lambda t, y, inner=inner: inner({"muscle": 3.0 * BAR}, y)  # noqa: E731
+        run = closed_loop(law, plant, **loop)
         left.append(abs(run["muscle.pressure"][-1] - 3.0 * BAR))
     assert left[0] < 500.0 < 2000.0 < left[1]
 
@@ -333,10 +309,8 @@ def test_the_fmu_of_a_state_feedback_contains_the_inversion(overlap, tmp_path):
         wanted = np.clip(feedback(0.0, values)["muscle.command"], -1, 1)
         assert sent == pytest.approx(wanted, abs=1e-9)
     openings = [opening_by_hand(float(sent), overlap) for (sent,) in found]
-    by_hand = [
-        float(np.clip(-(feedback.K @ (np.array([*v.values()]) - feedback.point.x)).item(), -1, 1))
-        for v in seen
-    ]
+    deviations = np.array([[*v.values()] for v in seen]) - feedback.point.x
+    by_hand = np.clip(-deviations @ feedback.K.ravel(), -1, 1)
     assert openings == pytest.approx(by_hand, abs=1e-9)
 
 
@@ -397,9 +371,8 @@ def test_an_input_without_influence_is_called_so():
 @pytest.mark.parametrize("bounds", [None, {"muscle.command": (-0.5, 0.6)}], ids=["free", "bounded"])
 def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
     plant = hanging(0.1)
-    planner = pam.Planner(
-        plant, [{"x": 0.05}, {"x": 0.075}], bounds=bounds, method=pam.Collocation(15, 3)
-    )
+    stops, way = [{"x": 0.05}, {"x": 0.075}], pam.Collocation(15, 3)
+    planner = pam.Planner(plant, stops, bounds=bounds, method=way)
     search = search_of(planner)
     (near,), (first, *_) = search._from_openings(0, 1), search._solved(search._tasks(1), 0)
     assert near.objective < 1.01 * first.objective
@@ -411,8 +384,6 @@ def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
 
 
 def test_a_wish_about_commands_is_not_planned_in_openings():
-    plant = hanging(0.1)
-    planner = pam.Planner(
-        plant, [{"x": 0.05}, {"x": 0.06}], minimise={"time": 1.0, "square(muscle.command)": 0.1}
-    )
+    wish = {"time": 1.0, "square(muscle.command)": 0.1}
+    planner = pam.Planner(hanging(0.1), [{"x": 0.05}, {"x": 0.06}], minimise=wish)
     assert search_of(planner)._from_openings(0, 1) == []

@@ -28,6 +28,7 @@ from c_program import (
     selftest,
     with_gaps,
 )
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.control import (
@@ -44,7 +45,6 @@ from pam_ocp.control import (
 )
 from pam_ocp.control.references import sine
 from pam_ocp.core.block import Block
-from pam_ocp.core.errors import InputError
 from pam_ocp.core.exceptions import WriteError
 from pam_ocp.export.c_code import package, single
 
@@ -77,9 +77,8 @@ def extended():
     """LQR behind an extended Kalman filter that finds the mass: exponentials, a matrix inverse."""
     slide = pam.AntagonisticSlide(MUSCLE, mass=2.0)
     measured = {"x": 1e-5, "muscle1.pressure": 500.0}
-    estimator = KalmanFilter(
-        slide, sample_time=STEP, measured=measured, unknown={"mass": (0.2, 0.01)}, substeps=1
-    )
+    known = {"measured": measured, "unknown": {"mass": (0.2, 0.01)}}
+    estimator = KalmanFilter(slide, sample_time=STEP, substeps=1, **known)
     return block(chain([estimator, lqr(slide, REST, sample_time=STEP)]), plant=slide)
 
 
@@ -120,27 +119,19 @@ def test_a_slide_with_spool_valves_and_an_estimator_moves_the_same(valved, estim
 
 @needs_compiler
 def test_a_joint_with_dead_zones_in_its_valves_moves_the_same(tmp_path):
-    joint = pam.AntagonisticJoint(
-        MUSCLE, inertia=0.05, link_mass=1.0, link_length=0.2, feed=pam.feeds.SpoolValve()
-    )
-    path, loop = sine(0.0, 0.2, 1.0), PressureLoop(joint)
-    controller = PositionController(
-        joint, path, PID.placed(2.0), sample_time=STEP, stiffness=30.0, inner=loop
-    )
+    link = {"inertia": 0.05, "link_mass": 1.0, "link_length": 0.2}
+    joint = pam.AntagonisticJoint(MUSCLE, **link, feed=pam.feeds.SpoolValve())
+    path, how = sine(0.0, 0.2, 1.0), {"stiffness": 30.0, "inner": PressureLoop(joint)}
+    controller = PositionController(joint, path, PID.placed(2.0), sample_time=STEP, **how)
     names = [f"wanted.{n}" for n in next(iter(joint.positions.items()))] + ["wanted.acceleration"]
-    same_loop(
-        block(controller, plant=joint),
-        joint,
-        tmp_path / "c",
-        lambda t: dict(zip(names, path(t), strict=True)),
-    )
+    told = lambda t: dict(zip(names, path(t), strict=True))  # noqa: E731
+    same_loop(block(controller, plant=joint), joint, tmp_path / "c", told)
 
 
 @needs_compiler
 def test_a_muscle_with_memory_moves_the_same(tmp_path):
-    plant = pam.HangingLoad(
-        MUSCLE, 15.0, losses=pam.losses.PrandtlIshlinskii(), feed=pam.feeds.SpoolValve()
-    )
+    parts = {"losses": pam.losses.PrandtlIshlinskii(), "feed": pam.feeds.SpoolValve()}
+    plant = pam.HangingLoad(MUSCLE, 15.0, **parts)
     start = plant.equilibrium(x=0.03)
     controller = HysteresisCompensation(plant.with_values(start), sample_time=STEP, frequency=2.0)
 
@@ -160,9 +151,8 @@ def test_gains_are_tunable_in_c(exported):
     made = pid_block()
     program = Program(exported("pid"), "pid", made)
     names = [v.name for v in made.parameters]
-    program.parameters[names.index("ki")] = 0.0
-    program.parameters[names.index("kp")] = 0.5
-    program.parameters[names.index("kd")] = 0.0
+    for name, gain in {"ki": 0.0, "kp": 0.5, "kd": 0.0}.items():
+        program.parameters[names.index(name)] = gain
     assert program.step({"wanted.measured": 1.0, "measured": 0.4})["command"] == 0.5 * 0.6
 
 
@@ -268,14 +258,9 @@ def test_missing_measurements_give_in_c_what_they_give_in_python(estimating, exp
 # ---- the folder ---------------------------------------------------------------------------------
 def test_the_header_is_short_and_the_readme_says_what_it_takes(tmp_path):
     folder = pam.export_c(pid_block(), tmp_path / "c")
-    assert sorted(p.name for p in folder.iterdir()) == [
-        "CMakeLists.txt",
-        "README.md",
-        "pam_ocp_export.json",
-        "pid.c",
-        "pid.h",
-        "pid_selftest.c",
-    ]
+    files = {"CMakeLists.txt", "README.md", "pam_ocp_export.json"}
+    files |= {"pid.c", "pid.h", "pid_selftest.c"}
+    assert {p.name for p in folder.iterdir()} == files
     lines = [s for s in (folder / "pid.h").read_text().splitlines() if s[:1] not in ("#", " ", "")]
     assert len(lines) <= 20
     readme = (folder / "README.md").read_text()
@@ -305,44 +290,29 @@ def test_an_export_is_replaced_and_anything_else_is_left_alone(tmp_path):
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     (theirs / "thesis.tex").write_text("years of work")
-    with pytest.raises(WriteError, match="no export of C code"):
-        pam.export_c(pid_block(), theirs)
-    with pytest.raises(WriteError, match="is a file"):
-        pam.export_c(pid_block(), theirs / "thesis.tex")
-    with pytest.raises(WriteError, match="s3://bucket/c is a URL"):
-        pam.export_c(pid_block(), "s3://bucket/c")
+    refused("no export of C code", pam.export_c, pid_block(), theirs, error=WriteError)
+    refused("is a file", pam.export_c, pid_block(), theirs / "thesis.tex", error=WriteError)
+    refused("s3://bucket/c is a URL", pam.export_c, pid_block(), "s3://bucket/c", error=WriteError)
     assert [p.name for p in theirs.iterdir()] == ["thesis.tex"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c", "theirs"]
 
 
 def test_what_cannot_be_written_is_refused_in_one_sentence(tmp_path):
     made, place = pid_block(), tmp_path / "c"
-    for words, arguments in {
-        "precision": {"precision": "half"},
-        "begins all names in C": {"name": "1 pid"},
-        "inputs has the shape": {"inputs": np.zeros((3, 1))},
-        "steps": {"steps": 0},
-    }.items():
-        with pytest.raises(InputError, match=words):
-            pam.export_c(made, place, **arguments)
-    with pytest.raises(InputError, match="not known as a block"):
-        pam.export_c(object(), place)
+    refused("precision", pam.export_c, made, place, precision="half")
+    refused("begins all names in C", pam.export_c, made, place, name="1 pid")
+    refused("inputs has the shape", pam.export_c, made, place, inputs=np.zeros((3, 1)))
+    refused("steps", pam.export_c, made, place, steps=0)
+    refused("not known as a block", pam.export_c, object(), place)
     assert not place.exists()
 
 
 def test_vectors_end_where_rounding_spoils_them(tmp_path):
     """x -> 4 x (1 - x) doubles an error in each step: from 1e-16 to 1e-6 in some 33 of them."""
-    x = ca.SX.sym("x")
-    none = ca.SX.zeros(0, 1)
-    chaotic = Block(
-        "chaos",
-        1.0,
-        (),
-        (pam.Variable("y", "output"),),
-        (),
-        (pam.Variable("x", "state", start=0.3),),
-        ca.Function("step", [x, none, none], [4 * x * (1 - x), x]),
-    )
+    x, none = ca.SX.sym("x"), ca.SX.zeros(0, 1)
+    step = ca.Function("step", [x, none, none], [4 * x * (1 - x), x])
+    memory = (pam.Variable("x", "state", start=0.3),)
+    chaotic = Block("chaos", 1.0, (), (pam.Variable("y", "output"),), (), memory, step)
     for precision, least, most in (("double", 20, 40), ("single", 5, 25)):
         folder = pam.export_c(chaotic, tmp_path / "c", precision=precision)
         steps = re.search(r"#define STEPS (\d+)", (folder / "chaos_selftest.c").read_text())
@@ -359,20 +329,15 @@ def test_what_rounding_may_turn_over_is_not_compared_in_single_precision():
     for _ in range(60):
         z = body(y, last, passes)
         going = ca.fabs(last) > 1.5e-7
-        y, last, passes = (
-            ca.if_else(going, new, old) for new, old in zip(z, (y, last, passes), strict=True)
-        )
+        before = (y, last, passes)
+        y, last, passes = (ca.if_else(going, *pair) for pair in zip(z, before, strict=True))
     memory, none = ca.SX.sym("m"), ca.SX.sym("none", 0)
-    sure = ca.if_else(x > 0, 2, 3)
-    made = Block(
-        "passes",
-        1e-3,
-        (pam.Variable("x", "input", start=0.5, nominal=1.0),),
-        tuple(pam.Variable(n, "output") for n in ("passes", "sure")),
-        (),
-        (pam.Variable("m", "state", start=0.0),),
-        ca.Function("step", [memory, x, none], [memory, ca.vertcat(passes, sure)]),
-    )
+    outputs = ca.vertcat(passes, ca.if_else(x > 0, 2, 3))
+    step = ca.Function("step", [memory, x, none], [memory, outputs])
+    inputs = (pam.Variable("x", "input", start=0.5, nominal=1.0),)
+    shown = tuple(pam.Variable(n, "output") for n in ("passes", "sure"))
+    kept = (pam.Variable("m", "state", start=0.0),)
+    made = Block("passes", 1e-3, inputs, shown, (), kept, step)
     given = np.linspace(0.2, 1.2, 20)[:, None]
     expected = package.outputs_of(made, given, single=True)
     told = package.sensitivity(made, given, expected, 2.0**-23, single=True)[1]

@@ -38,38 +38,19 @@ MOST = {"double": 1e-9, "single": 5e-3}
 
 
 def regulated(horizon: int = 4, sample_time: float = 5e-3, iterations: int = 2) -> Mpc:
-    slide = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10, feed=pam.feeds.Regulator(0.05)
-    )
-    rate = dict.fromkeys(COMMANDS, 0.1)
-    return Mpc(
-        slide,
-        horizon=horizon,
-        sample_time=sample_time,
-        track={"x": 1.0},
-        rate=rate,
-        iterations=iterations,
-    )
+    parts = {"pre_contraction": 0.10, "feed": pam.feeds.Regulator(0.05)}
+    slide = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, **parts)
+    how = {"horizon": horizon, "sample_time": sample_time, "iterations": iterations}
+    return Mpc(slide, track={"x": 1.0}, rate=dict.fromkeys(COMMANDS, 0.1), **how)
 
 
 def valved() -> Mpc:
     """Spool valves with a dead zone, and a muscle with memory."""
-    load = pam.HangingLoad(
-        pam.muscle("DMSP-20-400N"),
-        mass=20.0,
-        feed=pam.feeds.SpoolValve(overlap=0.1),
-        losses=pam.losses.BoucWen(),
-    )
-    return Mpc(
-        load,
-        horizon=5,
-        sample_time=5e-3,
-        track={"x": 1.0},
-        rate={"muscle.command": 0.02},
-        iterations=1,
-        method="rosenbrock",
-        substeps=1,
-    )
+    parts = {"feed": pam.feeds.SpoolValve(overlap=0.1), "losses": pam.losses.BoucWen()}
+    load = pam.HangingLoad("DMSP-20-400N", mass=20.0, **parts)
+    weights = {"track": {"x": 1.0}, "rate": {"muscle.command": 0.02}}
+    how = {"iterations": 1, "method": "rosenbrock", "substeps": 1}
+    return Mpc(load, horizon=5, sample_time=5e-3, **weights, **how)
 
 
 KINDS = {"regulated": regulated, "valved": valved}
@@ -86,11 +67,8 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> Any:
             made[kind] = block(mpc, plant=mpc.plant)
         if (kind, precision) not in made:
             folder = tmp_path_factory.mktemp(f"{kind}_{precision}") / "c"
-            limit, steps = MOST[precision], 20
-            pam.export_c(
-                made[kind], folder, name="mpc", precision=precision, steps=steps, tolerance=limit
-            )
-            made[kind, precision] = folder
+            how = {"precision": precision, "steps": 20, "tolerance": MOST[precision]}
+            made[kind, precision] = pam.export_c(made[kind], folder, name="mpc", **how)
         return made[kind], made[kind, precision]
 
     return export
@@ -111,9 +89,8 @@ def test_a_loop_is_the_same_bit_for_bit(kind, at, exports):
 
     sides = BlockController(made, told), Program(folder, "mpc", made, told)
     start = plant.equilibrium(x=at, stiffness=2e4) if at == 0.0 else plant.equilibrium(x=at)
-    one, other = (
-        pam.closed_loop(side, plant, duration=0.3, start=start, noise={"x": 1e-6}) for side in sides
-    )
+    real = {"duration": 0.3, "start": start, "noise": {"x": 1e-6}}
+    one, other = (pam.closed_loop(side, plant, **real) for side in sides)
     assert np.ptp(one["x"]) > 2e-3
     for name in ("x", *(v.name for v in plant.inputs)):
         assert np.array_equal(one[name], other[name])
@@ -300,15 +277,8 @@ def plant_block(mpc: Mpc) -> Block:
     after = Step(mpc.sample_time, "rk4", 20).expression(given, x / xn, u / un, q) * xn
     outputs = tuple(pam.Variable(v.name, "output", unit=v.unit) for v in plant.states)
     memory = tuple(pam.Variable(f"kept.{v.name}", "state", start=v.start) for v in plant.states)
-    return Block(
-        "slide",
-        mpc.sample_time,
-        plant.inputs,
-        outputs,
-        (),
-        memory,
-        ca.Function("step", [x, u, none], [after, x]),
-    )
+    step = ca.Function("step", [x, u, none], [after, x])
+    return Block("slide", mpc.sample_time, plant.inputs, outputs, (), memory, step)
 
 
 def long_loop(folder: Path, periods: int) -> tuple[float, float, float]:

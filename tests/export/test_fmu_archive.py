@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import benchmark_slide
+from fmu_tools import exported
 from hostile import contents, packed
 
 import pam_ocp as pam
 from pam_ocp import check_fmu
 from pam_ocp.cli.main import main
-from pam_ocp.export import export_fmu
 from pam_ocp.export.archive import UnsafeFileError, require_safe
 from pam_ocp.export.runner import UnpackedFmu
 
@@ -24,8 +24,7 @@ DESCRIPTION = "modelDescription.xml"
 
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("honest")
-    return export_fmu(benchmark_slide(), folder / "slide.fmu", platforms="native")
+    return exported(benchmark_slide(), tmp_path_factory.mktemp("honest"))
 
 
 def with_description(path: Path, text: bytes | str) -> Path:
@@ -39,10 +38,8 @@ def refused(path: Path) -> str:
 
 
 def test_every_export_is_safe(honest, tmp_path):
-    require_safe(honest)
-    require_safe(
-        pam.export_fmu(benchmark_slide(), tmp_path / "3.fmu", fmi="3.0", platforms="native")
-    )
+    for path in (honest, exported(benchmark_slide(), tmp_path, "3.0")):
+        require_safe(path)
 
 
 def test_an_unsafe_archive_is_a_finding_and_exit_code_1(tmp_path, capsys):
@@ -58,13 +55,9 @@ def test_an_unsafe_archive_is_a_finding_and_exit_code_1(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("../a", "leads out"),
-        ("resources/../../a", "leads out"),
-        ("/etc/a", "absolute path"),
-        ("C:/a", "absolute path"),
-        ("c:a", "absolute path"),
-        ("..\\a", "no name of a file"),
-        ("resources\\a", "no name of a file"),
+        *((name, "leads out") for name in ("../a", "resources/../../a")),
+        *((name, "absolute path") for name in ("/etc/a", "C:/a", "c:a")),
+        *((name, "no name of a file") for name in ("..\\a", "resources\\a")),
     ],
 )
 def test_names_that_lead_elsewhere_are_refused(tmp_path, name, words):
@@ -105,9 +98,8 @@ def grown(path: Path, name: str, size: int) -> None:
 
 
 def test_a_bomb_is_refused_by_its_directory(tmp_path):
-    path = packed(
-        tmp_path / "unit.fmu", {DESCRIPTION: b"<a/>", "resources/zeros": bytes(1_000_000)}
-    )
+    content = {DESCRIPTION: b"<a/>", "resources/zeros": bytes(1_000_000)}
+    path = packed(tmp_path / "unit.fmu", content)
     grown(path, "resources/zeros", 0xFFFFFFF0)
     assert "unpacks to 4295 MB, 1074 are allowed" in refused(path)
 

@@ -241,14 +241,9 @@ if compile._local():  # zig may be where this user cannot look
         surroundings["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
         if home is not None:
             surroundings["HOME"] = home
-        done = subprocess.run(
-            [sys.executable, "-c", script, str(STRANGER)],
-            env=surroundings,
-            cwd=place,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        how = {"env": surroundings, "cwd": place, "capture_output": True, "text": True}
+        command = [sys.executable, "-c", script, str(STRANGER)]
+        done = subprocess.run(command, check=False, **how)
         assert done.stderr == ""
         own = place / f"pam_ocp_{STRANGER}"
         assert done.stdout.split() == [str(own / "fmu"), str(own / "zig")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -11,39 +10,34 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
+from fmu_tools import exported
+from hostile import contents, packed
 from numpy.polynomial import chebyshev, polynomial
 
 import pam_ocp as pam
 from pam_ocp.core.signals import PiecewisePolynomial
-from pam_ocp.export import check_fmu, export_fmu, source
+from pam_ocp.export import check_fmu, source
 from pam_ocp.export.check import check_fmus
+
+DESCRIPTION = "modelDescription.xml"
 
 
 def copied(path: Path, changes: Any) -> Any:
-    """The checks of copies of a unit, in one process: changes(name, content) makes each."""
-    others = []
+    """The checks of copies of a unit with other files (None: left out), in one process."""
+    whole, others = contents(path), []
     for number, change in enumerate(changes):
-        others.append(path.with_name(f"copy{number}.fmu"))
-        with zipfile.ZipFile(path) as old, zipfile.ZipFile(others[-1], "w") as new:
-            for name in old.namelist():
-                content = change(name, old.read(name))
-                if content is not None:
-                    new.writestr(name, content)
+        content = {name: c for name, c in (whole | change).items() if c is not None}
+        others.append(packed(path.with_name(f"copy{number}.fmu"), content))
     return check_fmus(others)
 
 
 def described(path: Path, changes: Any) -> Any:
     """The checks of copies with other descriptions: changes(root) makes each."""
 
-    def described_so(change: Any) -> Any:
-        def changed(name: str, content: bytes) -> bytes:
-            if name != "modelDescription.xml":
-                return content
-            root = ElementTree.fromstring(content)
-            change(root)
-            return ElementTree.tostring(root)
-
-        return changed
+    def described_so(change: Any) -> dict[str, bytes]:
+        root = ElementTree.fromstring(contents(path)[DESCRIPTION])
+        change(root)
+        return {DESCRIPTION: ElementTree.tostring(root)}
 
     return copied(path, map(described_so, changes))
 
@@ -60,18 +54,15 @@ def test_a_wrong_trajectory_is_found_out(slide_unit):
 
 
 def test_damaged_fmus_are_found_out(fmus):
-    binary = lambda name: name.startswith("binaries/")  # noqa: E731
-    wrong = {
-        "no binary": lambda n, c: None if binary(n) else c,
-        "no shared library": lambda n, c: b"nonsense" if binary(n) else c,
-        "belong together": lambda n, c: (
-            c.replace(b'guid="{', b'guid="{1') if n.endswith(".xml") else c
-        ),
-        "foreign__name": lambda n, c: (
-            c.replace(b"fmi2Terminate", b"foreign__name") if binary(n) else c
-        ),
-    }
     path = fmus["2.0"].folder.with_name("2.fmu")
+    (binary,) = (n for n in contents(path) if n.startswith("binaries/"))
+    text, library = contents(path)[DESCRIPTION], contents(path)[binary]
+    wrong = {
+        "no binary": {binary: None},
+        "no shared library": {binary: b"nonsense"},
+        "belong together": {DESCRIPTION: text.replace(b'guid="{', b'guid="{1')},
+        "foreign__name": {binary: library.replace(b"fmi2Terminate", b"foreign__name")},
+    }
     for words, found in zip(wrong, copied(path, wrong.values()), strict=True):
         assert any(words in finding for finding in found.findings), words
 
@@ -88,9 +79,7 @@ def test_wrong_directional_derivatives_are_found_out(fmi, tmp_path, monkeypatch)
         return list(functions.values())
 
     monkeypatch.setattr(source, "plant_functions", wrong)
-    found = check_fmu(
-        export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
-    )
+    found = check_fmu(exported(benchmark_slide(), tmp_path, fmi))
     assert any("directional derivatives along x" in finding for finding in found.findings)
 
 
@@ -110,12 +99,10 @@ def test_curved_inputs_that_jump_are_played_in_every_mode(slide_unit):
     found = check_fmu(slide_unit, motion)
     assert found.ok, str(found)
     assert found.largest < 2e-7
-    lines = pam.Trajectory(
-        motion.t, {n: motion[n] for n in motion.names}, motion.variables, "linear"
-    )
-    assert (
-        check_fmu(slide_unit, lines).largest > 1e-3
-    )  # the samples alone do not say how they are joined
+    columns = {n: motion[n] for n in motion.names}
+    lines = pam.Trajectory(motion.t, columns, motion.variables, "linear")
+    # the samples alone do not say how they are joined
+    assert check_fmu(slide_unit, lines).largest > 1e-3
 
 
 # ---- the binary against its description ---------------------------------------------------------
@@ -132,19 +119,15 @@ def test_a_description_that_is_not_the_binarys_is_found_out(fmu, slide_unit):
     def says(name: str, **changed: str) -> Any:
         return lambda root: attributes(root, name, fmu.fmi).attrib.update(changed)
 
-    right, other, command, most, least = (
-        found.findings
-        for found in described(
-            slide_unit,
-            [
-                says("mass"),
-                says("mass", start="3.0"),
-                says("muscle1.command", start="200000.0"),
-                says("mass", max="2.5"),
-                says("mass", min="-1.0"),
-            ],
-        )
-    )
+    changes = [
+        says("mass"),
+        says("mass", start="3.0"),
+        says("muscle1.command", start="200000.0"),
+        says("mass", max="2.5"),
+        says("mass", min="-1.0"),
+    ]
+    checks = described(slide_unit, changes)
+    right, other, command, most, least = (found.findings for found in checks)
     assert right == ()
     assert "mass is 2 at the start in CoSimulation, 3 in the description" in other
     words = "muscle1.command is 300000 at the start in ModelExchange, 200000 in the d"
@@ -164,20 +147,14 @@ def test_dependencies_that_are_not_told_are_found_out(fmu, slide_unit):
                 numbers = {v.get("name"): v.get("valueReference") for v in root[-2]}
             structure = root.find("ModelStructure")
             entries = structure if fmi == "3.0" else structure.find(group + "s")
-            entry = next(
-                e
-                for e in entries
-                if e.tag in ("Unknown", group)
-                and numbers[unknown] in (e.get("index"), e.get("valueReference"))
-            )
-            pairs = zip(
-                entry.get("dependencies").split(),
-                entry.get("dependenciesKind").split(),
-                strict=True,
-            )
-            kept = [(d, k) for d, k in pairs if d != numbers[known]]
-            entry.set("dependencies", " ".join(d for d, _ in kept))
-            entry.set("dependenciesKind", " ".join(k for _, k in kept))
+            here = [e for e in entries if e.tag in ("Unknown", group)]
+            keys = [(e.get("index"), e.get("valueReference")) for e in here]
+            entry = next(e for e, k in zip(here, keys, strict=True) if numbers[unknown] in k)
+            told = ("dependencies", "dependenciesKind")
+            pairs = zip(*(entry.get(name).split() for name in told), strict=True)
+            kept = zip(*((d, k) for d, k in pairs if d != numbers[known]), strict=True)
+            for name, words in zip(told, kept, strict=True):
+                entry.set(name, " ".join(words))
 
         return change
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BAR, benchmark_slide
+from conftest import BAR, benchmark_slide, refused
 from hostile import contents, hostile_unit, packed
 
 import pam_ocp as pam
@@ -85,8 +85,7 @@ def test_a_unit_that_dies_leaves_the_checks_beside_it(harm, tmp_path):
     well = pam.export_fmu(plant, tmp_path / "well.fmu", platforms="native")
     motion = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=np.linspace(0, 0.02, 5))
     hostile = harm("segfault DoStep")
-    with pytest.raises(pam.InputError, match=r"well\.fmu' is one file; give a list"):
-        check_fmus(well)  # type: ignore[arg-type]
+    refused(r"well\.fmu' is one file; give a list", check_fmus, well)
     one, dead, other = check_fmus([well, hostile, well], against=motion)
     assert one.ok
     assert other.ok
@@ -126,17 +125,17 @@ def test_what_a_unit_has_started_ends_with_the_check(harm, tmp_path):
 
 @linux
 @pytest.mark.parametrize(
-    ("what", "sentence"),
+    ("what", "limit", "sentence"),
     [
-        ("escape DoStep", "was stopped after 2 s (time_limit) in fmi2DoStep"),
-        ("escape_and_die DoStep", "ended its process with exit code 0 in fmi2DoStep"),
+        ("escape DoStep", 2.0, "was stopped after 2 s (time_limit) in fmi2DoStep"),
+        ("escape_and_die DoStep", 30.0, "ended its process with exit code 0 in fmi2DoStep"),
     ],
 )
 def test_a_unit_that_forks_into_a_session_of_its_own_is_stopped_with_its_fork(
-    harm, tmp_path, what, sentence
+    harm, tmp_path, what, limit, sentence
 ):
     """The fork's own parent has ended, and the fork holds all pipes open."""
-    assert sentence in only_finding(harm(what), time_limit=2.0)
+    assert sentence in only_finding(harm(what), time_limit=limit)
     assert gone(int((tmp_path / "pid").read_text()), 0.0)
 
 
@@ -200,14 +199,10 @@ def test_the_figures_cross_the_border_unchanged(tmp_path):
 
 
 def test_wrong_arguments_are_refused_here(units):
-    with pytest.raises(pam.InputError, match="time_limit"):
-        check_fmu(units["2.0"], time_limit=0.0)
-    with pytest.raises(pam.InputError, match="against is a str"):
-        check_fmu(units["2.0"], "slide.npz")  # type: ignore[arg-type]
-    with pytest.raises(pam.InputError, match="mass"):
-        check_fmu(units["2.0"], parameters={"mass": float("nan")})
-    with pytest.raises(pam.InputError, match="did you mean 'mass'"):
-        check_fmu(units["2.0"], parameters={"masss": 1.0})
+    refused("time_limit", check_fmu, units["2.0"], time_limit=0.0)
+    refused("against is a str", check_fmu, units["2.0"], "slide.npz")
+    refused("mass", check_fmu, units["2.0"], parameters={"mass": float("nan")})
+    refused("did you mean 'mass'", check_fmu, units["2.0"], parameters={"masss": 1.0})
     with pytest.raises(pam.InputError, match="no column that is an output"):
         check_fmu(units["2.0"], pam.Trajectory([0.0, 0.1], {"other": [0.0, 0.0]}))
 
@@ -216,8 +211,9 @@ def test_wrong_arguments_are_refused_here(units):
 def test_a_script_without_a_guard_can_check(units, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(f"import pam_ocp\nprint(pam_ocp.check_fmu({str(units['2.0'])!r}).ok)\n")
-    for arguments, text in (([str(script)], None), (["-"], script.read_text())):
-        done = run_python(arguments, text, tmp_path)
+    how = {"env": surroundings(), "cwd": tmp_path, "capture_output": True, "text": True}
+    for argument, text in ((str(script), None), ("-", script.read_text())):
+        done = subprocess.run([sys.executable, argument], input=text, check=False, **how)
         assert (done.stdout, done.stderr) == ("True\n", "")
 
 
@@ -232,7 +228,7 @@ def test_checks_from_several_threads_do_not_disturb_each_other(units):
     """And the hostile units are well as long as they are not told to harm."""
     seen: list[bool] = []
     threads = [
-        threading.Thread(target=lambda p=path: seen.append(check_fmu(p).ok))  # type: ignore[misc]
+        threading.Thread(target=lambda p=path: seen.append(check_fmu(p).ok))
         for path in units.values()
     ]
     for thread in threads:
@@ -251,13 +247,10 @@ def test_a_worker_that_cannot_be_loaded_is_said_so(tmp_path):
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
 def test_the_process_of_a_hanging_unit_ends_with_the_caller(units, tmp_path, end):
     script = f"import pam_ocp\npam_ocp.check_fmu({str(units['2.0'])!r})\n"
-    environment = os.environ | {"HOSTILE": "hang DoStep", "HOSTILE_PID": str(tmp_path / "pid")}
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     (tmp_path / "tmp").mkdir()
-    environment["TMPDIR"] = str(tmp_path / "tmp")
-    caller = subprocess.Popen(
-        [sys.executable, "-c", script], env=environment, stderr=subprocess.PIPE, text=True
-    )
+    environment = hanging(tmp_path) | {"TMPDIR": str(tmp_path / "tmp")}
+    heard = {"stderr": subprocess.PIPE, "text": True}
+    caller = subprocess.Popen([sys.executable, "-c", script], env=environment, **heard)
     unit = pid_in(tmp_path / "pid")
     assert not gone(unit, 0.0)
     caller.send_signal(end)
@@ -280,30 +273,22 @@ def test_a_caller_that_has_forked_is_missed_all_the_same(units, tmp_path):
         "time.sleep(0.2 if child else 20)\n"
         "os.kill(os.getpid(), 9)\n"
     )
-    environment = os.environ | {"HOSTILE": "hang DoStep", "HOSTILE_PID": str(tmp_path / "pid")}
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-    caller = subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-c", script], env=environment, start_new_session=True
-    )
+    command = [sys.executable, "-W", "ignore", "-c", script]
+    caller = subprocess.Popen(command, env=hanging(tmp_path), start_new_session=True)
     unit = pid_in(tmp_path / "pid")
     assert caller.wait(timeout=10) == -signal.SIGKILL
     assert gone(unit)
     os.killpg(caller.pid, signal.SIGKILL)  # the fork
 
 
-def run_python(
-    arguments: list[str], text: str | None, folder: Path
-) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    return subprocess.run(
-        [sys.executable, *arguments],
-        input=text,
-        env=environment,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def surroundings(**more: str) -> dict[str, str]:
+    """Of a process that imports what this one does."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **more}
+
+
+def hanging(folder: Path) -> dict[str, str]:
+    """Of a process in which hostile units hang, and write their number into a file."""
+    return surroundings(HOSTILE="hang DoStep", HOSTILE_PID=str(folder / "pid"))
 
 
 def pid_in(path: Path) -> int:

@@ -8,7 +8,6 @@ import platform
 import shutil
 import subprocess
 import sys
-import zipfile
 from collections.abc import Callable
 from decimal import Decimal, localcontext
 from pathlib import Path
@@ -18,6 +17,7 @@ import fmpy
 import numpy as np
 import pytest
 from conftest import benchmark_slide, hardening_cart
+from hostile import contents
 
 import pam_ocp as pam
 from pam_ocp.export import PLATFORMS, check_fmu, export_fmu
@@ -86,8 +86,7 @@ class Bench:
             target = self.folder / f"{make.__name__}{fmi[0]}"
             names = {native().name, "aarch64-linux", "x86_64-windows", "x86-linux"}
             path = export_fmu(make(), target.with_suffix(".fmu"), fmi=fmi, platforms=names)
-            with zipfile.ZipFile(path) as archive:
-                archive.extractall(target)
+            fmpy.extract(str(path), str(target))
             self.fmus[make, fmi] = target
         return self.fmus[make, fmi]
 
@@ -95,27 +94,10 @@ class Bench:
         """The C program for one platform, compiled by zig."""
         if (fmi, name) not in self.loaders:
             target = self.folder / f"loader{fmi[0]}-{name}.exe"
-            headers = c_sources() / "include"
-            subprocess.run(
-                [
-                    sys.executable,
-                    "-m",
-                    "ziglang",
-                    "cc",
-                    "-target",
-                    PLATFORMS[name].target,
-                    "-std=c11",
-                    "-O1",
-                    f"-DFMI={fmi[0]}",
-                    "-I",
-                    str(headers),
-                    str(PROGRAMS / "loader.c"),
-                    "-o",
-                    str(target),
-                    *(["-ldl"] if name.endswith("linux") else []),
-                ],
-                check=True,
-            )
+            command = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].target]
+            command += ["-std=c11", "-O1", f"-DFMI={fmi[0]}", "-I", str(c_sources() / "include")]
+            command += [str(PROGRAMS / "loader.c"), "-o", str(target)]
+            subprocess.run([*command, *(["-ldl"] if name.endswith("linux") else [])], check=True)
             self.loaders[fmi, name] = target
         return self.loaders[fmi, name]
 
@@ -123,20 +105,15 @@ class Bench:
         folder = self.fmu(make, fmi)
         told = fmpy.read_model_description(str(folder))
         chosen = PLATFORMS[name]
-        library = (
-            folder
-            / "binaries"
-            / (chosen.folder2 if fmi == "2.0" else name)
-            / f"{told.coSimulation.modelIdentifier}{chosen.suffix}"
-        )
+        place = folder / "binaries" / (chosen.folder2 if fmi == "2.0" else name)
+        library = place / f"{told.coSimulation.modelIdentifier}{chosen.suffix}"
         plant = make()
         first = {v.name: str(v.valueReference) for v in told.modelVariables}
         groups = (plant.inputs, plant.states, plant.outputs)
         ranges = [word for group in groups for word in (first[group[0].name], str(len(group)))]
         command = [*emulator, str(self.loader(fmi, name)), str(library), told.guid, *ranges]
-        done = subprocess.run(
-            command, capture_output=True, text=True, check=False, env={**os.environ, **environment}
-        )
+        how = {"capture_output": True, "text": True, "env": os.environ | environment}
+        done = subprocess.run(command, check=False, **how)
         assert done.returncode == 0, done.stdout + done.stderr
         lines = done.stdout.split("\n")
         return [line.strip() for line in lines if line.strip()]
@@ -147,9 +124,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     return Bench(tmp_path_factory.mktemp("platforms"))
 
 
-CASES = pytest.mark.parametrize(
-    ("make", "fmi"), [(benchmark_slide, "2.0"), (benchmark_slide, "3.0"), (rubbing_slide, "2.0")]
-)
+PLANTS = [(benchmark_slide, "2.0"), (benchmark_slide, "3.0"), (rubbing_slide, "2.0")]
+CASES = pytest.mark.parametrize(("make", "fmi"), PLANTS)
 
 
 def moves(lines: list[str]) -> bool:
@@ -189,28 +165,20 @@ def test_platforms_on_request_have_their_folders_and_fmis_symbols(fmi, tmp_path)
         cases.append((row_of_loads(), windows))
     for plant, platforms in cases:
         path = export_fmu(plant, tmp_path / "x.fmu", fmi=fmi, platforms=platforms)
-        with zipfile.ZipFile(path) as archive:
-            for name in set(wanted) & set(platforms):
-                folder, suffix = wanted[name]
-                place = f"binaries/{folder if fmi == '2.0' else name}/{plant.name}{suffix}"
-                symbols = exported_symbols(archive.read(place))
-                assert f"fmi{fmi[0]}DoStep" in symbols
-                assert all(s.startswith(f"fmi{fmi[0]}") for s in symbols)
+        inside = contents(path)
+        for name in set(wanted) & set(platforms):
+            folder, suffix = wanted[name]
+            place = f"binaries/{folder if fmi == '2.0' else name}/{plant.name}{suffix}"
+            symbols = exported_symbols(inside[place])
+            assert f"fmi{fmi[0]}DoStep" in symbols
+            assert all(s.startswith(f"fmi{fmi[0]}") for s in symbols)
         built = {native().name if name == "native" else name for name in platforms}
         assert set(check_fmu(path).platforms) == built
 
 
 @needs_wine
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("make", "fmi"),
-    [
-        (benchmark_slide, "2.0"),
-        (benchmark_slide, "3.0"),
-        (rubbing_slide, "2.0"),
-        (row_of_loads, "3.0"),
-    ],
-)
+@pytest.mark.parametrize(("make", "fmi"), [*PLANTS, (row_of_loads, "3.0")])
 def test_windows_gives_the_bits_of_this_machine(make, fmi, bench, tmp_path_factory):
     prefix = tmp_path_factory.getbasetemp() / "wine"
     here = bench.run(make, fmi, native().name)
@@ -262,15 +230,9 @@ def exact(name: str, x: float) -> Decimal:
 @pytest.mark.parametrize(("name", "allowed"), [("exp", 0.6), ("expm1", 2.0), ("tanh", 2.5)])
 def test_exponentials_are_right_to_the_last_bits(name, allowed, own):
     rng = np.random.default_rng(4)
-    points = np.concatenate(
-        [
-            rng.uniform(-30, 30, 3000),
-            rng.uniform(-1, 1, 3000),
-            rng.uniform(-0.02, 0.02, 1000),
-            rng.choice([-1, 1], 1000) * 10 ** rng.uniform(-14, -2, 1000),
-            rng.uniform(-708, 709, 1000),
-        ]
-    )
+    ranges = ((-30, 30, 3000), (-1, 1, 3000), (-0.02, 0.02, 1000), (-708, 709, 1000))
+    tiny = rng.choice([-1, 1], 1000) * 10 ** rng.uniform(-14, -2, 1000)
+    points = np.concatenate([*(rng.uniform(*r) for r in ranges), tiny])
     function = getattr(own, f"own_{name}")
     with localcontext() as context:
         context.prec = 50

@@ -12,9 +12,7 @@ from fmpy.fmi1 import FMICallException
 from fmu_tools import DISCARD, ERROR, KINDS, VERSIONS, now, opened, started
 
 import pam_ocp as pam
-from pam_ocp.export.runner import Runner, pointer
-
-# ---- refused calls: an error, a line in the log, and nothing has changed -------------------------
+from pam_ocp.export.runner import Runner, UnpackedFmu, pointer
 
 
 def refused(runner: Runner, words: str, call: Any, *arguments: Any, status: int = ERROR) -> None:
@@ -109,12 +107,18 @@ def test_states_that_are_not_finite_are_discarded(fmu):
         refused(runner, "not finite", runner.get, ["der(v)"], status=DISCARD)
 
 
-def test_a_step_that_fails_is_discarded_and_changes_nothing(tmp_path):
-    plant = pam.Plant("blow_up")
+@pytest.fixture(scope="module")
+def blow_up(tmp_path_factory: pytest.TempPathFactory) -> dict[str, UnpackedFmu]:
+    """x = 1/(1 - t) in both versions."""
+    plant, folder = pam.Plant("blow_up"), tmp_path_factory.mktemp("blow_up")
     x = plant.state("x", start=1.0)
-    plant.der(x, x**2)  # x = 1/(1 - t)
-    for fmi in VERSIONS:
-        with started(opened(plant, tmp_path, fmi), "CoSimulation") as runner:
+    plant.der(x, x**2)
+    return {fmi: opened(plant, folder, fmi) for fmi in VERSIONS}
+
+
+def test_a_step_that_fails_is_discarded_and_changes_nothing(blow_up):
+    for fmu in blow_up.values():
+        with started(fmu, "CoSimulation") as runner:
             runner.step(0.0, 0.5)
             refused(runner, "behind time", runner.step, 0.5, 1.0, status=DISCARD)
             assert now(runner) == 0.5
@@ -123,12 +127,9 @@ def test_a_step_that_fails_is_discarded_and_changes_nothing(tmp_path):
             assert runner.get(["x"])[0] == pytest.approx(4.0, rel=1e-6)
 
 
-def test_a_step_that_fails_changes_nothing_though_the_importer_has_looked_on(tmp_path):
-    plant = pam.Plant("blow_up")
-    x = plant.state("x", start=1.0)
-    plant.der(x, x**2)  # x = 1/(1 - t)
-    fmu, seen = opened(plant, tmp_path, "3.0"), []
-    with Runner(fmu, "CoSimulation") as runner:
+def test_a_step_that_fails_changes_nothing_though_the_importer_has_looked_on(blow_up):
+    seen = []
+    with Runner(blow_up["3.0"], "CoSimulation") as runner:
 
         def update(environment: Any, time: float, *others: Any) -> None:
             seen.append(time)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -39,8 +38,7 @@ def lonely() -> pam.Plant:
 
 def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -> Path:
     """A C program of fmu/tests, compiled by gcc together with the sources of an FMU."""
-    with zipfile.ZipFile(exported(plant, folder, fmi)) as archive:
-        archive.extractall(folder / "fmu")
+    fmpy.extract(str(exported(plant, folder, fmi)), str(folder / "fmu"))
     target = folder / program
     command = ["gcc", "-std=c11", "-g", "-O1", *flags, "-I", str(folder / "fmu" / "sources")]
     command += [str(PROGRAMS / f"{program}.c"), "-o", str(target), "-lm"]
@@ -147,14 +145,9 @@ def test_a_read_only_folder_with_spaces_and_umlauts_is_no_hindrance(slide_unit, 
 def test_fmpy_simulates_it_in_one_call(slide_unit, kind):
     plant, t = benchmark_slide(), np.linspace(0, 0.2, 21)
     truth = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t, parameters={"mass": 1.5})
-    result = fmpy.simulate_fmu(
-        str(slide_unit),
-        fmi_type=kind,
-        stop_time=0.2,
-        output_interval=0.01,
-        start_values={"muscle1.command": 4 * BAR, "mass": 1.5},
-        relative_tolerance=1e-10,
-    )
+    asked = {"stop_time": 0.2, "output_interval": 0.01, "relative_tolerance": 1e-10}
+    asked["start_values"] = {"muscle1.command": 4 * BAR, "mass": 1.5}
+    result = fmpy.simulate_fmu(str(slide_unit), fmi_type=kind, **asked)
     assert result["time"] == pytest.approx(t, abs=1e-12)
     for variable in (*plant.states, *plant.outputs):
         name = variable.name
@@ -175,13 +168,10 @@ def test_casadi_imports_it_for_model_exchange(fmus):
     expected = flat(plant.function(x, u, plant.vector("parameter"))[0])
     assert ode == pytest.approx(expected, rel=1e-12, abs=1e-9)
     jacobian = np.asarray(f.factory("j", ["x", "u"], ["jac:ode:x"])(given, u))
-    exact = ca.Function(
-        "J",
-        [plant.x, plant.u, plant.p],
-        [ca.jacobian(plant.function(plant.x, plant.u, plant.p)[0], plant.x)],
-    )
-    expected_jacobian = np.asarray(ca.densify(exact(x, u, plant.vector("parameter"))))
-    assert jacobian[np.ix_(order, order)] == pytest.approx(expected_jacobian, rel=1e-9, abs=1e-9)
+    symbols = [plant.x, plant.u, plant.p]
+    slopes = ca.Function("J", symbols, [ca.jacobian(plant.function(*symbols)[0], plant.x)])
+    exact = np.asarray(ca.densify(slopes(x, u, plant.vector("parameter"))))
+    assert jacobian[np.ix_(order, order)] == pytest.approx(exact, rel=1e-9, abs=1e-9)
 
 
 _ELSEWHERE = """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 from conftest import BAR, benchmark_slide
 from fmpy.validation import validate_fmu
 from fmu_tools import COMMANDS, VERSIONS
+from hostile import replaced
 
 import pam_ocp as pam
 from pam_ocp.control import KalmanFilter, block, chain, mpc_block
@@ -25,10 +25,8 @@ def slide() -> Any:
 
 
 def valves() -> Any:
-    feed = pam.feeds.SpoolValve(overlap=0.05)
-    return pam.HangingLoad(
-        pam.muscle("DMSP-20-400N"), mass=20.0, feed=feed, losses=pam.losses.BoucWen()
-    )
+    feed, losses = pam.feeds.SpoolValve(overlap=0.05), pam.losses.BoucWen()
+    return pam.HangingLoad("DMSP-20-400N", mass=20.0, feed=feed, losses=losses)
 
 
 def joint() -> Any:
@@ -117,24 +115,13 @@ def sound(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, 
     return request.param, written("slide", request.param, folder)
 
 
-def broken(path: Path, target: Path, file: str, old: str, new: str) -> Path:
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w") as archive:
-        for name in source.namelist():
-            content = source.read(name)
-            if name == file:
-                assert old in content.decode(), old
-                content = content.decode().replace(old, new, 1).encode()
-            archive.writestr(name, content)
-    return target
-
-
 def test_each_rule_finds_what_breaks_it(sound, tmp_path):
     fmi, path = sound
     described = {**BROKEN, **STRUCTURE[fmi]}
     tried = set()
     for rule, (old, new) in [*described.items(), *ICONS.items()]:
         file = "modelDescription.xml" if rule in described else ICON_FILE
-        found = fmi_rules.findings(broken(path, tmp_path / f"{rule}.fmu", file, old, new))
+        found = fmi_rules.findings(replaced(path, tmp_path / f"{rule}.fmu", file, old, new))
         assert any(f.startswith(f"{rule}: ") for f in found), (rule, found)
         tried.add(rule)
     left = {r.__name__ for r in fmi_rules.RULES} - tried

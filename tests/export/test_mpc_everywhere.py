@@ -32,14 +32,8 @@ def valve_plant(kind: str) -> pam.Plant:
 def controller(plant: pam.Plant) -> Any:
     place = plant.states[0].name
     measured = {place: 1e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
-    mpc = pam.control.Mpc(
-        plant,
-        horizon=15,
-        sample_time=STEP,
-        track={place: 1.0},
-        rate={v.name: 3.0 for v in plant.inputs},
-        iterations=1,
-    )
+    weights = {"track": {place: 1.0}, "rate": {v.name: 3.0 for v in plant.inputs}}
+    mpc = pam.control.Mpc(plant, horizon=15, sample_time=STEP, iterations=1, **weights)
     estimator = KalmanFilter(plant, sample_time=STEP, measured=measured)
     return block(chain([estimator, mpc_block(mpc)]), plant=plant)
 
@@ -64,9 +58,8 @@ def by_hand(
         for k in range(STEPS):
             entered = [values[f"law.{v.name}"] for v in law.inputs]
             seen.append(entered)
-            memory, answered = (
-                np.asarray(m).ravel() for m in law.step(memory, entered, parameters)
-            )
+            after = law.step(memory, entered, parameters)
+            memory, answered = (np.asarray(m).ravel() for m in after)
             real.set({v.name: values[f"plant.{v.name}"] for v in plant.inputs})
             real.step(k * STEP, STEP)
             sources = {f"plant.{n}": x for n, x in zip(names, real.get(names), strict=True)}
@@ -91,11 +84,9 @@ def test_an_mpc_with_its_estimator_is_the_same_in_python_in_fmus_and_in_c(kind, 
     system = pam.export_ssp(parts, wires, tmp_path / "system.ssp", platforms=["native"])
     with zipfile.ZipFile(system) as archive:
         archive.extractall(tmp_path / "parts")
-    told = {"goal.place": GOALS[kind], "goal.on": 1.0}
+    told, end = {"goal.place": GOALS[kind], "goal.on": 1.0}, (STEPS - 0.5) * STEP
     rows, seen = by_hand(plant, law, wires, tmp_path / "parts", told)
-    run = fmpy.ssp.simulation.simulate_ssp(
-        str(system), stop_time=(STEPS - 0.5) * STEP, step_size=STEP
-    )
+    run = fmpy.ssp.simulation.simulate_ssp(str(system), stop_time=end, step_size=STEP)
     names = [f"plant.{v.name}" for v in (*plant.states, *plant.outputs)]
     names += [f"law.{v.name}" for v in law.outputs]
     found = np.array([run[n] for n in names]).T[-STEPS:]

@@ -2,17 +2,19 @@
 
 import re
 import xml.etree.ElementTree as ET
-import zipfile
 
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
+from hostile import replaced
 
 import pam_ocp as pam
 from pam_ocp.export.worlds.modelica import RESERVED, identifiers
 
 MUSCLE = "DMSP-20-300"
 REST, PRE = 0.3, 0.1
+BARS = {"muscle1.command": 3e5, "muscle2.command": 2e5}
 
 
 # ---- MuJoCo --------------------------------------------------------------------------------------
@@ -37,13 +39,8 @@ WORLD = """<mujoco><option timestep="{step}" integrator="RK4" gravity="0 0 0"/><
 @pytest.mark.parametrize(
     ("feed", "losses", "commands", "step"),
     [
-        (pam.feeds.Regulator(0.05), (), {"muscle1.command": 3e5, "muscle2.command": 2e5}, 1e-3),
-        (
-            pam.feeds.Regulator(0.05),
-            (pam.losses.BoucWen(20.0, 0.005),),
-            {"muscle1.command": 3e5, "muscle2.command": 2e5},
-            1e-3,
-        ),
+        (pam.feeds.Regulator(0.05), (), BARS, 1e-3),
+        (pam.feeds.Regulator(0.05), (pam.losses.BoucWen(20.0, 0.005),), BARS, 1e-3),
         (pam.feeds.SpoolValve(), (), {"muscle1.command": 0.2, "muscle2.command": -0.1}, 5e-4),
         (pam.feeds.OnOffValves(), (), {"muscle1.fill": 0.3, "muscle2.vent": 0.2}, 5e-4),
     ],
@@ -60,9 +57,8 @@ def test_a_slide_moves_in_mujoco_as_in_simulate(feed, losses, commands, step):
             mujoco.mj_step(model, data)
             path.append([data.qpos[0], data.qvel[0]])
         mujoco.mj_forward(model, data)
-    plant = pam.AntagonisticSlide(
-        pam.muscle(MUSCLE), mass=2.0, pre_contraction=PRE, feed=feed, losses=losses, damping=20.0
-    )
+    parts = {"feed": feed, "losses": losses, "damping": 20.0}
+    plant = pam.AntagonisticSlide(MUSCLE, mass=2.0, pre_contraction=PRE, **parts)
     truth = pam.simulate(plant, commands, t=np.arange(steps + 1) * step)
     found = np.array(path)
     for i, name in enumerate(("x", "v")):
@@ -81,9 +77,8 @@ def test_mjcf_goes_into_a_model_or_stands_alone(tmp_path):
     made = pam.export(muscles, tmp_path / "with.xml", model=whole)
     model = mujoco.MjModel.from_xml_path(str(made))
     assert (model.nu, model.na, model.ntendon, model.nsensor) == (2, 2, 2, 6)
-    assert ET.parse(pam.export.export_mjcf(muscles, tmp_path / "m.xml")).getroot().tag == (
-        "mujocoinclude"
-    )
+    alone = ET.parse(pam.export.export_mjcf(muscles, tmp_path / "m.xml"))
+    assert alone.getroot().tag == "mujocoinclude"
 
 
 def test_what_mujoco_cannot_do_is_told(tmp_path):
@@ -96,8 +91,7 @@ def test_what_mujoco_cannot_do_is_told(tmp_path):
         made.installed(model),
     ):
         pass
-    with pytest.raises(pam.InputError, match="give MujocoMuscle"):
-        pam.export.to_mujoco([pam.muscle(MUSCLE)])
+    refused("give MujocoMuscle", pam.export.to_mujoco, [pam.muscle(MUSCLE)])
     with pytest.raises(pam.InputError, match="has no actuator 'muscle1'"):
         made.reset(mujoco.MjModel.from_xml_string("<mujoco/>"), None)
     (tmp_path / "no.xml").write_text("<robot/>")
@@ -140,14 +134,10 @@ def test_another_reader_finds_the_same_slopes_in_the_modelica_source(kind, pymoc
     x, u, p = (plant.vector(c) for c in ("state", "input", "parameter"))
     x = x + 1e-3 * plant.vector("state", attribute="nominal")
     xdot, y, _ = (np.ravel(r) for r in plant.function(x, u, p))
+    groups, numbers = (plant.states, plant.inputs, plant.parameters, plant.outputs), (x, u, p, y)
     values = {}
-    for group, numbers in (
-        (plant.states, x),
-        (plant.inputs, u),
-        (plant.parameters, p),
-        (plant.outputs, y),
-    ):
-        values |= {names[v.name]: n for v, n in zip(group, numbers, strict=True)}
+    for group, some in zip(groups, numbers, strict=True):
+        values |= {names[v.name]: n for v, n in zip(group, some, strict=True)}
     values |= {f"der({names[v.name]})": n for v, n in zip(plant.states, xdot, strict=True)}
     groups = (model.states, model.der_states, model.alg_states, model.inputs, model.parameters)
     symbols = {v.symbol.name(): v.symbol for group in groups for v in group}
@@ -196,12 +186,5 @@ def test_check_compares_start_values_of_binary_and_description(tmp_path):
         ('start="0.3"', 'start="0.31"', "muscle.length is 0.3 at the start"),
         ('max="0.6" nominal="0.078"', 'max="0.2" nominal="0.078"', "outside of 0 .. 0.2"),
     ):
-        other = tmp_path / "other.fmu"
-        with zipfile.ZipFile(path) as whole, zipfile.ZipFile(other, "w") as changed:
-            for name in whole.namelist():
-                content = whole.read(name)
-                if name == "modelDescription.xml":
-                    assert old.encode() in content
-                    content = content.replace(old.encode(), new.encode(), 1)
-                changed.writestr(name, content)
+        other = replaced(path, tmp_path / "other.fmu", "modelDescription.xml", old, new)
         assert any(said in finding for finding in pam.check_fmu(other).findings)

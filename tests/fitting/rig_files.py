@@ -24,6 +24,7 @@ import numpy as np
 REST = 0.3
 KAPPAS = np.array([0.0, 0.05, 0.10, 0.15])
 BARS = np.array([0.5, 1.5, 3.0, 4.5, 6.0])
+HEAD = ["length [mm]", "pressure [bar]", "force [N]"]
 FROM_SENTENCE = "the literal that stands in the sentence"
 
 
@@ -57,6 +58,11 @@ def grid() -> dict[str, Any]:
     return {"contraction": kappa, "pressure": p, "force": mckibben(p, kappa)}
 
 
+def without(truth: dict[str, Any], rows: Any) -> dict[str, Any]:
+    """The same but for some rows."""
+    return {k: np.delete(v, list(rows)) for k, v in truth.items()}
+
+
 def in_bench_units() -> dict[str, Any]:
     """Lengths in mm, pressures in bar, forces in N."""
     t = grid()
@@ -88,102 +94,49 @@ def texts(folder: Path) -> list[Case]:
         made.append(Case(name, file, case.pop("truth", truth), given=given, **case))
         return made[-1]
 
-    plain = [["length [mm]", "pressure [bar]", "force [N]"], *rows()]
+    plain = [HEAD, *rows()]
     add("english.csv", text(plain))
     add("german.csv", text([["Länge in mm", "Druck in bar", "Kraft in N"], *rows()], ";", german))
     add("latin.csv", text([["Länge/mm", "Druck/bar", "Kraft/N"], *rows()], ";", german), "latin-1")
-    add(
-        "utf16.txt",
-        "\ufeff" + text([["Länge [mm]", "Druck [bar]", "Kraft [N]"], *rows()], "\t", german),
-        "utf-16-le",
-    )
-    add(
-        "french.csv", text([["Longueur (mm)", "Pression (bar)", "Force (N)"], *rows()], ";", german)
-    )
+    umlauts = text([["Länge [mm]", "Druck [bar]", "Kraft [N]"], *rows()], "\t", german)
+    add("utf16.txt", "\ufeff" + umlauts, "utf-16-le")
+    french = ["Longueur (mm)", "Pression (bar)", "Force (N)"]
+    add("french.csv", text([french, *rows()], ";", german))
     add("spanish.txt", text([["Longitud (mm)", "Presión (bar)", "Fuerza (N)"], *rows()], "\t"))
     add("units_row.csv", text([["length", "pressure", "force"], ["mm", "bar", "N"], *rows()]))
-    add(
-        "titles.csv",
-        text(
-            [
-                ["Rig 7, muscle 3"],
-                ["date", "2024-03-12"],
-                ["l0", "300", "mm"],
-                [""],
-                ["Länge", "Druck", "Kraft"],
-                ["[mm]", "[bar]", "[N]"],
-                *rows(),
-            ],
-            ";",
-            german,
-        ),
-    )
-    add(
-        "no_header.csv",
-        text(rows()),
-        asks="columns",
-        answer=["length [mm]", "pressure [bar]", "force [N]"],
-    )
+    titles = [["Rig 7, muscle 3"], ["date", "2024-03-12"], ["l0", "300", "mm"], [""]]
+    titles += [["Länge", "Druck", "Kraft"], ["[mm]", "[bar]", "[N]"]]
+    add("titles.csv", text([*titles, *rows()], ";", german))
+    add("no_header.csv", text(rows()), asks="columns", answer=HEAD)
     add("blanks.dat", "% rig 7\n%  l [mm]   p [bar]   F [N]\n" + text(rows(), "   "))
     add("savetxt.txt", "# length_mm pressure_bar force_N\n" + text(rows(), " "))
-    add(
-        "words.txt",
-        "muscle length [mm]  gauge pressure [bar]  pulling force [N]\n" + text(rows(), "  "),
-    )
+    words = "muscle length [mm]  gauge pressure [bar]  pulling force [N]\n"
+    add("words.txt", words + text(rows(), "  "))
     add("packed.csv.gz", gzip.compress(text(plain).encode()))
     thousands = [[f"{r[0]:.3f}", f"{r[1]:.3f}", f'"{r[2]:,.4f}"'] for r in rows()]
     add("commas_in_thousands.csv", text([["l [mm]", "p [bar]", "F [N]"], *thousands]))
     holes = [["l [mm]", "p [bar]", "F [N]"], *rows()]
     holes[4], holes[9] = [*holes[4][:2], ""], [holes[9][0], "NaN", holes[9][2]]
-    left = np.delete(np.arange(20), [3, 8])
-    add(
-        "empty_cells.csv",
-        text(holes),
-        truth={k: v[left] for k, v in truth.items()},
-        says="2 of 20 rows dropped for empty cells",
-    )
-    add(
-        "cut_off.csv",
-        text(plain)[:-9],
-        truth={k: v[:-1] for k, v in truth.items()},
-        says="the last, is cut off",
-    )
+    dropped = "2 of 20 rows dropped for empty cells"
+    add("empty_cells.csv", text(holes), truth=without(truth, [3, 8]), says=dropped)
+    add("cut_off.csv", text(plain)[:-9], truth=without(truth, [19]), says="the last, is cut off")
     absolute = [[r[0], r[1] + 1.01325, r[2]] for r in rows()]
-    add("absolute.csv", text([["l [mm]", "p_abs [bar]", "F [N]"], *absolute]))
-    for number, head in enumerate(("p_bar_abs", "p [bar] (abs)", "Druck absolut [bar]", "p_bara")):
-        add(f"absolute{number}.csv", text([["l [mm]", head, "F [N]"], *absolute]))
-    add("bar_a.csv", text([["l [mm]", "p [bar(a)]", "F [N]"], *absolute]))
-    volts = [[r[0], (r[1] + 0.3) / 2, r[2]] for r in rows()]
-    add(
-        "volts.csv",
-        text([["l [mm]", "p [V]", "F [N]"], *volts]),
-        asks="units",
-        answer={"pressure": "V * 2 bar/V - 0.3 bar"},
-    )
-    loop = [[r[0], r[1], 4 + r[2] / 100] for r in rows()]
-    add(
-        "loop.csv",
-        text([["l [mm]", "p [bar]", "F [mA]"], *loop]),
-        asks="units",
-        answer={"force": "(mA - 4 mA) * 100 N/mA"},
-    )
-    counts = [[r[0], r[1] * 400, r[2]] for r in rows()]
-    add(
-        "counts.csv",
-        text([["l [mm]", "p [counts]", "F [N]"], *counts]),
-        asks="units",
-        answer={"pressure": "counts / 400 * 1 bar"},
-    )
-    channels = [["length [mm]", "ch1 [bar]", "force [N]"], *rows()]
-    add("channel.csv", text(channels), asks="columns")
+    heads = {"absolute": "p_abs [bar]", "absolute0": "p_bar_abs", "absolute1": "p [bar] (abs)"}
+    heads |= {"absolute2": "Druck absolut [bar]", "absolute3": "p_bara", "bar_a": "p [bar(a)]"}
+    for name, head in heads.items():
+        add(f"{name}.csv", text([["l [mm]", head, "F [N]"], *absolute]))
+    volts = [["l [mm]", "p [V]", "F [N]"], *([r[0], (r[1] + 0.3) / 2, r[2]] for r in rows())]
+    add("volts.csv", text(volts), asks="units", answer={"pressure": "V * 2 bar/V - 0.3 bar"})
+    loop = [["l [mm]", "p [bar]", "F [mA]"], *([r[0], r[1], 4 + r[2] / 100] for r in rows())]
+    add("loop.csv", text(loop), asks="units", answer={"force": "(mA - 4 mA) * 100 N/mA"})
+    counts = [["l [mm]", "p [counts]", "F [N]"], *([r[0], r[1] * 400, r[2]] for r in rows())]
+    add("counts.csv", text(counts), asks="units", answer={"pressure": "counts / 400 * 1 bar"})
+    add("channel.csv", text([["length [mm]", "ch1 [bar]", "force [N]"], *rows()]), asks="columns")
     both = [[r[0], r[1] + 0.05, r[1], r[2]] for r in rows()]
     add("set_and_measured.csv", text([["l [mm]", "p_soll [bar]", "p_ist [bar]", "F [N]"], *both]))
     add("excel.csv", "sep=;\n" + text(plain, ";", german))
-    add(
-        "footer.csv",
-        text([*plain, ["mean", "", ""], ["end of file"]]),
-        says="2 rows of words below the numbers left out",
-    )
+    left_out = "2 rows of words below the numbers left out"
+    add("footer.csv", text([*plain, ["mean", "", ""], ["end of file"]]), says=left_out)
     add("bars.psv", text(plain, " | "))
     lab = "LabVIEW Measurement\t\t\nSeparator\tTab\t\n***End_of_Header***\t\t\n"
     add("labview.lvm", lab + text(plain, "\t"))
@@ -205,29 +158,16 @@ def tables(folder: Path) -> list[Case]:
     add("pivot.csv", text([["kappa [%] \\ p [bar]", *BARS], *cells]))
     heads = [f"{b:g} bar" for b in BARS]
     add("pivot_titles.csv", text([["Force [N]"], ["kontraktion [%]", *heads], *cells], ";", german))
-    add(
-        "pivot_bare.csv",
-        text([["", *BARS], *cells]),
-        asks="pivot",
-        answer=("contraction [%]", "pressure [bar]", "force [N]"),
-    )
+    named = ("contraction [%]", "pressure [bar]", "force [N]")
+    add("pivot_bare.csv", text([["", *BARS], *cells]), asks="pivot", answer=named)
     holes = [[*r] for r in cells]
     holes[3][1] = holes[3][2] = ""
-    left = np.delete(np.arange(20), [15, 16])
-    add(
-        "pivot_holes.csv",
-        text([["contraction [%]", *heads], *holes]),
-        truth={k: v[left] for k, v in truth.items()},
-        says="2 empty cells of the pivot",
-    )
+    told = {"truth": without(truth, [15, 16]), "says": "2 empty cells of the pivot"}
+    add("pivot_holes.csv", text([["contraction [%]", *heads], *holes]), **told)
     folder = folder / "per_length"
     folder.mkdir()
-    for k in KAPPAS:
-        at = truth["contraction"] == k
-        part = [
-            [100 * k, p / 1e5, f]
-            for p, f in zip(truth["pressure"][at], truth["force"][at], strict=True)
-        ]
+    for k, forces in zip(KAPPAS, force, strict=True):
+        part = [[100 * k, *pair] for pair in zip(BARS, forces, strict=True)]
         name = f"kappa{100 * k:02.0f}.csv"
         (folder / name).write_text(text([["kappa [%]", "p [bar]", "F [N]"], *part]))
     made.append(Case("folder", folder, truth))
@@ -240,7 +180,6 @@ def workbooks(folder: Path) -> list[Case]:
     from openpyxl import Workbook
 
     truth, made = grid(), []
-    head = ["length [mm]", "pressure [bar]", "force [N]"]
 
     def add(name: str, sheets: dict[str, Any], **case: Any) -> None:
         book = Workbook()
@@ -253,32 +192,17 @@ def workbooks(folder: Path) -> list[Case]:
         given = {"rest_length": REST, **case.pop("given", {})}
         made.append(Case(name, folder / name, truth, given=given, **case))
 
-    add("plain.xlsx", {"Tabelle1": [head, *rows()]})
-    add("texts.xlsx", {"Tabelle1": [head, *[[german(c) for c in r] for r in rows()]]})
-    add(
-        "titles.xlsx",
-        {
-            "S": [
-                ["Rig 7"],
-                [],
-                [None, "l", "p", "F"],
-                [None, "mm", "bar", "N"],
-                *[[None, *r] for r in rows()],
-            ]
-        },
-    )
-    add("second_sheet.xlsx", {"Info": [["muscle", "DMSP"], ["by", "me"]], "Data": [head, *rows()]})
-    add(
-        "two_sheets.xlsx",
-        {"zero": [["t", "v"], [0, 1], [1, 2]], "M3": [head, *rows()]},
-        asks="sheet",
-    )
+    add("plain.xlsx", {"Tabelle1": [HEAD, *rows()]})
+    add("texts.xlsx", {"Tabelle1": [HEAD, *[[german(c) for c in r] for r in rows()]]})
+    titles = [["Rig 7"], [], [None, "l", "p", "F"], [None, "mm", "bar", "N"]]
+    add("titles.xlsx", {"S": [*titles, *[[None, *r] for r in rows()]]})
+    add("second_sheet.xlsx", {"Info": [["muscle", "DMSP"], ["by", "me"]], "Data": [HEAD, *rows()]})
+    two = {"zero": [["t", "v"], [0, 1], [1, 2]], "M3": [HEAD, *rows()]}
+    add("two_sheets.xlsx", two, asks="sheet")
     force = truth["force"].reshape(4, 5).tolist()
-    pivot = [
-        ["contraction", *BARS.tolist()],
-        *[[k, *f] for k, f in zip(KAPPAS.tolist(), force, strict=True)],
-    ]
-    add("pivot.xlsx", {"F": [["Force [N]", None, "pressure [bar]"], *pivot]})
+    pivot = [[k, *f] for k, f in zip(KAPPAS.tolist(), force, strict=True)]
+    head = [["Force [N]", None, "pressure [bar]"], ["contraction", *BARS.tolist()]]
+    add("pivot.xlsx", {"F": [*head, *pivot]})
     return made
 
 
@@ -288,8 +212,7 @@ def binaries(folder: Path) -> list[Case]:
 
     truth, made = grid(), []
     b = in_bench_units()
-    matrix = np.array(rows())
-    named = ["length [mm]", "pressure [bar]", "force [N]"]
+    matrix, named = np.array(rows()), HEAD
     fields = {"length_mm": b["l"], "pressure_bar": b["p"], "force_N": b["F"]}
 
     def add(name: str, **case: Any) -> None:
@@ -384,18 +307,11 @@ def records(folder: Path) -> list[Case]:
     (folder / "nested.json").write_text(json.dumps(nested))
     made.append(Case("nested.json", folder / "nested.json", truth, "record"))
 
-    def part(a: Any) -> dict[str, Any]:
-        return {k: v[a] for k, v in truth.items()}
-
     add("seconds.csv", t)
     add("milliseconds.csv", 1e3 * t, "Zeit [ms]")
     add("iso.csv", [s.isoformat(timespec="milliseconds") + "Z" for s in stamps], "timestamp")
-    add(
-        "german_dates.csv",
-        [f"{s:%d.%m.%Y %H:%M:%S}.{s.microsecond // 1000:03d}" for s in stamps],
-        "Datum",
-        between=";",
-    )
+    dates = [f"{s:%d.%m.%Y %H:%M:%S}.{s.microsecond // 1000:03d}" for s in stamps]
+    add("german_dates.csv", dates, "Datum", between=";")
     add("two_columns.csv", [[f"{s:%d.%m.%Y}", f"{s:%H:%M:%S.%f}"] for s in stamps], "Datum|Uhrzeit")
     half = ("AM", "PM")  # %p is empty in some locales
     american = [f"{s:%m/%d/%Y %I:%M:%S.%f} {half[s.hour // 12]}" for s in stamps]
@@ -406,30 +322,20 @@ def records(folder: Path) -> list[Case]:
     add("coarse.csv", [f"{s:%H:%M:%S}" for s in stamps], "time", says="the clock ticks every 1 s")
     still = t.copy()
     still[[40, 90, 91]] = still[[39, 89, 89]]
-    left = np.delete(np.arange(300), [40, 90, 91])
-    add("stands_still.csv", still, truth=part(left), says="the clock stands still: 3 rows")
-    counter = (np.round(1e3 * t) + 62_000) % 65_536
-    add(
-        "counter.csv",
-        counter,
-        "time [ms]",
-        says="begins anew after 65.536 s",
-        truth={**truth, "t": t + 62.0},
-    )
+    rest = without(truth, [40, 90, 91])
+    add("stands_still.csv", still, truth=rest, says="the clock stands still: 3 rows")
+    counter, later = (np.round(1e3 * t) + 62_000) % 65_536, {**truth, "t": t + 62.0}
+    add("counter.csv", counter, "time [ms]", truth=later, says="begins anew after 65.536 s")
     wrong = t.copy()
     wrong[120] = 99.0
-    left = np.delete(np.arange(300), 120)
-    add("wrong_stamp.csv", wrong, truth=part(left), says="1 rows of a single wrong time")
+    rest = without(truth, [120])
+    add("wrong_stamp.csv", wrong, truth=rest, says="1 rows of a single wrong time")
     jumps = t + np.where(np.arange(300) >= 200, 60.0, 0.0)
-    add("jumps.csv", jumps, truth=part(slice(0, 200)), asks="clock", says="the clock jumps")
+    rest = without(truth, range(200, 300))
+    add("jumps.csv", jumps, truth=rest, asks="clock", says="the clock jumps")
     back = t - np.where(np.arange(300) >= 100, 1.5, 0.0)
-    add(
-        "back.csv",
-        back,
-        truth={**part(slice(100, 300)), "t": back[100:]},
-        asks="clock",
-        says="the clock jumps: cut into 2 parts",
-    )
+    rest = {**without(truth, range(100)), "t": back[100:]}
+    add("back.csv", back, truth=rest, asks="clock", says="the clock jumps: cut into 2 parts")
     rng = np.random.default_rng(5)
     uneven = t + np.where(np.arange(300) % 299 == 0, 0.0, 0.002 * rng.uniform(-1, 1, 300))
     values = {"p": np.interp(t, uneven, p), "x": np.interp(t, uneven, x)}
@@ -463,11 +369,8 @@ def ramp_rows(seed: int = 3, clip: float = 0.0, held: str = "contraction") -> di
         noise[i] = 0.8 * noise[i - 1] + 0.6 * noise[i]
     force = mckibben(p, kappa) * (1 - 0.02 * branch) + noise
     force = np.where(mckibben(p, kappa) > 0, force, noise) + 2.0
-    return {
-        "p": p + 300 * rng.standard_normal(k.size),
-        "kappa": kappa,
-        "F": np.maximum(force, clip),
-    }
+    shown = p + 300 * rng.standard_normal(k.size)
+    return {"p": shown, "kappa": kappa, "F": np.maximum(force, clip)}
 
 
 def all_cases(folder: Path) -> list[Case]:

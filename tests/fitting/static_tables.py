@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
 from pam_ocp.muscles.law import SixParameterLaw
@@ -46,6 +47,19 @@ def grid(kappa: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(pressures, contractions) of all cells."""
     contraction, pressure = (a.ravel() for a in np.meshgrid(kappa, p))
     return pressure, contraction
+
+
+def six_by_scipy(kappa: Any, p: Any, force: Any, start: Any) -> Any:
+    """SciPy's least squares of eq. (3) from a start; p in bar, kappa in %."""
+    tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    return least_squares(
+        lambda c: six(c, p, kappa) - force,
+        start,
+        lambda c: six_slopes(c, p, kappa),
+        method="lm",
+        x_scale="jac",
+        **tight,
+    )
 
 
 def joined(*tables: ForceTable) -> ForceTable:

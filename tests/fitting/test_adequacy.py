@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
+from conftest import noisy_record
 
 import pam_ocp as pam
 from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
@@ -45,9 +46,8 @@ def record(fault: str = "", seed: int = 0, samples: int = 500) -> pam.Trajectory
     if fault == "lag":
         acts = np.concatenate([u[:1], u[:1], u[:-2]])
     start = plant.equilibrium({"muscle.command": u[0]})
-    run = pam.simulate(
-        plant, {"muscle.command": acts}, t=t, start=start, interpolation="previous", rtol=1e-9
-    )
+    how = {"t": t, "start": start, "interpolation": "previous", "rtol": 1e-9}
+    run = pam.simulate(plant, {"muscle.command": acts}, **how)
     noise = random.standard_normal(samples)
     if fault == "coloured noise":
         for k in range(1, samples):
@@ -64,9 +64,7 @@ def played(
     (command,) = (v.name for v in rig.inputs)
     t, start = 0.01 * np.arange(len(u)), rig.equilibrium({command: u[0]})
     run = pam.simulate(rig, {command: u}, t=t, start=start, interpolation=between, rtol=1e-9)
-    columns = {n: run[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
-    columns[command] = u
-    return pam.Trajectory(t, columns, [rig.variable(n) for n in columns], between)
+    return noisy_record(rig, run, {command: u}, noise, random, between)
 
 
 def off() -> pam.Plant:
@@ -74,9 +72,8 @@ def off() -> pam.Plant:
 
 
 def fitted(fault: str, **options: Any) -> Any:
-    return fit_free_run(
-        off(), record(fault), list(TRUE), **{"horizon": None, "judge": False, **options}
-    )
+    asked = {"horizon": None, "judge": False, **options}
+    return fit_free_run(off(), record(fault), list(TRUE), **asked)
 
 
 @pytest.mark.parametrize(
@@ -159,10 +156,8 @@ def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
     """Friction drives the mass to nothing: no motion can be followed there."""
 
     def spring(losses: Any = (), lag: float = 0.1) -> pam.Plant:
-        feed = pam.feeds.Regulator(lag)
-        return pam.SpringOverMuscle(
-            "DMSP-10-250", 3.0, 6e3, 70.0, damping=64.0, feed=feed, losses=losses
-        )
+        parts = {"damping": 64.0, "feed": pam.feeds.Regulator(lag), "losses": losses}
+        return pam.SpringOverMuscle("DMSP-10-250", 3.0, 6e3, 70.0, **parts)
 
     rig = spring(pam.losses.CoulombFriction(20.0, speed=5e-3))
     random, noise = np.random.default_rng(3), {"x": 4e-5, "muscle.pressure": 1e3}
@@ -212,9 +207,8 @@ def test_intervals_hold_the_truth_under_coloured_noise() -> None:
     """12 records, AR(1) with 0.9; independent errors would cover about one in two."""
     inside = 0
     for seed in range(12):
-        fit = fit_free_run(
-            off(), record("coloured noise", seed), list(TRUE), horizon=None, judge=False
-        )
+        shown = record("coloured noise", seed)
+        fit = fit_free_run(off(), shown, list(TRUE), horizon=None, judge=False)
         for name, true in TRUE.items():
             low, high = fit.interval(name)
             inside += low <= true <= high
@@ -293,15 +287,11 @@ def test_another_record_of_the_same_kind_is_covered_and_an_absurd_one_is_not() -
     assert verdicts.count("covered") >= 3
     held = hanging().equilibrium({"muscle.command": 5e5})
     start = {n: float(held[n]) for n in ("x", "v", "muscle.pressure")}
-    further = fit.coverage(
-        {"muscle.command": lambda t: 5e5 + 3e4 * t}, duration=2.0, start=start, uncertainty=False
-    )
+    rising = {"muscle.command": lambda t: 5e5 + 3e4 * t}
+    further = fit.coverage(rising, duration=2.0, start=start, uncertainty=False)
     assert further.verdict == "extrapolation"
-    heavy = pam.Trajectory(
-        records[0].t,
-        {"x": 3 * records[0]["x"], "muscle.command": 3 * records[0]["muscle.command"]},
-        interpolation="previous",
-    )
+    large = {n: 3 * records[0][n] for n in ("x", "muscle.command")}
+    heavy = pam.Trajectory(records[0].t, large, interpolation="previous")
     absurd = fit.coverage(heavy, uncertainty=False)
     assert absurd.verdict == "absurd"
     assert "which the plant cannot" in absurd.report()
@@ -371,13 +361,8 @@ def test_a_fit_that_time_ended_shows_the_motion_of_its_values(
     shown = record("friction")
     fit = fit_plant(off(), shown, list(TRUE))
     assert fit.status == gauss_newton.TIMED
-    run = pam.simulate(
-        fit.plant,
-        {"muscle.command": shown["muscle.command"]},
-        t=shown.t,
-        start=fit.starts[0],
-        interpolation="previous",
-    )
+    how = {"t": shown.t, "start": fit.starts[0], "interpolation": "previous"}
+    run = pam.simulate(fit.plant, {"muscle.command": shown["muscle.command"]}, **how)
     error = np.sqrt(np.mean((shown["x"] - run["x"]) ** 2))
     assert fit.rmse["x"] == pytest.approx(error, rel=1e-3)
     assert not fit.adequacy.adequate
@@ -389,16 +374,9 @@ def test_short_horizons_leave_the_full_one_its_evaluations() -> None:
     """An evaluation of a sixteenth of all samples costs a sixteenth of one of all."""
     stages: list[str] = []
     poor = hanging(damping=1500.0, **{"muscle.lag": 0.8})
-    fit_free_run(
-        poor,
-        record("friction"),
-        list(TRUE),
-        horizon=None,
-        begin_short=True,
-        evaluations=6,
-        progress=lambda stage, *_: stages.append(stage),
-        judge=False,
-    )
+    asked = {"horizon": None, "begin_short": True, "evaluations": 6, "judge": False}
+    asked["progress"] = lambda stage, *_: stages.append(stage)
+    fit_free_run(poor, record("friction"), list(TRUE), **asked)
     short = stages.index("full horizon")
     full = [stage for stage, _ in groupby(stages)].index("full horizon")
     assert full >= 2  # horizons of 4, 16, ... samples
@@ -409,15 +387,8 @@ def test_a_bounded_step_of_values_and_starts_is_that_of_least_squares_in_a_box()
     """Two motions, each with a start; SciPy's bounded least squares solves the whole at once."""
     random = np.random.default_rng(4)
     count, weights = 30, np.array([2.0])
-    motions = [
-        Motion(
-            random.standard_normal((count, 1)),
-            random.standard_normal((count, 1, 1)),
-            random.standard_normal((count, 1, 2)),
-            np.empty((count, 1, 0)),
-        )
-        for _ in range(2)
-    ]
+    shapes = ((count, 1), (count, 1, 1), (count, 1, 2), (count, 1, 0))
+    motions = [Motion(*(random.standard_normal(s) for s in shapes)) for _ in range(2)]
     full = np.zeros((2 * count, 4))
     for i, m in enumerate(motions):
         rows = slice(i * count, (i + 1) * count)
@@ -441,7 +412,7 @@ def test_values_stay_within_bounds_and_steps_that_diverge_are_halved(
     without end (LinAlgError); and a search with long steps to where short ones diverge (FitError).
     """
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
-    import adequacy_study  # type: ignore[import-not-found]
+    import adequacy_study
 
     told = adequacy_study.one(1795730912, number, fault)
     # both end with a mass at its bound or beside it: over 200 times the noise is left, standard

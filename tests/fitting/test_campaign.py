@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.fitting import ForceFit, fit_campaign, fit_forces
@@ -103,10 +104,8 @@ def test_columns_tell_muscles_in_one_file(tmp_path):
 
 
 def test_a_folder_without_tables_is_an_error(tmp_path):
-    with pytest.raises(pam.InputError, match="no table of a campaign"):
-        fit_forces(tmp_path, candidates=[])
-    with pytest.raises(pam.InputError, match="is no folder"):
-        fit_forces(tmp_path / "nowhere", candidates=[])
+    refused("no table of a campaign", fit_forces, tmp_path, candidates=[])
+    refused("is no folder", fit_forces, tmp_path / "nowhere", candidates=[])
 
 
 def test_files_without_candidates_are_one_joint_fit(rig, tmp_path):
@@ -115,8 +114,7 @@ def test_files_without_candidates_are_one_joint_fit(rig, tmp_path):
     assert list(joint.fits) == ["DMSP-20-200", "DMSP-20-300"]
     assert joint["DMSP-20-300"].n > 100  # four files each
     assert joint.values["a3"] == pytest.approx(LAW.values["a3"], rel=0.1)
-    with pytest.raises(pam.InputError, match=r"^notes\.csv: "):
-        fit_forces(rig)
+    refused(r"^notes\.csv: ", fit_forces, rig)
 
 
 @pytest.mark.parametrize(
@@ -129,8 +127,7 @@ def test_files_without_candidates_are_one_joint_fit(rig, tmp_path):
     ],
 )
 def test_what_belongs_to_the_other_kind_of_fit_is_refused(options, words):
-    with pytest.raises(pam.InputError, match=words):
-        fit_forces({"A": None, "B": None}, **{"candidates": [], **options})
+    refused(words, fit_forces, {"A": None, "B": None}, **{"candidates": [], **options})
 
 
 def test_the_former_name_of_a_campaign_goes_on(rig, campaign):

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
+from test_black_boxes import arx_process
 
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError, OutOfTime
@@ -75,15 +77,11 @@ def test_the_choice_of_a_fold_does_not_see_its_records() -> None:
     again = choose(POWERS, spoilt, seed=2)
     np.testing.assert_array_equal(fair.folds, again.folds)
     assert again.chosen[0] == fair.chosen[0]
-    np.testing.assert_allclose(
-        again.nested[again.folds == 0][:, 0],
-        Power(int(again.chosen[0][-1])).losses(
-            Power(int(again.chosen[0][-1])).fit(
-                [r for r, k in zip(records, fair.folds, strict=True) if k != 0]
-            ),
-            [r for r, k in zip(spoilt, fair.folds, strict=True) if k == 0],
-        ),
-    )
+    winner = Power(int(again.chosen[0][-1]))
+    model = winner.fit([r for r, k in zip(records, fair.folds, strict=True) if k != 0])
+    left_out = [r for r, k in zip(spoilt, fair.folds, strict=True) if k == 0]
+    by_hand = winner.losses(model, left_out)
+    np.testing.assert_allclose(again.nested[again.folds == 0][:, 0], by_hand)
 
 
 def test_the_winner_of_many_useless_structures_is_too_good_and_the_nested_loss_is_not() -> None:
@@ -118,9 +116,8 @@ def test_any_executor_gives_the_same(pool: Any) -> None:
     here = choose(POWERS, records, seed=4)
     told: list[tuple[int, int]] = []
     with pool(2) as executor:
-        there = choose(
-            POWERS, records, seed=4, executor=executor, progress=lambda *a: told.append(a)
-        )
+        asked = {"executor": executor, "progress": lambda *a: told.append(a)}
+        there = choose(POWERS, records, seed=4, **asked)
     assert there.name == here.name
     np.testing.assert_array_equal(there.nested, here.nested)
     assert told[-1] == (len(POWERS) * 15, len(POWERS) * 15)
@@ -149,23 +146,14 @@ def test_groups_stay_together_and_failures_are_told() -> None:
 def test_what_cannot_be_is_refused(
     structures: Any, count: int, options: Any, error: Any, words: str | None
 ) -> None:
-    with pytest.raises(error, match=words):
-        choose(structures, parabolas(0)[:count], **options)
+    refused(words, choose, structures, parabolas(0)[:count], error=error, **options)
 
 
 def test_an_arx_model_of_an_arx_process_predicts_it_to_its_noise() -> None:
-    random = np.random.default_rng(0)
-
-    def record() -> pam.Trajectory:
-        u, y = random.standard_normal(80), np.zeros(80)
-        for k in range(2, 80):
-            y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + 0.4 * u[k] + 0.2 * u[k - 1]
-        return pam.Trajectory(0.01 * np.arange(80), {"y": y, "u": u})
-
-    records = [record() for _ in range(9)]
-    structure = ArxStructure(["y"], ["u"], 2, (0.1, 0.3), 0.05)
+    records = arx_process(0, 9, samples=80, noise=0.0, step=0.01)
+    structure = ArxStructure(["q"], ["u"], 2, (0.1, 0.3), 0.05)
     model = structure.fit(records)
     np.testing.assert_allclose(model.coefficients[:, 0], [1.5, -0.7, 0.4, 0.2, 0], atol=1e-9)
     assert np.max(structure.losses(model, records)) < 1e-16
-    orders = {f"{n}": ArxStructure(["y"], ["u"], n, (0.1, 0.3), 0.05) for n in (1, 2, 3)}
+    orders = {f"{n}": ArxStructure(["q"], ["u"], n, (0.1, 0.3), 0.05) for n in (1, 2, 3)}
     assert choose(orders, records, folds=3, seed=0).rmse["RMSE 2"] < 1e-6

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.stats import t as student
 from static_tables import TRUTH, joined
 
-from pam_ocp.core.errors import InputError, PamError
+from pam_ocp.core.errors import PamError
 from pam_ocp.fitting import ForceTable, fit_force
 from pam_ocp.fitting.static.campaign import fit_forces
 from pam_ocp.fitting.static.correlation import Order, neighbours, sequences, serial_errors, widening
@@ -42,12 +43,10 @@ def test_the_covariance_is_the_sandwich_with_the_correlation_written_out() -> No
     lag = np.abs(np.subtract.outer(np.arange(p.size), np.arange(p.size)))
     r = np.where(k[:, None] == k, serial.correlation**lag, 0.0)
     # s2 of the errors: generalised least squares with that correlation
-    root = np.linalg.cholesky(r)
-    white = np.linalg.solve(root, np.column_stack([x / np.abs(x).max(axis=0), cells.force]))
+    root, size = np.linalg.cholesky(r), np.abs(x).max(axis=0)
+    white = np.linalg.solve(root, np.column_stack([x / size, cells.force]))
     s2 = np.linalg.lstsq(white[:, :4], white[:, 4], rcond=None)[1][0] / (p.size - 4)
-    inverse = np.linalg.inv((x / x.max(axis=0)).T @ (x / x.max(axis=0))) / np.outer(
-        x.max(axis=0), x.max(axis=0)
-    )
+    inverse = np.linalg.inv((x / size).T @ (x / size)) / np.outer(size, size)
     expected = s2 * inverse @ x.T @ r @ x @ inverse
     order = [found.free.index(n) for n in ("g0", "g1", "h0", "h1")]
     np.testing.assert_allclose(found.covariance[np.ix_(order, order)], expected, rtol=1e-6)
@@ -141,23 +140,19 @@ def test_the_dynamic_and_the_static_report_widen_by_one_formula() -> None:
 
 def test_who_measured_in_random_order_may_say_so() -> None:
     table = ramps(0.8, 3)
-    found, told = (
-        fit_force(table, "polynomial-1-1", errors=e) for e in ("as found", "independent")
-    )  # type: ignore[arg-type]
+    errors = ("as found", "independent")
+    found, told = (fit_force(table, "polynomial-1-1", errors=e) for e in errors)
     assert told.serial is None
     assert "errors taken as independent" in told.report()
     assert told.law == found.law
     plain = found.linearisation.independent.stderr()
     np.testing.assert_allclose(told.linearisation.stderr(), plain)
-    with pytest.raises(InputError, match="'as found' or 'independent'"):
-        fit_force(table, errors="none")  # type: ignore[arg-type]
+    refused("'as found' or 'independent'", fit_force, table, errors="none")
 
 
 def test_residuals_of_rounding_say_nothing() -> None:
-    exact = ramps(0.0, 1)
-    exact = ForceTable(
-        exact.pressure, exact.contraction, LINE.tension(exact.pressure, exact.contraction)
-    )
+    p, kappa = ramps(0.0, 1).pressure, ramps(0.0, 1).contraction
+    exact = ForceTable(p, kappa, LINE.tension(p, kappa))
     fit = fit_force(exact, polynomial_law(1, 1))
     assert fit.serial is None
     assert np.all(np.isfinite(list(fit.intervals().values())))
@@ -228,23 +223,20 @@ def test_odd_tables_get_an_answer_or_one_sentence(loss: str) -> None:
     t = ramps(0.5, 4, law=TRUTH)
     p, k, force = t.pressure, t.contraction, t.force
     level = t.levels()
+    noise, cell = 500 * np.random.default_rng(1).standard_normal(p.size), np.ones(20)
     odd = {
         "one level": t.subset(level == 0),
         "one pressure": t.subset(np.isclose(p, p.min())),
         "twice": t.subset(np.repeat(np.arange(len(t)), 2)),
         "constant force": ForceTable(p, k, np.full_like(force, 100.0)),
-        "huge noise": ForceTable(
-            p, k, force + 500 * np.random.default_rng(1).standard_normal(p.size)
-        ),
+        "huge noise": ForceTable(p, k, force + noise),
         "exact": ForceTable(p, k, TRUTH.tension(p, k)),
-        "one cell again and again": ForceTable(
-            np.full(20, 3e5), np.full(20, 0.1), 300 + np.arange(20.0) % 3
-        ),
+        "one cell again": ForceTable(3e5 * cell, 0.1 * cell, 300 + np.arange(20.0) % 3),
     }
     for name, table in odd.items():
         for law in ("six-parameter", "polynomial-1-1"):
             try:
-                fit = fit_force(table, law, loss=loss)  # type: ignore[arg-type]
+                fit = fit_force(table, law, loss=loss)
             except PamError:
                 continue
             fit.report()

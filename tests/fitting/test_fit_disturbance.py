@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.linalg import expm, solve_discrete_are
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 
 STIFFNESS, DAMPING, GAIN, RATE = 60.0, 4.0, 30.0, 2.5
 PUSH, NOISE, T = 12.0, 2e-3, 0.01
@@ -100,11 +100,9 @@ def test_the_plant_by_itself_is_what_it_was(both: Any) -> None:
 
 def test_a_structure_with_it_counts_it() -> None:
     options = {"horizon": 0.1, "every": 0.1, "warm_up": 0.1}
-    made = [
-        pam.fitting.FreeRunStructure(sprung(), ["k"], {**options, **more})
-        for more in ({}, {"disturbance": ["w"]})
-    ]
-    assert [s.complexity for s in made] == [1.0, 3.0]
+    structure = pam.fitting.FreeRunStructure
+    assert structure(sprung(), ["k"], options).complexity == 1.0
+    assert structure(sprung(), ["k"], {**options, "disturbance": ["w"]}).complexity == 3.0
 
 
 @pytest.mark.parametrize(
@@ -120,5 +118,4 @@ def test_what_cannot_be_is_refused(options: dict[str, Any], words: str) -> None:
     columns = {"torque": GAIN * run["u"], "q": run["q"], "u": run["u"]}
     both = pam.Trajectory(run.t, columns, interpolation="previous")
     given = {"horizon": 0.1, "every": 0.1, "warm_up": 0.1, "outputs": ["q"], "disturbance": ["w"]}
-    with pytest.raises(InputError, match=words):
-        pam.fit_free_run(sprung(), both, ["k"], **{**given, **options})
+    refused(words, pam.fit_free_run, sprung(), both, ["k"], **{**given, **options})

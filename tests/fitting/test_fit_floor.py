@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.special import pdtrc
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import ForceTable, hysteresis, look
 from pam_ocp.fitting.tables.floor import _poisson
 from pam_ocp.muscles.law import SixParameterLaw
@@ -19,9 +19,7 @@ P, KAPPA = (a.ravel() for a in np.meshgrid(np.linspace(0.5e5, 6e5, 12), np.linsp
 PULL = np.asarray(TRUTH.tension(P, KAPPA))
 
 
-def readings(
-    floor: Any, scatter: float, seed: int = 0, noise: float = 4.0, zero: float = 0.0
-) -> Any:
+def readings(floor: Any, scatter: float, seed: int = 0, noise: float = 4.0, zero: Any = 0.0) -> Any:
     """What a load cell shows: ``floor`` where slack, ``zero`` beside the force elsewhere."""
     random = np.random.default_rng(seed)
     taut = PULL + zero + noise * random.standard_normal(P.size)
@@ -58,9 +56,8 @@ def test_a_floor_is_found_and_its_cells_are_no_forces(floor: float, scatter: flo
 
 def test_few_readings_far_below_zero_are_a_floor_for_no_muscle_pushes() -> None:
     """Seven of 46 cells: too few for the surface of the others to say that they are slack."""
-    pressure, kappa = (
-        a.ravel() for a in np.meshgrid(np.linspace(1e5, 6e5, 6), [0, 0.1, 0.2, 0.23])
-    )
+    cells = np.meshgrid(np.linspace(1e5, 6e5, 6), [0, 0.1, 0.2, 0.23])
+    pressure, kappa = (a.ravel() for a in cells)
     pull = np.asarray(TRUTH.tension(pressure, kappa))
     reads = np.maximum(pull, 0.0) - 35.0
     found = ForceTable(pressure, kappa, reads).floor_found
@@ -81,18 +78,15 @@ def test_a_floor_that_is_not_looked_for_spoils_the_fit() -> None:
 
 def test_floors_by_branch_are_told_apart() -> None:
     branch = np.where(np.arange(P.size) % 2 == 0, "inflation", "deflation")
-    table = ForceTable(
-        P, KAPPA, readings(np.where(branch == "inflation", 6.0, -3.0), 0.5), branch=tuple(branch)
-    )
+    shown = readings(np.where(branch == "inflation", 6.0, -3.0), 0.5)
+    table = ForceTable(P, KAPPA, shown, branch=tuple(branch))
     found = table.floor_found
     assert found is not None
     assert found.by["inflation"] == pytest.approx(6.0, abs=0.5)
     assert found.by["deflation"] == pytest.approx(-3.0, abs=0.5)
     assert PULL[~table.slack].min() > -8.0
-    assert (
-        sum(len(t.table) - t.n for t in pam.fitting.fit_branches(table).values())
-        == table.slack.sum()
-    )
+    fits = pam.fitting.fit_branches(table).values()
+    assert sum(len(f.table) - f.n for f in fits) == table.slack.sum()
 
 
 @pytest.mark.parametrize("words", ["with pressure", "from the first to the last"])
@@ -151,8 +145,7 @@ def test_the_zero_of_a_load_cell_is_taken_off_all_forces_when_asked() -> None:
     mended = table.with_floor("zero")
     assert np.mean((mended.force - PULL)[PULL > 0]) == pytest.approx(0.0, abs=1.5)
     assert mended.with_floor("zero").force == pytest.approx(mended.force)  # once is enough
-    with pytest.raises(pam.InputError, match="'5 N', 'found', 'zero' or None"):
-        table.with_floor("what")
+    refused("'5 N', 'found', 'zero' or None", table.with_floor, "what")
 
 
 @pytest.mark.parametrize(
@@ -172,8 +165,7 @@ def test_a_fit_says_whether_taut_cells_carry_the_zero(zero: float, words: str) -
 def test_there_is_no_zero_to_take_off_without_slack_cells() -> None:
     chosen = PULL > 50
     table = ForceTable(P[chosen], KAPPA[chosen], PULL[chosen])
-    with pytest.raises(InputError, match="no cells that are slack"):
-        table.with_floor("zero")
+    refused("no cells that are slack", table.with_floor, "zero")
 
 
 # ---- everywhere ----------------------------------------------------------------------------------

@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from design_tools import example
 
 import pam_ocp as pam
 from pam_ocp.fitting.dynamic.free_run_fit import free_run
 
-
-def example() -> Any:
-    path = Path(__file__).parents[2] / "examples" / "fit_joint.py"
-    specification = importlib.util.spec_from_file_location("fit_joint", path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules["fit_joint"] = module  # dataclasses look their module up
-    specification.loader.exec_module(module)
-    return module
-
-
-fit_joint = example()
+fit_joint = example("fit_joint")
 DATA = fit_joint.find_data()
 with_data = pytest.mark.skipif(
     DATA is None, reason=f"{fit_joint.FILE} is not here: set PAM_OCP_DATA to its folder"
@@ -67,9 +54,8 @@ def test_runs_and_linear_models_are_those_of_the_task(comparison: Any, arm: Any)
     starts = {round(4 * float(s), 6) for s in comparison.runs.start}
     assert starts <= {1.0, 2.0, 3.0}
     # figures of an ARX(5) that was computed apart from this code
-    np.testing.assert_allclose(
-        comparison.rmse("ARX(5) own"), [0.0992, 0.0683, 0.1700, 0.1668], atol=2e-3
-    )
+    expected = [0.0992, 0.0683, 0.1700, 0.1668]
+    np.testing.assert_allclose(comparison.rmse("ARX(5) own"), expected, atol=2e-3)
     for run, episode, start in zip(
         comparison.measured, comparison.runs.record, comparison.runs.start, strict=True
     ):
@@ -116,7 +102,6 @@ def test_without_data_a_synthetic_arm_takes_their_place(monkeypatch: Any, tmp_pa
     synthetic = fit_joint.synthetic_arm(episodes=3)
     for j in fit_joint.JOINTS:
         plant = fit_joint.joint(j).with_values(fit_joint.FOUND[j])
-        runs = free_run(
-            plant, fit_joint.records_of(j, synthetic), horizon=0.5, every=0.25, steps=16
-        )
+        records = fit_joint.records_of(j, synthetic)
+        runs = free_run(plant, records, horizon=0.5, every=0.25, steps=16)
         assert runs.rmse["q"] < 0.05 * np.std(runs.measured)

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import noisy_record
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError
 from pam_ocp.simulation.integrate import Integration
 
 MUSCLE = pam.muscle("DMSP-20-200N")
-BODY = replace(
-    MUSCLE, law=pam.laws.with_ends(pam.laws.with_bladder(MUSCLE.law, 3e4), 0.05, 1.05, 60.0)
-)
+LAW = pam.laws.with_ends(pam.laws.with_bladder(MUSCLE.law, 3e4), 0.05, 1.05, 60.0)
+BODY = replace(MUSCLE, law=LAW)
 CASES = {
     "force-velocity": (
         MUSCLE,
@@ -32,12 +32,9 @@ def record(plant, seed):
     started = plant.with_values(plant.equilibrium({"muscle.command": command[0]}))
     given = pam.Trajectory(t, {"muscle.command": command}, [plant.variable("muscle.command")])
     motion = pam.simulate(started, inputs=given)
-    columns = {
-        "muscle.command": np.interp(motion.t, t, command),
-        "x": motion["x"] + rng.normal(0, 2e-5, len(motion.t)),
-        "muscle.pressure": motion["muscle.pressure"] + rng.normal(0, 200.0, len(motion.t)),
-    }
-    return started, pam.Trajectory(motion.t, columns, [plant.variable(n) for n in columns])
+    told = {"muscle.command": np.interp(motion.t, t, command)}
+    noise = {"x": 2e-5, "muscle.pressure": 200.0}
+    return started, noisy_record(plant, motion, told, noise, rng, None)
 
 
 @pytest.mark.slow
@@ -82,10 +79,8 @@ def test_memories_are_found_back_by_simulation(loss, free):
     command = np.repeat(draw.uniform(1.2e5, 4.5e5, 8), 10)
     start = {"x": 0.03, "muscle.pressure": 3e5}
     run = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start, rtol=1e-11)
-    columns = {"muscle.command": command}
-    for name, size in {"x": 2e-5, "muscle.pressure": 500.0}.items():
-        columns[name] = run[name] + size * draw.standard_normal(t.size)
-    record = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    noise = {"x": 2e-5, "muscle.pressure": 500.0}
+    record = noisy_record(plant, run, {"muscle.command": command}, noise, draw)
     truth = {n: plant.variable(n).start for n in names}
     beside = plant.with_values({n: 0.7 * v for n, v in truth.items()})
     fit = pam.fit_plant(beside, record, names)

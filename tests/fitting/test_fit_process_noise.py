@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.linalg import expm
 from scipy.optimize import minimize
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import fit_plant
 
 SPRING, DAMPER, STEP = 40.0, 1.5, 0.05
@@ -53,13 +53,9 @@ def record(seed: int, samples: int = 81, exact: bool = True) -> pam.Trajectory:
     for i in range(samples - 1):
         z[i + 1] = a @ z[i] + b * force[i] + root @ random.standard_normal(2)
     x = z[:, 0] + NOISE * random.standard_normal(samples)
-    plant = oscillator()
-    return pam.Trajectory(
-        STEP * np.arange(samples),
-        {"force": force, "x": x},
-        [plant.variable("force"), plant.variable("x")],
-        "previous",
-    )
+    variables = [oscillator().variable(n) for n in ("force", "x")]
+    t = STEP * np.arange(samples)
+    return pam.Trajectory(t, {"force": force, "x": x}, variables, "previous")
 
 
 def innovations(theta: Any, run: pam.Trajectory) -> float:
@@ -87,27 +83,17 @@ def fit(run: pam.Trajectory) -> pam.fitting.PlantFit:
 
 def test_the_fit_is_that_of_a_kalman_filter(fit: pam.fitting.PlantFit, run: pam.Trajectory) -> None:
     """A linear plant: the optimum over parameters and motion is that over the innovations."""
-    best = minimize(
-        innovations,
-        [35.0, 1.0],
-        args=(run,),
-        method="Nelder-Mead",
-        options={"xatol": 1e-6, "fatol": 1e-9},
-    )
+    tight = {"xatol": 1e-6, "fatol": 1e-9}
+    best = minimize(innovations, [35.0, 1.0], (run,), "Nelder-Mead", options=tight)
     assert list(fit.values.values()) == pytest.approx(best.x, rel=2e-4)
     scale = fit.linearisation.scale**2 * fit.linearisation.dof
     assert scale == pytest.approx(best.fun, rel=1e-4)
     # curvature of the cost: covariance 2 H^-1, times s^2
-    step, hessian = [0.2, 0.05], np.zeros((2, 2))
-    for i in range(2):
-        for j in range(2):
-            parts = []
-            for si, sj in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-                theta = best.x.copy()
-                theta[i] += si * step[i]
-                theta[j] += sj * step[j]
-                parts.append(innovations(theta, run))
-            hessian[i, j] = (parts[0] - parts[1] - parts[2] + parts[3]) / (4 * step[i] * step[j])
+    step, hessian = np.diag([0.2, 0.05]), np.zeros((2, 2))
+    for i, j in np.ndindex(2, 2):
+        for si, sj in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            cost = innovations(best.x + si * step[i] + sj * step[j], run)
+            hessian[i, j] += si * sj * cost / (4 * step[i, i] * step[j, j])
     expected = fit.linearisation.scale * np.sqrt(np.diag(2 * np.linalg.inv(hessian)))
     # Gauss-Newton leaves out the residuals' curvature, which noise makes some per cent
     assert [c.stderr for c in fit.coefficients.values()] == pytest.approx(expected, rel=0.12)
@@ -158,15 +144,13 @@ def test_intervals_cover_where_those_without_process_noise_do_not() -> None:
 
 
 def test_a_vanishing_process_noise_is_none(run: pam.Trajectory) -> None:
-    tiny = fit_plant(
-        oscillator(), run, FREE, noise={"x": NOISE}, process_noise={"v": 1e-7}, degree=5
-    )
-    none = fit_plant(oscillator(), run, FREE, noise={"x": NOISE}, degree=5)
+    known = {"noise": {"x": NOISE}, "degree": 5}
+    tiny = fit_plant(oscillator(), run, FREE, process_noise={"v": 1e-7}, **known)
+    none = fit_plant(oscillator(), run, FREE, **known)
+    errors = dict(zip(none.linearisation.names, none.linearisation.stderr(), strict=True))
     for name in FREE:
         assert tiny.values[name] == pytest.approx(none.values[name], rel=1e-4)
-        assert tiny.coefficients[name].stderr == pytest.approx(
-            none.linearisation.stderr()[none.linearisation.names.index(name)], rel=1e-3
-        )
+        assert tiny.coefficients[name].stderr == pytest.approx(errors[name], rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -181,5 +165,4 @@ def test_a_vanishing_process_noise_is_none(run: pam.Trajectory) -> None:
 def test_bad_arguments_are_refused_in_words(
     arguments: dict[str, Any], words: str, run: pam.Trajectory
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        fit_plant(oscillator(), run, FREE, **(NOISY | arguments))
+    refused(words, fit_plant, oscillator(), run, FREE, **NOISY | arguments)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.optimize import LinearConstraint, least_squares, linprog, minimize
 from static_tables import TRUTH, measured
 
@@ -139,12 +140,9 @@ def test_absolute_values_agree_with_a_linear_programme() -> None:
     a, y = columns(found.cells), found.cells.force
     n, k = a.shape
     # min sum(u + v), a c + u - v = y
-    answer = linprog(
-        np.concatenate([np.zeros(k), np.ones(2 * n)]),
-        A_eq=np.hstack([a, np.eye(n), -np.eye(n)]),
-        b_eq=y,
-        bounds=[(None, None)] * k + [(0, None)] * (2 * n),
-    )
+    cost, equal = np.repeat([0.0, 1.0], [k, 2 * n]), np.hstack([a, np.eye(n), -np.eye(n)])
+    ranges = [(None, None)] * k + [(0, None)] * (2 * n)
+    answer = linprog(cost, A_eq=equal, b_eq=y, bounds=ranges)
     assert np.sum(np.abs(found.residuals)) == pytest.approx(answer.fun, rel=1e-7)
 
 
@@ -152,15 +150,10 @@ def test_huber_agrees_with_scipy() -> None:
     found = fit_force(measured(), fixed=HOLD, loss="huber")
     a, y = columns(found.cells), found.cells.force
     size = np.linalg.norm(a, axis=0)
-    answer = least_squares(
-        lambda c: a / size @ c - y,
-        np.linalg.lstsq(a / size, y, rcond=None)[0],
-        loss="huber",
-        f_scale=found.terms.threshold,
-        xtol=1e-14,
-        ftol=1e-14,
-        gtol=1e-14,
-    )
+    plain = np.linalg.lstsq(a / size, y, rcond=None)[0]
+    how = {"loss": "huber", "f_scale": found.terms.threshold}
+    how |= {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    answer = least_squares(lambda c: a / size @ c - y, plain, **how)
     assert linear(found) == pytest.approx(answer.x / size, rel=1e-5)
     assert found.cost == pytest.approx(2 * answer.cost, rel=1e-9)
 
@@ -173,7 +166,7 @@ def test_robust_standard_errors_of_normal_noise_are_those_of_their_efficiency() 
     table = ForceTable(p, kappa, np.maximum(force, 0.01), 0.300)
     errors = {}
     for loss in ("squares", "huber", "l1", "bisquare"):
-        found = fit_force(table, fixed=HOLD | {"a3": -56.665}, loss=loss)  # type: ignore[arg-type]
+        found = fit_force(table, fixed=HOLD | {"a3": -56.665}, loss=loss)
         errors[loss] = found.coefficients["a6"].stderr
         # from the median of 900 residuals: known to 3.9 %; three of these
         assert found.sigma == pytest.approx(1.0, abs=0.12)
@@ -334,13 +327,8 @@ def test_bounds_may_be_texts_with_units() -> None:
 
 
 def test_a_saved_fit_keeps_its_terms(tmp_path: Path) -> None:
-    one = fit_force(
-        measured(),
-        loss="huber",
-        censored=True,
-        bounds={"a1": (-np.inf, 1e-3)},
-        priors={"a3": (-50.0, 10.0)},
-    )
+    terms = {"bounds": {"a1": (-np.inf, 1e-3)}, "priors": {"a3": (-50.0, 10.0)}}
+    one = fit_force(measured(), loss="huber", censored=True, **terms)
     read = ForceFit.from_json(one.to_json(tmp_path / "fit.json"))
     assert read.terms == one.terms
     assert read.report() == one.report()
@@ -358,20 +346,16 @@ def test_a_saved_fit_keeps_its_terms(tmp_path: Path) -> None:
     ],
 )
 def test_terms_that_cannot_be_are_refused_in_words(arguments: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        fit_force(measured(), **arguments)
+    refused(words, fit_force, measured(), **arguments)
 
 
 def test_what_robust_fits_and_bootstraps_cannot_answer_is_refused() -> None:
     robust = fit_force(measured(), loss="l1")
-    with pytest.raises(InputError, match="after a robust fit use bootstrap"):
-        robust.profile_interval("a3")
+    refused("after a robust fit use bootstrap", robust.profile_interval, "a3")
     with pytest.raises(UnknownNameError, match="in priors 'a9'"):
         fit_force(measured(), priors={"a9": (0.0, 1.0)})
-    with pytest.raises(InputError, match="choose 'residuals' or 'cases'"):
-        robust.bootstrap(5, method="jackknife")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="n = 1: give a whole number >= 2"):
-        robust.bootstrap(1)
+    refused("choose 'residuals' or 'cases'", robust.bootstrap, 5, method="jackknife")
+    refused("n = 1: give a whole number >= 2", robust.bootstrap, 1)
 
 
 def test_no_cell_is_left_out_where_all_are_needed() -> None:

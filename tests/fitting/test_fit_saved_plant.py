@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 from pam_ocp.fitting import fit_plant
 from pam_ocp.fitting.dynamic.plant_fit import load_plant_fit
 
@@ -68,5 +68,4 @@ def test_files_that_hold_no_such_fit_are_refused(fit: pam.fitting.PlantFit, tmp_
         ("other", cart(), "is no fit of a plant"),
         ("broken", cart(), "cannot be read as a fit of a plant"),
     ):
-        with pytest.raises(InputError, match=words):
-            load_plant_fit(tmp_path / f"{name}.json", plant)
+        refused(words, load_plant_fit, tmp_path / f"{name}.json", plant)

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.optimize import least_squares
+from scipy.stats import f as fisher
 from static_tables import grid, joined, measured, six
 
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
@@ -30,13 +32,11 @@ def cells(law: Any, noise: float = 0.0, seed: int = 0, length: float | None = No
     return ForceTable(P[taut], KAPPA[taut], force[taut] + error, length)
 
 
-def scaled(length: float, ratio: float, noise: float = 0.0, seed: int = 0) -> ForceTable:
-    law = LengthScaledLaw.from_published("20", length, ratio)
+def scaled(length: float, ratio: float) -> ForceTable:
     p, r = grid(np.linspace(0.02, 0.9, 6), np.linspace(2e5, 6e5, 5))
-    force = law.tension(p, r * ratio)
+    force = LengthScaledLaw.from_published("20", length, ratio).tension(p, r * ratio)
     taut = force > 20
-    error = noise * np.random.default_rng(seed).standard_normal(int(taut.sum()))
-    return ForceTable(p[taut], (r * ratio)[taut], force[taut] + error, length)
+    return ForceTable(p[taut], (r * ratio)[taut], force[taut], length)
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +64,8 @@ def test_the_length_scaled_law_is_found_across_lengths() -> None:
     for name in found.shared:
         assert found.coefficients[name].value == pytest.approx(float(truth.values[name]), rel=1e-5)
     # one length alone cannot tell b1 from b2: their product is all it sees
-    alone = fit_forces(
-        [tables[0], tables[0]], "length-scaled", fixed={"max_contraction_ratio": 0.22}
-    )
+    held = {"max_contraction_ratio": 0.22}
+    alone = fit_forces([tables[0], tables[0]], "length-scaled", fixed=held)
     assert alone.linearisation.rank == 4
     assert any("b1" in text and "b2" in text for text in alone.warnings)
 
@@ -173,13 +172,10 @@ def test_intervals_cover_the_truth_and_errors_are_the_scatter() -> None:
 
 def test_profile_interval_ends_where_the_f_statistic_does(joint: JointForceFit) -> None:
     residuals, start = stacked([f.table for f in joint.fits.values()])
-    from scipy.stats import f as f_distribution
-
-    limit = joint.cost * (1 + f_distribution.ppf(0.95, 1, joint.dof) / joint.dof)
+    limit = joint.cost * (1 + fisher.ppf(0.95, 1, joint.dof) / joint.dof)
     for end in joint.profile_interval("a3"):
-        answer = least_squares(
-            lambda z, a3=end / 100: residuals(np.concatenate([[a3], z])), start[1:], x_scale="jac"
-        )
+        held = lambda z, a3=end / 100: residuals(np.concatenate([[a3], z]))  # noqa: E731
+        answer = least_squares(held, start[1:], x_scale="jac")
         assert 2 * answer.cost == pytest.approx(limit, rel=1e-5)
 
 
@@ -190,10 +186,7 @@ def test_tables_of_their_own_noise_are_weighed_by_it() -> None:
     assert each.noise["20"] == pytest.approx(8.0, rel=0.3)
     assert each.noise["10"] == pytest.approx(0.5, rel=0.3)
     assert equal.noise["20"] == equal.noise["10"]
-    known = [
-        np.full(len(tables["20"]), 1 / each.noise["20"]),
-        np.full(len(tables["10"]), 1 / each.noise["10"]),
-    ]
+    known = [np.full(len(table), 1 / each.noise[n]) for n, table in tables.items()]
     same = fit_forces(tables, shared=["a3"], weights=known)
     assert same.interval("a3") == pytest.approx(each.interval("a3"), rel=1e-4)
     assert each["10"].sigma == pytest.approx(each.noise["10"])
@@ -228,21 +221,15 @@ def test_bad_arguments_are_refused_in_words(arguments: dict[str, Any], words: st
 
 
 def test_tables_that_cannot_serve_are_refused(joint: JointForceFit) -> None:
-    with pytest.raises(InputError, match="one ForceTable"):
-        fit_forces(cells(TEN))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="at least two"):
-        fit_forces([cells(TEN)])
-    with pytest.raises(InputError, match="table 2 is an int"):
-        fit_forces([cells(TEN), 3])  # type: ignore[list-item]
+    refused("one ForceTable", fit_forces, cells(TEN))
+    refused("at least two", fit_forces, [cells(TEN)])
+    refused("table 2 is an int", fit_forces, [cells(TEN), 3])
     few = [cells(TEN).subset(slice(0, 4)), cells(TWENTY).subset(slice(0, 4))]
-    with pytest.raises(InputError, match="8 taut cells, fewer than the 11 unknowns"):
-        fit_forces(few, shared=["a3"])
+    refused("8 taut cells, fewer than the 11 unknowns", fit_forces, few, shared=["a3"])
     with pytest.raises(UnknownNameError, match="muscle of the joint fit"):
         joint["30"]
-    with pytest.raises(InputError, match="profile_interval of the joint fit"):
-        joint["10"].profile_interval("a3")
-    with pytest.raises(InputError, match="save_muscle"):
-        joint["10"].to_json("never.json")
+    refused("profile_interval of the joint fit", joint["10"].profile_interval, "a3")
+    refused("save_muscle", joint["10"].to_json, "never.json")
 
 
 def test_a_poor_table_borrows_from_a_rich_one() -> None:
@@ -276,8 +263,7 @@ def test_a_joint_fit_tries_the_starts_that_it_is_given() -> None:
 
     whole = fit_forces({"20": cells(TWENTY), "10": cells(TEN)}, shared=["a3"]).problem
     blind = Blind(whole.parts, whole.places, whole.names)
-    with pytest.raises(FitError, match="no finite force anywhere in the scan"):
-        minimise(blind)
+    refused("no finite force anywhere in the scan", minimise, blind, error=FitError)
     found = minimise(blind, np.array([[1e9], [-40.0]]))
     assert found.coefficients[blind.nonlinear] == pytest.approx([-42.0], rel=1e-6)
     assert found.solver.scanned == 3

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import BAR, benchmark_slide
+from conftest import BAR, benchmark_slide, noisy_record, refused
+from test_fit_process_noise import oscillator
 
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
@@ -28,18 +29,6 @@ def integrator() -> pam.Plant:
     return plant
 
 
-def oscillator() -> pam.Plant:
-    """A mass on a spring with a damper, driven by a force."""
-    plant = pam.Plant("oscillator")
-    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
-    f = plant.input("force", unit="N", min=-1.0, max=1.0)
-    k = plant.parameter("spring", 40.0, unit="N/m", min=0.0, nominal=10.0)
-    c = plant.parameter("damper", 1.5, unit="N.s/m", min=0.0)
-    plant.der(x, v)
-    plant.der(v, f - k * x - c * v)
-    return plant
-
-
 def told(plant: pam.Plant, free: Any, size: float, **asked: Any) -> SignalDesign:
     """A design of two seconds at 20 Hz for the position, whose noise is known."""
     given: dict[str, Any] = {"duration": 2.0, "sample": 0.05, "noise": {"x": size}, **asked}
@@ -53,24 +42,18 @@ def rig() -> pam.Plant:
 
 @pytest.fixture(scope="module")
 def design(rig: pam.Plant) -> SignalDesign:
-    return design_signal(
-        rig, FREE, duration=1.5, noise=NOISE, inputs=RANGE, segments=6, start=START, tries=2
-    )
+    asked = {"duration": 1.5, "noise": NOISE, "inputs": RANGE, "segments": 6, "start": START}
+    return design_signal(rig, FREE, **asked, tries=2)
 
 
 def played(plant: pam.Plant, run: pam.Trajectory, noise: dict[str, float], seed: int) -> Any:
     """A record of a signal, with noise."""
-    random = np.random.default_rng(seed)
-    columns = {n: run[n] for n in run.named("input")}
-    for name, size in noise.items():
-        columns[name] = run[name] + size * random.standard_normal(len(run))
-    return pam.Trajectory(run.t, columns, [plant.variable(n) for n in columns], run.interpolation)
+    told = {n: run[n] for n in run.named("input")}
+    return noisy_record(plant, run, told, noise, np.random.default_rng(seed), run.interpolation)
 
 
 def test_the_rate_of_an_integrator_is_best_seen_at_full_input() -> None:
-    """Information on the rate is sum (integral u)^2/sigma^2:
-    greatest for u = 1 (or -1) throughout.
-    """
+    """Information on the rate is sum (integral u)^2/sigma^2: most for u = 1 (or -1) throughout."""
     plant, t = integrator(), np.arange(0, 2.001, 0.05)
     for family in ("steps", "ramps"):
         found = told(plant, ["rate"], 0.1, segments=5, family=family, known_start=True)
@@ -114,11 +97,9 @@ def test_information_is_that_of_finite_differences_of_simulations(
         return np.concatenate([again[n] / s for n, s in NOISE.items()])
 
     for names in members.values():
-        size = 1e-4 * float(rig.variable(names[0]).start or 0.0)
-        pair = [
-            rig.with_values({n: float(rig.variable(n).start or 0.0) + s for n in names})
-            for s in (size, -size)
-        ]
+        value = float(rig.variable(names[0]).start or 0.0)
+        size = 1e-4 * value
+        pair = [rig.with_values(dict.fromkeys(names, value + s)) for s in (size, -size)]
         columns.append((measured(pair[0], start) - measured(pair[1], start)) / (2 * size))
     for name in states:
         size = 1e-4 * rig.variable(name).nominal
@@ -178,9 +159,8 @@ def test_a_fit_counts_as_what_is_known() -> None:
         assert more.stderr_before[name] == pytest.approx(fit.coefficients[name].stderr)
         # as good a record again: at least as sharp as sqrt(2)
         assert more.stderr[name] < 1.02 * fit.coefficients[name].stderr / np.sqrt(2)
-    both = [
-        played(plant, run, noise, i) for i, run in enumerate((first.trajectory, more.trajectory))
-    ]
+    runs = (first.trajectory, more.trajectory)
+    both = [played(plant, run, noise, i) for i, run in enumerate(runs)]
     again = fit_plant(plant, both, ["spring", "damper"])
     for name, promised in more.stderr.items():
         assert again.coefficients[name].stderr == pytest.approx(promised, rel=0.15)
@@ -231,17 +211,15 @@ def test_bad_arguments_are_refused_in_words(arguments: dict[str, Any], words: st
         design_signal(integrator(), **(usual | arguments))
 
 
-def test_parameters_that_no_signal_tells_are_refused() -> None:
+def test_parameters_that_no_signal_tells_and_plants_too_stiff_for_the_samples_are_refused() -> None:
     plant = pam.Plant("twins")
     x, u = plant.state("x"), plant.input("u", min=-1.0, max=1.0)
     plant.der(x, (plant.parameter("a", 1.0) + plant.parameter("b", 1.0)) * u)
-    with pytest.raises(FitError, match="no signal of this family tells a, b together"):
-        design_signal(plant, ["a", "b"], duration=1.0, noise={"x": 0.1}, segments=4)
-
-
-def test_a_plant_too_stiff_for_the_samples_is_refused() -> None:
-    plant = pam.Plant("stiff")
-    x, u = plant.state("x"), plant.input("u", min=-1.0, max=1.0)
-    plant.der(x, plant.parameter("rate", 1e5) * (u - x))
-    with pytest.raises(FitError, match="too stiff for these samples; give a shorter sample"):
-        design_signal(plant, ["rate"], duration=1.0, sample=0.05, noise={"x": 0.1}, segments=4)
+    asked = {"error": FitError, "duration": 1.0, "noise": {"x": 0.1}, "segments": 4}
+    words = "no signal of this family tells a, b together"
+    refused(words, design_signal, plant, ["a", "b"], **asked)
+    stiff = pam.Plant("stiff")
+    x, u = stiff.state("x"), stiff.input("u", min=-1.0, max=1.0)
+    stiff.der(x, stiff.parameter("rate", 1e5) * (u - x))
+    words = "too stiff for these samples; give a shorter sample"
+    refused(words, design_signal, stiff, ["rate"], **asked, sample=0.05)

@@ -13,10 +13,10 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from conftest import refused
 from scipy.stats import f as fisher
 from scipy.stats import t as student
-from static_tables import PUBLISHED, TRUTH, fit_20, grid, measured, six, six_slopes
+from static_tables import PUBLISHED, TRUTH, fit_20, grid, measured, six, six_by_scipy, six_slopes
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force
@@ -67,21 +67,12 @@ def test_scipy_finds_no_better_optimum(name: str) -> None:
     for a3 in (-1.0, -0.5, -0.2, -0.05, 0.05):
         columns = np.delete(six_slopes([0, 0, a3, 0, 0, 0], p, kappa), 2, axis=1)
         a1, a2, a4, a5, a6 = np.linalg.lstsq(columns, force, rcond=None)[0]
-        answer = least_squares(
-            lambda c: six(c, p, kappa) - force,
-            [a1, a2, a3, a4, a5, a6],
-            lambda c: six_slopes(c, p, kappa),
-            method="lm",
-            x_scale="jac",
-            xtol=1e-14,
-            ftol=1e-14,
-            gtol=1e-14,
-        )
+        answer = six_by_scipy(kappa, p, force, [a1, a2, a3, a4, a5, a6])
         if 2 * answer.cost < best:
             best, coefficients = 2 * answer.cost, answer.x
     found = fit_force(measured(name))
     assert found.squares == pytest.approx(best, rel=1e-9)
-    assert list(found.law.published().values()) == pytest.approx(coefficients, rel=1e-5)  # type: ignore[attr-defined]
+    assert list(found.law.published().values()) == pytest.approx(coefficients, rel=1e-5)
 
 
 RIG = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.2}
@@ -108,10 +99,8 @@ def test_every_law_reaches_its_known_rmse(law: str, rmse_20: float, rmse_10: flo
 def test_slack_cells_are_no_equalities(fit: ForceFit) -> None:
     table = fit.table
     deeper = np.where(table.slack, -500.0, table.force)
-    for other in (
-        table.taut,
-        ForceTable(table.pressure, table.contraction, deeper, table.rest_length),
-    ):
+    below = ForceTable(table.pressure, table.contraction, deeper, table.rest_length)
+    for other in (table.taut, below):
         assert fit_force(other).law.values == pytest.approx(fit.law.values, rel=1e-12)
 
 
@@ -186,9 +175,8 @@ def test_standard_errors_agree_with_a_finite_difference_jacobian(alone: ForceFit
     p, kappa, force = alone.cells.pressure, alone.cells.contraction, alone.cells.force
     c = np.array([alone.law.values[n] for n in NAMES])
     steps = 1e-5 * np.abs(c)
-    jacobian = np.stack(
-        [(six(c + h, p, kappa) - six(c - h, p, kappa)) / (2 * h.sum()) for h in np.diag(steps)], 1
-    )
+    each = (six(c + h, p, kappa) - six(c - h, p, kappa) for h in np.diag(steps))
+    jacobian = np.stack([*each], axis=1) / (2 * steps)
     size = np.abs(jacobian).max(axis=0)
     np.testing.assert_allclose(alone.jacobian / size, jacobian / size, rtol=1e-6, atol=1e-8)
     scale = np.linalg.norm(jacobian, axis=0)
@@ -197,9 +185,8 @@ def test_standard_errors_agree_with_a_finite_difference_jacobian(alone: ForceFit
     covariance = variance * inverse
     stderr = np.sqrt(np.diag(covariance))
     assert [alone.coefficients[n].stderr for n in NAMES] == pytest.approx(stderr, rel=1e-5)
-    np.testing.assert_allclose(
-        alone.correlation, covariance / np.outer(stderr, stderr), rtol=1e-4, atol=1e-5
-    )
+    expected = covariance / np.outer(stderr, stderr)
+    np.testing.assert_allclose(alone.correlation, expected, rtol=1e-4, atol=1e-5)
     half = student.ppf(0.975, alone.dof) * stderr[0]
     ends = alone.interval("a1", linearised=True)
     assert ends == pytest.approx((c[0] - half, c[0] + half), rel=1e-5)
@@ -232,10 +219,8 @@ def test_profile_interval_ends_where_the_f_statistic_does(alone: ForceFit) -> No
         squares = np.linalg.lstsq(columns / columns.max(axis=0), force, rcond=None)[1][0]
         ratio = (squares - alone.squares) / (alone.squares / alone.dof)
         assert ratio == pytest.approx(fisher.ppf(0.95, 1, alone.dof), rel=1e-4)
-    assert low < alone.law.values["a3"] < high
-    assert (
-        alone.law.values["a3"] - low > high - alone.law.values["a3"]
-    )  # lopsided: steep is hard to tell
+    a3 = alone.law.values["a3"]
+    assert a3 - low > high - a3 > 0  # lopsided: steep is hard to tell
 
 
 def test_profile_interval_of_a_linear_law_is_the_linearised_one(fit: ForceFit) -> None:
@@ -316,23 +301,15 @@ def test_the_muscle_carries_law_and_ranges_of_the_table(fit: ForceFit) -> None:
     assert muscle.pressure_range == (35e3, 675e3)
     assert muscle.contraction_range == pytest.approx((0.004 / 0.3, 0.078 / 0.3))
     assert fit.muscle().rest_length == 0.300
-    cells = fit.cells
-    np.testing.assert_allclose(
-        cells.force - muscle.tension(cells.pressure, cells.contraction), fit.residuals
-    )
+    rest = fit.cells.force - muscle.tension(fit.cells.pressure, fit.cells.contraction)
+    np.testing.assert_allclose(rest, fit.residuals)
 
 
 def test_the_report_names_every_coefficient_in_both_unit_systems(fit: ForceFit) -> None:
     text = fit.report()
-    for words in (
-        "60 taut cells of 126",
-        "RMSE 6.196 N",
-        "54 degrees of freedom",
-        "a3: -56.66 ± ",
-        "a1 12.79 ± ",
-        "C(a2, a3) = ",
-        "Newton_Converged",
-    ):
+    for words in ("60 taut cells of 126", "RMSE 6.196 N", "54 degrees of freedom"):
+        assert words in text
+    for words in ("a3: -56.66 ± ", "a1 12.79 ± ", "C(a2, a3) = ", "Newton_Converged"):
         assert words in text
     assert "[[Warnings]]" in fit_force(measured("DMSP-10-250")).report()
     assert "a3: -40 (held)" in fit_force(fit.table, fixed={"a3": -40.0}).report()
@@ -349,15 +326,11 @@ def test_a_saved_fit_comes_back_exactly(tmp_path: Path, fit: ForceFit) -> None:
 
 
 def test_a_fit_of_a_law_of_ones_own_is_read_with_its_class(tmp_path: Path, fit: ForceFit) -> None:
-    law = own_law(
-        "plane",
-        lambda p, kappa, a, b: a * p - b * kappa,
-        {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("N", 1e3, "slope")},
-    )
+    held = {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("N", 1e3, "slope")}
+    law = own_law("plane", lambda p, kappa, a, b: a * p - b * kappa, held)
     path = fit_force(fit.table, law).to_json(tmp_path / "fit.json")
     assert isinstance(ForceFit.from_json(path, law).law, law)
-    with pytest.raises(InputError, match=r"unknown force law 'plane'.*law=\.\.\."):
-        ForceFit.from_json(path)
+    refused(r"unknown force law 'plane'.*law=\.\.\.", ForceFit.from_json, path)
 
 
 def test_a_fit_of_a_polynomial_is_read_by_its_name(tmp_path: Path, fit: ForceFit) -> None:
@@ -377,16 +350,13 @@ def test_of_many_combinations_that_are_not_seen_a_few_are_spelled_out(fit: Force
 
 def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> None:
     path = tmp_path / "x.json"
-    with pytest.raises(InputError, match="no such file"):
-        ForceFit.from_json(path)
+    refused("no such file", ForceFit.from_json, path)
     path.write_text('{"a": 1}')
-    with pytest.raises(InputError, match="is no fit"):
-        ForceFit.from_json(path)
+    refused("is no fit", ForceFit.from_json, path)
     content = json.loads(fit.to_json(path).read_text("utf-8"))
     del content["coefficients"]["a4"]
     path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"cannot be read as a fit: .*a4"):
-        ForceFit.from_json(path)
+    refused(r"cannot be read as a fit: .*a4", ForceFit.from_json, path)
 
 
 # ---- what is refused -----------------------------------------------------------------------------
@@ -408,32 +378,24 @@ def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> No
 def test_bad_arguments_are_refused_in_words(
     arguments: dict[str, Any], words: str, fit: ForceFit
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        fit_force(fit.table, **arguments)
+    refused(words, fit_force, fit.table, **arguments)
 
 
 def test_tables_that_cannot_carry_the_law_are_refused(fit: ForceFit) -> None:
     with pytest.raises(InputError, match="5 taut cells, fewer than the 6 coefficients"):
         fit_force(fit.cells.subset(np.arange(5)))
-    with pytest.raises(InputError, match="66 cells of the table are slack"):
-        fit_force(fit.table.subset(fit.table.slack))
-    with pytest.raises(InputError, match="read_table"):
-        fit_force({"p": [1.0]})  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="must lie between 0 and 1"):
-        fit.interval("a1", 95)
-    with pytest.raises(UnknownNameError, match="a7"):
-        fit.interval("a7")
+    refused("66 cells of the table are slack", fit_force, fit.table.subset(fit.table.slack))
+    refused("read_table", fit_force, {"p": [1.0]})
+    refused("must lie between 0 and 1", fit.interval, "a1", 95)
+    refused("a7", fit.interval, "a7", error=UnknownNameError)
     exact = fit_force(fit.cells.subset(np.linspace(0, 59, 6).astype(int)), fixed={"a3": -50.0})
     assert exact.dof == 1
 
 
 def test_a_scan_goes_on_where_some_of_its_points_overflow() -> None:
     """exp(-b kappa) at b = -3162, an end of the scan, is no number at 30 % contraction."""
-    law = own_law(
-        "steep",
-        lambda p, kappa, a, b: a * p * ca.exp(-b * kappa),
-        {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("1", 100.0, "steepness")},
-    )
+    held = {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("1", 100.0, "steepness")}
+    law = own_law("steep", lambda p, kappa, a, b: a * p * ca.exp(-b * kappa), held)
     truth = law(a=4e-3, b=12.0)
     p, kappa = grid(np.linspace(0.0, 0.3, 9), np.array([1e5, 3e5, 5e5]))
     found = fit_force(ForceTable(p, kappa, truth.tension(p, kappa), 0.3), law)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from functools import cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp.core.errors import InputError
 from pam_ocp.fitting.dynamic import rollout as rollout_module
 from pam_ocp.fitting.dynamic.experiment import groups
 from pam_ocp.fitting.dynamic.free_run_fit import fit_free_run, free_run
@@ -62,9 +63,8 @@ def record(
     def slope(time: float, x: np.ndarray) -> list[float]:
         return [x[1], G * x[2] - K * x[0] - C * x[1], (value(time) - x[2]) / LAG]
 
-    run = solve_ivp(
-        slope, t[[0, -1]], [0.2, 0.0, z0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=0.005
-    )
+    tight = {"t_eval": t, "rtol": 1e-8, "atol": 1e-10, "max_step": 0.005}
+    run = solve_ivp(slope, t[[0, -1]], [0.2, 0.0, z0], **tight)
     q = run.y[0] + noise * random.standard_normal(samples)
     return pam.Trajectory(t, {"q": q, "u": u}, interpolation="previous" if held else "linear")
 
@@ -91,9 +91,8 @@ def test_the_slope_over_everything_is_that_of_finite_differences() -> None:
         runs = runs_of(plant, records, horizon, every, ["q"], 3, 2, 0.05)
         sensor = {"gains": ["q"], "offsets": ["q"], "starts": {"z": "record"}}
         free = groups(plant, ["k", "lag"], {})
-        unknowns, rig = unknowns_of(
-            plant, free, ["q"], 2, 0.01, delay=(0.0, 0.1), correct={"z": ["q"]}, **sensor
-        )
+        more = {"delay": (0.0, 0.1), "correct": {"z": ["q"]}, **sensor}
+        unknowns, rig = unknowns_of(plant, free, ["q"], 2, 0.01, **more)
         rollout = Rollout(plant, runs, unknowns, rig)
         # off the kinks of the recorded input, where a dead time has two slopes
         z = unknowns.guess + np.where(np.arange(len(unknowns.names)) == 2, 0.237, 0.02)
@@ -135,12 +134,10 @@ def test_states_that_the_outputs_do_not_need_stand_still_and_change_nothing() ->
 def test_a_compiled_step_says_what_the_interpreted_one_says(monkeypatch) -> None:
     plain, z = pressures(["x"])
     wanted, slopes = plain.predicted(z), plain.jacobian(z)
-    called = []
+    called, original = [], rollout_module._compiled
     monkeypatch.setattr(rollout_module, "MANY", 0)
-    original = rollout_module._compiled
-    monkeypatch.setattr(
-        rollout_module, "_compiled", lambda f: called.append(original(f)) or called[-1]
-    )
+    kept = lambda f: called.append(original(f)) or called[-1]  # noqa: E731
+    monkeypatch.setattr(rollout_module, "_compiled", kept)
     quick, _ = pressures(["x"])
     np.testing.assert_allclose(quick.predicted(z), wanted, rtol=1e-12)
     np.testing.assert_allclose(quick.jacobian(z), slopes, rtol=1e-9, atol=1e-12)
@@ -151,10 +148,8 @@ def test_a_compiled_step_says_what_the_interpreted_one_says(monkeypatch) -> None
 
 def test_gain_and_offset_of_a_sensor_come_back() -> None:
     clean = [record(s, late=0.0) for s in range(2)]
-    shown = [
-        pam.Trajectory(r.t, {"q": 1.2 * r["q"] + 0.05, "u": r["u"]}, interpolation="linear")
-        for r in clean
-    ]
+    columns = [{"q": 1.2 * r["q"] + 0.05, "u": r["u"]} for r in clean]
+    shown = [pam.Trajectory(clean[0].t, c, interpolation="linear") for c in columns]
     off = lagging().with_values(k=35.0)
     fit = fit_free_run(off, shown, ["k", "c"], gains=["q"], offsets=["q"], **WHOLE)
     assert fit.rig.gains["q"] == pytest.approx(1.2, rel=0.01)
@@ -205,9 +200,8 @@ def test_a_wild_run_is_damped_and_the_fit_still_comes_home() -> None:
     exact = {"t_eval": t, "rtol": 1e-10, "atol": 1e-12}
     run = solve_ivp(lambda _, x: [x[1], 64 * np.sin(x[0])], t[[0, -1]], [1e-3, 0.0], **exact)
     measured = pam.Trajectory(t, {"q": run.y[0], "w": run.y[1]})
-    fit = fit_free_run(
-        plant.with_values(a=50.0), measured, ["a"], horizon=1.5, every=0.1, steps=8, outputs=["q"]
-    )
+    asked = {"horizon": 1.5, "every": 0.1, "steps": 8, "outputs": ["q"]}
+    fit = fit_free_run(plant.with_values(a=50.0), measured, ["a"], **asked)
     assert fit.values["a"] == pytest.approx(64.0, rel=2e-3)
 
 
@@ -220,13 +214,10 @@ def test_progress_is_told_and_a_time_limit_keeps_the_best() -> None:
     def slow(stage: str, count: int, cost: float) -> None:
         told.append((stage, count, cost))
         if count == 2:
-            import time
-
             time.sleep(2.0)
 
-    fit = fit_free_run(
-        off, records, ["k", "c", "g"], horizon=0.1, every=0.05, progress=slow, time_limit=2.0
-    )
+    asked = {"horizon": 0.1, "every": 0.05, "progress": slow, "time_limit": 2.0}
+    fit = fit_free_run(off, records, ["k", "c", "g"], **asked)
     assert not fit.converged
     assert "time limit" in fit.status
     assert any("did not come to its end" in w for w in fit.warnings)
@@ -248,8 +239,7 @@ def test_progress_is_told_and_a_time_limit_keeps_the_best() -> None:
 )
 def test_what_cannot_be_is_refused(options: dict[str, object], words: str) -> None:
     given = {"horizon": 0.1, "every": 0.1, **options}
-    with pytest.raises(InputError, match=words):
-        fit_free_run(lagging(), record(1), ["k"], **given)  # type: ignore[arg-type]
+    refused(words, fit_free_run, lagging(), record(1), ["k"], **given)
 
 
 # ---- held inputs that are late, and the length of the steps -----------------------------------
@@ -284,10 +274,8 @@ def test_held_inputs_jump_where_their_dead_times_say(late: tuple[float, float]) 
     record = pam.Trajectory(t, {"a": 0 * t, "b": 0 * t, "u": u, "v": v}, interpolation="previous")
     plant = cubed()
     runs = runs_of(plant, record, None, None, ["a", "b"], 2, 1)
-    unknowns, rig = unknowns_of(
-        plant, (), ["a", "b"], 1, 0.01,
-        delay={"u": (late[0] - 0.02, late[0] + 0.02), "v": (late[1] - 0.02, late[1] + 0.02)},
-    )  # fmt: skip
+    delay = {n: (by - 0.02, by + 0.02) for n, by in zip("uv", late, strict=True)}
+    unknowns, rig = unknowns_of(plant, (), ["a", "b"], 1, 0.01, delay=delay)
     rollout = Rollout(plant, runs, unknowns, rig)
     z = unknowns.guess
     found = rollout.predicted(z)[0]
@@ -295,9 +283,8 @@ def test_held_inputs_jump_where_their_dead_times_say(late: tuple[float, float]) 
     for k, (values, by) in enumerate(((u, late[0]), (v, late[1]))):
         expected = integral(values, t[2:], by)
         np.testing.assert_allclose(found[inside, k], expected[inside], rtol=0, atol=1e-13)
-    known = free_run(
-        plant, record, horizon=None, history=2, delay=dict(zip("uv", late, strict=True)), steps=1
-    )
+    delay = dict(zip("uv", late, strict=True))
+    known = free_run(plant, record, horizon=None, history=2, delay=delay, steps=1)
     np.testing.assert_allclose(known.predicted[0], found, rtol=0, atol=1e-13)
     if min(late) > 0.02:  # inside of a sampling interval: one slope
         step = 1e-5
@@ -323,14 +310,8 @@ def rung(noise: float, seed: int) -> pam.Trajectory:
     fast = np.sqrt(120.0**2 - 4.0)
     q = np.exp(-2 * t) * np.cos(fast * t)
     w = np.exp(-2 * t) * (-2 * np.cos(fast * t) - fast * np.sin(fast * t))
-    random = np.random.default_rng(seed)
-    return pam.Trajectory(
-        t,
-        {
-            "q": q + noise * random.standard_normal(200),
-            "w": w + 120 * noise * random.standard_normal(200),
-        },
-    )
+    of_q, of_w = noise * np.random.default_rng(seed).standard_normal((2, 200))
+    return pam.Trajectory(t, {"q": q + of_q, "w": w + 120 * of_w})
 
 
 def test_steps_are_as_many_as_the_intervals_ask_for() -> None:

@@ -2,9 +2,11 @@
 
 import itertools
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy import stats
 from scipy.optimize import brentq
 
@@ -22,17 +24,12 @@ SIDE = np.concatenate([np.ones(25), -np.ones(24)])
 
 def positions(force, lowest=-0.05):
     """Where the muscle of 300 mm pulls with force(x, side) at each pressure [m]."""
-    return np.array(
-        [
-            brentq(
-                lambda x, p=p, s=s: float(LAW.tension(p, x / REST_LENGTH)) - force(x, s),
-                lowest,
-                0.1,
-                xtol=1e-14,
-            )
-            for p, s in zip(PRESSURE, SIDE, strict=True)
-        ]
-    )
+
+    def left(x, p, s):
+        return float(LAW.tension(p, x / REST_LENGTH)) - force(x, s)
+
+    pairs = zip(PRESSURE, SIDE, strict=True)
+    return np.array([brentq(left, lowest, 0.1, args=pair, xtol=1e-14) for pair in pairs])
 
 
 SPRUNG = positions(lambda x, _: 120.0 + 6000.0 * x)
@@ -45,59 +42,40 @@ def spring():
 
 def test_a_spring_a_band_and_the_zero_of_the_sensor_are_found_exactly_without_noise(spring):
     x = SPRUNG - 2e-4 * SIDE
-    fit = fit_holds(
-        spring,
-        {"muscle_pressure [bar]": (PRESSURE + 7e3) / 1e5, "x [mm]": 1e3 * x, "side": SIDE},
-        ["spring_stiffness", "preload", "zero.muscle.pressure", "band.x"],
-    )
-    assert fit.values == pytest.approx(
-        {
-            "spring_stiffness": 6000.0,
-            "preload": 120.0,
-            "zero.muscle.pressure": 7e3,
-            "band.x": 2e-4,
-        },
-        rel=1e-5,
-    )
+    shown = {"muscle_pressure [bar]": (PRESSURE + 7e3) / 1e5, "x [mm]": 1e3 * x, "side": SIDE}
+    truth = {"spring_stiffness": 6000.0, "preload": 120.0}
+    truth |= {"zero.muscle.pressure": 7e3, "band.x": 2e-4}
+    fit = fit_holds(spring, shown, list(truth))
+    assert fit.values == pytest.approx(truth, rel=1e-5)
     assert fit.plant.variable("preload").start == pytest.approx(120.0, rel=1e-5)
 
 
 def test_dry_friction_and_a_load_are_found_from_the_sequence_of_commands():
     x = positions(lambda x, side: 35.0 * GRAVITY + 15.0 * side)
     plant = pam.HangingLoad("DMSP-20-300", mass=20.0, losses=pam.losses.CoulombFriction(5.0))
-    fit = fit_holds(
-        plant,
-        {"muscle_command": PRESSURE, "x": x, "direction": ["up"] * 25 + ["down"] * 24},
-        ["mass", "muscle.friction_constant"],
-    )
+    shown, free = {"muscle_command": PRESSURE, "x": x}, ["mass", "muscle.friction_constant"]
+    fit = fit_holds(plant, {**shown, "direction": ["up"] * 25 + ["down"] * 24}, free)
     assert fit.values["mass"] == pytest.approx(35.0, rel=1e-6)
     assert fit.values["muscle.friction_constant"] == pytest.approx(15.0, rel=1e-6)
-    told = fit_holds(
-        plant, {"muscle_command": PRESSURE, "x": x}, ["mass", "muscle.friction_constant"]
-    )
+    told = fit_holds(plant, shown, free)
     assert told.side[1:].tolist() == SIDE[1:].tolist()
 
 
 def test_hysteresis_that_slid_fully_on_the_way_is_found():
     x = positions(lambda x, side: 30.0 * GRAVITY + 12.0 * side)
-    loss = pam.losses.BoucWen(friction=30.0)
-    fit = fit_holds(
-        pam.HangingLoad("DMSP-20-300", mass=30.0, losses=loss),
-        {"muscle_pressure": PRESSURE, "x": x, "side": SIDE},
-        "muscle.hysteresis_force",
-    )
+    plant = pam.HangingLoad("DMSP-20-300", 30.0, losses=pam.losses.BoucWen(friction=30.0))
+    shown = {"muscle_pressure": PRESSURE, "x": x, "side": SIDE}
+    fit = fit_holds(plant, shown, "muscle.hysteresis_force")
     assert fit.values["muscle.hysteresis_force"] == pytest.approx(12.0, rel=1e-6)
 
 
 def test_a_joint_tells_its_link_from_angles_under_two_pressures():
     plant = pam.AntagonisticJoint("DMSP-20-300", link_mass=3.0, link_length=0.2)
     # a grid of its own equilibria: found back from another start
-    data = {"muscle1.pressure": [], "muscle2.pressure": [], "theta": []}
-    for p1 in np.linspace(1e5, 5e5, 6):
-        for p2 in (1.5e5, 3e5):
-            point = plant.equilibrium({"muscle1.pressure": p1, "muscle2.pressure": p2})
-            for name in data:
-                data[name].append(point[name])
+    names = ("muscle1.pressure", "muscle2.pressure")
+    pairs = itertools.product(np.linspace(1e5, 5e5, 6), (1.5e5, 3e5))
+    points = [plant.equilibrium(dict(zip(names, pair, strict=True))) for pair in pairs]
+    data = {n: [point[n] for point in points] for n in (*names, "theta")}
     fit = fit_holds(plant.with_values(link_mass=1.0), data, ["link_mass", "zero.theta"])
     assert fit.values["link_mass"] == pytest.approx(3.0, rel=1e-6)
     assert fit.values["zero.theta"] == pytest.approx(0.0, abs=1e-9)
@@ -118,8 +96,7 @@ def test_a_joint_tells_its_link_from_angles_under_two_pressures():
 def test_bounds_and_noise_that_cannot_be_are_named(arguments, words):
     plant = pam.SpringOverMuscle("DMSP-20-300", mass=2.0)
     holds = {"muscle_pressure [bar]": [1.0, 2.0, 3.0], "x [mm]": [10.0, 20.0, 28.0]}
-    with pytest.raises(pam.InputError, match=words):
-        fit_holds(plant, holds, "mass", **arguments)
+    refused(words, fit_holds, plant, holds, "mass", **arguments)
 
 
 def test_bounds_and_noise_may_be_texts(spring):
@@ -134,19 +111,14 @@ def test_bounds_and_noise_may_be_texts(spring):
 
 
 def test_what_holds_cannot_tell_is_refused_by_name(spring):
-    x = SPRUNG
-    with pytest.raises(pam.FitError, match=r"spring_stiffness by .* and preload by"):
-        fit_holds(
-            spring,
-            {"muscle_pressure": PRESSURE[:1].repeat(9), "x": x[:1].repeat(9) + np.arange(9) * 1e-7},
-            ["spring_stiffness", "preload"],
-        )
-    with pytest.raises(pam.InputError, match=r"muscle\.command"):
-        fit_holds(spring, {"x": x}, ["preload"])
-    with pytest.raises(pam.InputError, match="no hold has a side"):
-        fit_holds(spring, {"muscle_pressure": PRESSURE, "x": x}, ["band.x"], side=np.zeros(49))
-    with pytest.raises(pam.InputError, match="sideways"):
-        fit_holds(spring, {"muscle_pressure": PRESSURE, "x": x}, ["preload"], side="sideways")
+    fit, shown = partial(fit_holds, spring), {"muscle_pressure": PRESSURE, "x": SPRUNG}
+    one = {n: v[:1].repeat(9) for n, v in shown.items()}
+    one["x"] += np.arange(9) * 1e-7
+    words, both = r"spring_stiffness by .* and preload by", ["spring_stiffness", "preload"]
+    refused(words, fit, one, both, error=pam.FitError)
+    refused(r"muscle\.command", fit, {"x": SPRUNG}, ["preload"])
+    refused("no hold has a side", fit, shown, ["band.x"], side=np.zeros(49))
+    refused("sideways", fit, shown, ["preload"], side="sideways")
 
 
 def test_wrong_holds_do_not_move_a_robust_fit(spring):
@@ -171,12 +143,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(spring):
         random = np.random.default_rng(700 + seed)
         k, f0 = random.uniform(3000, 8000), random.uniform(50, 250)
         pressure = 1e5 * (f0 + k * x - at_0) / (at_1 - at_0)  # the law is affine in pressure
-        fit = fit_holds(
-            spring,
-            {"muscle_pressure": pressure, "x": x + random.normal(0, 5e-5, x.size)},
-            ["spring_stiffness", "preload"],
-            errors="independent",
-        )
+        shown = {"muscle_pressure": pressure, "x": x + random.normal(0, 5e-5, x.size)}
+        fit = fit_holds(spring, shown, ["spring_stiffness", "preload"], errors="independent")
         low, high = fit.interval("spring_stiffness")
         hits += low <= k <= high
     assert 25 <= hits <= 30  # binomial, 0.95: within with probability 0.997
@@ -184,9 +152,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(spring):
 
 def test_a_fit_of_holds_is_told_and_saved(spring, tmp_path):
     x = SPRUNG - 2e-4 * SIDE
-    fit = fit_holds(
-        spring, {"muscle_pressure": PRESSURE, "x": x, "side": SIDE}, ["preload", "band.x"]
-    )
+    shown = {"muscle_pressure": PRESSURE, "x": x, "side": SIDE}
+    fit = fit_holds(spring, shown, ["preload", "band.x"])
     assert "25 come to from below, 24 come to from above" in fit.report()
     assert '"band.x"' in fit.save(tmp_path / "holds.json").read_text("utf-8")
 
@@ -198,16 +165,8 @@ def test_what_hangs_on_one_hold_has_the_interval_of_the_others():
     rows[7] = [1.0, 100.0, 0.3]
     linear = Linearisation(("a", "b", "c"), np.zeros(3), ("1",) * 3, rows, 0.2, 27)
     zeros = np.zeros(30)
-    fit = HoldsFit(
-        pam.SpringOverMuscle("DMSP-20-300"),
-        linear,
-        {"x": zeros},
-        {"x": zeros},
-        {},
-        zeros,
-        np.ones((30, 1)),
-        "squares",
-    )
+    plant, x = pam.SpringOverMuscle("DMSP-20-300"), {"x": zeros}
+    fit = HoldsFit(plant, linear, x, x, {}, zeros, np.ones((30, 1)), "squares")
     others = np.delete(rows, 7, axis=0)
     errors = 0.2 * np.sqrt(np.diag(np.linalg.inv(others.T @ others)))
     assert set(fit.hanging) == {"b"}

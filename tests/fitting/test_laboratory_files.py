@@ -3,11 +3,15 @@
 import json
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.core.exceptions import InputError
@@ -31,6 +35,16 @@ def written(folder: Path, text: str, name: str = "log.csv") -> Path:
     path = folder / name
     path.write_text(text)
     return path
+
+
+@contextmanager
+def mcap_writer(path: Path) -> Iterator[Any]:
+    """Of a file of messages; the test is skipped where nobody can write one."""
+    with path.open("wb") as stream:
+        writer = pytest.importorskip("mcap.writer").Writer(stream)
+        writer.start()
+        yield writer
+        writer.finish()
 
 
 def lines(*columns: np.ndarray, cut: str = ",") -> str:
@@ -57,21 +71,13 @@ def test_a_file_of_every_shape_is_read_right_and_none_wrong(tmp_path: Path) -> N
     assert sum(o.startswith("right") for o in outcomes) >= 0.9 * len(outcomes)
 
 
-@pytest.mark.parametrize(
-    ("header", "size"),
-    [
-        ("p [mmHg]", 133.322387415),
-        ("p [Torr]", 101325 / 760),
-        ("p [inHg]", 3386.388640341),
-        ("p [kgf/cm2]", 98066.5),
-        ("p [kgf/cm²]", 98066.5),
-        ("p [kp/cm^2]", 98066.5),
-        ("p [at]", 98066.5),
-        ("p [N/mm²]", 1e6),
-    ],
-)
-def test_pressures_in_units_of_other_times_and_places(header: str, size: float) -> None:
-    record = pam.read_record({"time [s]": T, header: BAR * 1e5 / size})
+OLD_UNITS = {"mmHg": 133.322387415, "Torr": 101325 / 760, "inHg": 3386.388640341, "N/mm²": 1e6}
+OLD_UNITS |= dict.fromkeys(("kgf/cm2", "kgf/cm²", "kp/cm^2", "at"), 98066.5)
+
+
+@pytest.mark.parametrize(("name", "size"), OLD_UNITS.items())
+def test_pressures_in_units_of_other_times_and_places(name: str, size: float) -> None:
+    record = pam.read_record({"time [s]": T, f"p [{name}]": BAR * 1e5 / size})
     assert record["p"] == pytest.approx(BAR * 1e5)
 
 
@@ -85,8 +91,7 @@ def test_stray_and_cut_lines_are_dropped_on_request_counted_and_said(tmp_path: P
     rows.insert(200, "--- restart ---")
     rows[100] = rows[100][:3]
     path = written(tmp_path, "time [s],p [bar]\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match="bad_lines='drop'"):
-        pam.read_record(path)
+    refused("bad_lines='drop'", pam.read_record, path)
     with pytest.warns(ReadingWarning, match=r"2 of 301 lines are no rows .* \(line 102, 202\)"):
         record = pam.read_record(path, bad_lines="drop")
     assert len(record) == 299
@@ -136,8 +141,7 @@ def test_a_constant_stands_for_a_column() -> None:
 )
 def test_constants_that_cannot_be_are_refused(constants: object, words: str) -> None:
     cells = {"p [bar]": [1, 2, 3, 4], "F [N]": [100, 300, 500, 700]}
-    with pytest.raises(InputError, match=words):
-        pam.read_table(cells, constants=constants)
+    refused(words, pam.read_table, cells, constants=constants)
 
 
 def look_or_refusal(path: Path) -> str | None:
@@ -176,13 +180,9 @@ def test_a_folder_is_one_call_and_says_what_was_read_how(tmp_path: Path) -> None
 
 def test_a_pattern_that_is_none_and_a_folder_without_files_are_refused(tmp_path: Path) -> None:
     folder_of_runs(tmp_path)
-    for pattern, words in (
-        ("{run", "each brace"),
-        ("{x [foo]}.csv", "no unit"),
-        ("*.xyz", "no file"),
-    ):
-        with pytest.raises(InputError, match=words):
-            pam.read_folder(tmp_path, pattern=pattern)
+    refused("each brace", pam.read_folder, tmp_path, pattern="{run")
+    refused("no unit", pam.read_folder, tmp_path, pattern="{x [foo]}.csv")
+    refused("no file", pam.read_folder, tmp_path, pattern="*.xyz")
     with pytest.raises(InputError, match="say the unit of contraction"):
         pam.read_table(tmp_path / "M1_k5_run1.csv", pattern="M1_k{contraction}_run1.csv")
     with pytest.raises(InputError, match="does not fit the name"):
@@ -190,8 +190,7 @@ def test_a_pattern_that_is_none_and_a_folder_without_files_are_refused(tmp_path:
 
 
 def test_rows_without_a_time_are_counted_by_the_sample_time() -> None:
-    with pytest.raises(InputError, match=r"sample_time=0.001"):
-        pam.read_record({"p [bar]": BAR})
+    refused(r"sample_time=0.001", pam.read_record, {"p [bar]": BAR})
     record, words = quietly(pam.read_record, {"p [bar]": BAR}, sample_time=0.01)
     assert "rows are counted" in words
     assert record.t == pytest.approx(T)
@@ -225,11 +224,8 @@ def test_clocks_without_a_unit_are_doubted_after_merging_too(tmp_path: Path) -> 
 
 
 def test_topics_that_end_alike_keep_their_paths(tmp_path: Path) -> None:
-    writer_of = pytest.importorskip("mcap.writer").Writer
     path = tmp_path / "two.mcap"
-    with path.open("wb") as stream:
-        writer = writer_of(stream)
-        writer.start()
+    with mcap_writer(path) as writer:
         schema = writer.register_schema("P", "jsonschema", b"{}")
         for side, gain in (("left", 1.0), ("right", 2.0)):
             channel = writer.register_channel(f"/{side}/pressure", "json", schema)
@@ -237,7 +233,6 @@ def test_topics_that_end_alike_keep_their_paths(tmp_path: Path) -> None:
                 data = json.dumps({"data": gain * 1e5 * p}).encode()
                 now = round(1e9 * t) + 10**18
                 writer.add_message(channel, log_time=now, publish_time=now, data=data)
-        writer.finish()
     record, _ = quietly(pam.read_record, path)
     assert record["right_pressure"] == pytest.approx(2 * record["left_pressure"])
     assert record["left_pressure"] == pytest.approx(BAR * 1e5)
@@ -246,22 +241,19 @@ def test_topics_that_end_alike_keep_their_paths(tmp_path: Path) -> None:
 def test_nothing_is_interpolated_across_a_gap(tmp_path: Path) -> None:
     slow = np.concatenate([np.arange(0, 1, 0.05), np.arange(2, 3, 0.05)])
     path = topics(tmp_path, a={"time": T, "p [bar]": BAR}, b={"time": slow, "x [mm]": 10 * slow})
-    with pytest.raises(InputError, match="a gap of"):
-        pam.read_record(path)
+    refused("a gap of", pam.read_record, path)
 
 
 def test_tables_that_were_not_recorded_together_are_not_merged(tmp_path: Path) -> None:
     path = topics(tmp_path, a={"time": T, "p [bar]": BAR}, b={"time": T + 100, "x [mm]": BAR})
-    with pytest.raises(InputError, match=r"not recorded together.*pick='a'"):
-        pam.read_record(path)
+    refused(r"not recorded together.*pick='a'", pam.read_record, path)
     assert pam.read_record(path, pick="b").names == ("x",)
 
 
 def test_repeated_runs_are_not_taken_for_topics(tmp_path: Path) -> None:
     runs = {f"run{i}": {"t": T, "p_bar": BAR + i} for i in (1, 2)}
     scipy.io.savemat(tmp_path / "runs.mat", runs)
-    with pytest.raises(InputError, match="pick='run1'"):
-        pam.read_record(tmp_path / "runs.mat")
+    refused("pick='run1'", pam.read_record, tmp_path / "runs.mat")
     record = pam.read_record(tmp_path / "runs.mat", pick="run2")
     assert record["p"] == pytest.approx((BAR + 2) * 1e5)
 
@@ -336,8 +328,7 @@ def test_blocks_of_muscles_are_chosen_by_their_titles(tmp_path: Path) -> None:
         for i in range(20)
     ]
     path = written(tmp_path, "\n".join(rows))
-    with pytest.raises(InputError, match="pick='Muscle A'"):
-        pam.read_table(path)
+    refused("pick='Muscle A'", pam.read_table, path)
     table, _ = quietly(pam.read_table, path, pick="Muscle B")
     assert table.force[:3] == pytest.approx([90, 91, 92])
 
@@ -364,17 +355,12 @@ def test_a_last_command_holds_to_the_end_of_the_record(tmp_path: Path) -> None:
 
 
 def test_messages_that_cannot_be_decoded_are_named(tmp_path: Path) -> None:
-    writer_of = pytest.importorskip("mcap.writer").Writer
     path = tmp_path / "proto.mcap"
-    with path.open("wb") as stream:
-        writer = writer_of(stream)
-        writer.start()
+    with mcap_writer(path) as writer:
         schema = writer.register_schema("rig.P", "protobuf", b"\x00")
         channel = writer.register_channel("/p", "protobuf", schema)
         writer.add_message(channel, log_time=1, publish_time=1, data=b"\x08\x01")
-        writer.finish()
-    with pytest.raises(InputError, match="protobuf, which is not read"):
-        pam.read_record(path)
+    refused("protobuf, which is not read", pam.read_record, path)
 
 
 @pytest.mark.parametrize(
@@ -395,8 +381,7 @@ def test_a_reader_that_is_not_installed_is_named_with_the_way_round_it(
     monkeypatch.setitem(sys.modules, package, None)
     (tmp_path / name).write_bytes(content + bytes(40))
     words = rf"{package}.*pip install 'pam_ocp\[{extra}\]', or save the table as CSV"
-    with pytest.raises(InputError, match=words):
-        pam.read_record(tmp_path / name)
+    refused(words, pam.read_record, tmp_path / name)
 
 
 def test_columns_in_units_that_are_not_known_are_left_out_and_named() -> None:
@@ -412,8 +397,7 @@ def test_words_of_a_wrong_encoding_can_be_said(tmp_path: Path) -> None:
     path.write_bytes(("время [с];давление [кПа]\n" + lines(T, 100 * BAR, cut=";")).encode("cp866"))
     with pytest.raises(InputError):
         pam.read_record(path)
-    with pytest.raises(InputError, match="encoding = 'klingon'"):
-        pam.read_record(path, encoding="klingon")
+    refused("encoding = 'klingon'", pam.read_record, path, encoding="klingon")
     columns = ["time [s]", "p [kPa]"]
     record = pam.read_record(path, encoding="cp866", skip=1, columns=columns)
     assert record["p"] == pytest.approx(BAR * 1e5, rel=1e-5)

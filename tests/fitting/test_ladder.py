@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import noisy_record, refused
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
@@ -23,7 +24,8 @@ from pam_ocp.fitting.dynamic.rungs import HISTORY, RungModel, Task, model_of, pr
 from pam_ocp.fitting.dynamic.runs import half_widths
 
 F = pam.feeds
-OUTPUTS = ("x", "muscle1.pressure")
+NOISE = {"x": 2e-5, "muscle1.pressure": 300.0}
+OUTPUTS = tuple(NOISE)
 TRUE = {"dead_time": 0.0234, "lag": 0.06, "gain": 0.9e5, "base_pressure": 2.4e5, "damping": 50.0}
 
 
@@ -40,10 +42,7 @@ def staircase(plant: pam.Plant, seed: int, duration: float = 4.0) -> pam.Traject
     u = np.repeat([0.0, *rng.uniform(-1.5, 1.5, len(t) // 25)], 25)[: len(t)]
     start = plant.equilibrium(difference=0.0)
     run = pam.simulate(plant, {"difference": u}, t=t, start=start, dead_times="exact", rtol=1e-8)
-    columns = {"difference": u}
-    for name, noise in zip(OUTPUTS, (2e-5, 300.0), strict=True):
-        columns[name] = run[name] + noise * rng.standard_normal(len(t))
-    return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    return noisy_record(plant, run, {"difference": u}, NOISE, rng)
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +83,8 @@ def error(found: RungModel, steps: int = 8) -> Any:
 def test_runs_are_those_of_an_accurate_integrator_with_exact_dead_time() -> None:
     record = staircase(whole_rig(), 4)
     plant, t = whole_rig(), record.t
-    start = plant.equilibrium(difference=0.0)
-    exact = pam.simulate(
-        plant, {"difference": record["difference"]}, t=t, start=start, dead_times="exact"
-    )
+    start, told = plant.equilibrium(difference=0.0), {"difference": record["difference"]}
+    exact = pam.simulate(plant, told, t=t, start=start, dead_times="exact")
     columns = {n: exact[n] for n in ("difference", *OUTPUTS)}
     clean = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
     runs = model(plant, clean)
@@ -187,15 +184,14 @@ def test_the_truth_lies_within_the_intervals(ladder: Ladder) -> None:
 def test_errors_that_follow_each_other_widen_the_intervals() -> None:
     """Beside white noise of the same size: by sqrt((1 + a)/(1 - a)) for a mean."""
     random, n, a, blocks = np.random.default_rng(8), 4000, 0.8, 40
-    ratios = {0.0: [], a: []}  # type: ignore[var-annotated]
+    ratios = {0.0: [], a: []}
     for follows, found in ratios.items():
         for _ in range(40):
             e = random.standard_normal(n)
             for k in range(1, n):
                 e[k] = follows * e[k - 1] + np.sqrt(1 - follows**2) * e[k]
-            covariance = widened(
-                np.array([[1 / n]]), e.reshape(blocks, -1).sum(axis=1)[:, None], float(e @ e) / n
-            )
+            sums = e.reshape(blocks, -1).sum(axis=1)[:, None]
+            covariance = widened(np.array([[1 / n]]), sums, float(e @ e) / n)
             found.append(float(covariance[0, 0]) * n)
     assert np.mean(ratios[0.0]) == pytest.approx(1.0, rel=0.1)
     assert np.mean(ratios[a]) == pytest.approx((1 + a) / (1 - a), rel=0.15)
@@ -251,8 +247,7 @@ def test_two_muscles_have_lags_of_their_own_on_a_rung() -> None:
     assert found.chosen is rung
     single = rungs_of(partial(pam.HangingLoad, "DMSP-20-200N", 5.0), names=["lag", "unequal lags"])
     assert [r.name for r in single] == ["lag"]
-    with pytest.raises(InputError, match='"unequal lags" without "lag"'):
-        rungs_of(joint, names=["static", "unequal lags"])
+    refused('"unequal lags" without "lag"', rungs_of, joint, names=["static", "unequal lags"])
 
 
 def test_hysteresis_grows_with_pressure_and_the_force_law_is_freed_on_rungs() -> None:
@@ -261,11 +256,8 @@ def test_hysteresis_grows_with_pressure_and_the_force_law_is_freed_on_rungs() ->
     loss = found["memory per pressure"].plant
     assert loss.variable("muscle1.slip_per_pressure").start > 0
     assert found["memory per pressure"].starts[0]["muscle2.slip_per_pressure"] == 0
-    law = [
-        n
-        for entry in found["force law"].free
-        for n in ([entry] if isinstance(entry, str) else entry)
-    ]
+    freed = found["force law"].free
+    law = [n for entry in freed for n in ([entry] if isinstance(entry, str) else entry)]
     own = {f"muscle{i}.a{k}" for i in (1, 2) for k in range(1, 7)} - {"muscle2.a5"}
     assert own <= set(law)
     assert "muscle2.a5" not in law  # a user who frees it of one muscle alone holds it
@@ -326,13 +318,11 @@ def test_rungs_are_structures_to_choose_among() -> None:
     """Whole records are left out; of the winner the nested error is the noise of the records."""
     feed = regulator(lag=0.06, dead_time=TRUE["dead_time"])
     records = [staircase(slide(feed=feed), seed, 1.5) for seed in (11, 12, 13)]
-    free = ("base_pressure", "muscle*.lag")
+    free, late = ("base_pressure", "muscle*.lag"), regulator(lag=0.06, dead_time=0.02)
     rungs = {
         "static": Rung("static", slide(feed=regulator()), free[:1], static=True),
         "plain": Rung("plain", slide(feed=regulator(lag=0.06)), free),
-        "late": Rung(
-            "late", slide(feed=regulator(lag=0.06, dead_time=0.02)), (*free, "difference.dead_time")
-        ),
+        "late": Rung("late", slide(feed=late), (*free, "difference.dead_time")),
     }
     asked = {"folds": 3, "seed": 2, "rule": "best", "criteria": OUTPUTS, "executor": 0}
     found = pam.fitting.choose(rungs, records, **asked)
@@ -342,9 +332,7 @@ def test_rungs_are_structures_to_choose_among() -> None:
     assert found.rmse["muscle1.pressure"] == pytest.approx(300.0, rel=0.1)
 
 
-def test_when_time_is_over_the_rungs_climbed_remain(
-    record: pam.Trajectory, monkeypatch: Any
-) -> None:
+def test_when_time_is_over_the_rungs_climbed_remain(record: Any, monkeypatch: Any) -> None:
     seen, whole = [], module.climbed
 
     def twice(*arguments: Any) -> Any:
@@ -358,8 +346,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
     assert found.unclimbed == ("+ lag", "+ dead time")
     assert "no time left" in found.report()
     seen[:] = [1]
-    with pytest.raises(OutOfTime, match="before the first rung"):
-        climbed(record)
+    refused("before the first rung", climbed, record, error=OutOfTime)
 
 
 @pytest.mark.parametrize(
@@ -383,8 +370,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
 def test_what_cannot_be_is_refused(
     record: pam.Trajectory, options: dict[str, Any], error: type[Exception], words: str
 ) -> None:
-    with pytest.raises(error, match=words):
-        climbed(record, **options)
+    refused(words, climbed, record, error=error, **options)
 
 
 def test_a_ladder_of_nothing_that_can_be_fitted_says_why(record: pam.Trajectory) -> None:
@@ -439,16 +425,14 @@ def test_bands_hold_what_they_say_of_another_record(ladder: Ladder) -> None:
     again = staircase(slide(feed=feed, damping=TRUE["damping"]), 17)
     band = ladder.predict(again, level=0.9)
     assert band.run.names == OUTPUTS
-    for name, noise in zip(OUTPUTS, (2e-5, 300.0), strict=True):
+    for name, noise in NOISE.items():
         assert band.coverage[name] == pytest.approx(0.9, abs=0.04)
         half = band.half[..., OUTPUTS.index(name)]
         assert np.median(half) == pytest.approx(1.645 * noise, rel=0.15)
-    with pytest.raises(InputError, match="level = 90"):
-        ladder.predict(again, level=90)
+    refused("level = 90", ladder.predict, again, level=90)
     failed = replace(ladder.rungs[0], failure="it ran away", model=None)
     broken = replace(ladder, rungs=(failed, *ladder.rungs[1:]))
-    with pytest.raises(InputError, match=r"has no fit \(it ran away\)"):
-        broken.predict(again, failed.name)
+    refused(r"has no fit \(it ran away\)", broken.predict, again, failed.name)
 
 
 def test_bands_are_wider_where_the_plants_of_folds_differ() -> None:
@@ -494,5 +478,4 @@ def test_intervals_of_a_rung_widen_with_their_level(ladder: Ladder) -> None:
         assert (high - low) / (2 * c.stderr) == pytest.approx(2.0687, abs=1e-4)
     lag = ladder.intervals("lag", 0.5)
     assert lag.keys() == ladder["lag"].coefficients.keys()
-    with pytest.raises(UnknownNameError, match="rung"):
-        ladder.intervals("kinks")
+    refused("rung", ladder.intervals, "kinks", error=UnknownNameError)

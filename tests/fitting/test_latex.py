@@ -23,10 +23,8 @@ def parsed(text):
         assert line.count("{") == line.count("}")
         name, value, interval, unit = re.split(r"(?<!\\)&", line.removesuffix(r"\\"))
         scale = 10.0 ** int((re.findall(r"\\times 10\^\{(-?\d+)\}", value) or ["0"])[0])
-        assert (
-            scale == 10.0 ** int((re.findall(r"10\^\{(-?\d+)\}", interval or value) or ["0"])[0])
-            or not interval.strip()
-        )
+        power = int((re.findall(r"10\^\{(-?\d+)\}", interval or value) or ["0"])[0])
+        assert scale == 10.0**power or not interval.strip()
         both = [scale * float(n) for n in re.findall(r"-?\d+\.?\d*", value.split(r"\times")[0])]
         text = interval.replace(r"\infty", "inf")
         ends = re.findall(r"\[(.*?),\\ (.*?)\]", text)
@@ -58,20 +56,15 @@ class Some(Tabled):
     """Numbers that are hard to write."""
 
     coefficients = {  # noqa: RUF012
-        c.name: c
-        for c in (
-            Coefficient("muscle_1.C", 1.2345e-9, 3e-11, "m3/(s.Pa)", False),
-            Coefficient("share", 5666.0, 450.0, "%", False),
-            Coefficient("zero", 0.0, 0.013, "1", False),
-            Coefficient("blind", 4.0e6, math.inf, "N", False),
-        )
+        "muscle_1.C": Coefficient("muscle_1.C", 1.2345e-9, 3e-11, "m3/(s.Pa)", False),
+        "share": Coefficient("share", 5666.0, 450.0, "%", False),
+        "zero": Coefficient("zero", 0.0, 0.013, "1", False),
+        "blind": Coefficient("blind", 4.0e6, math.inf, "N", False),
     }
 
     def intervals(self, level=0.95):
-        return {
-            n: (c.value - 2 * c.stderr, c.value + 2 * c.stderr)
-            for n, c in self.coefficients.items()
-        }
+        found = self.coefficients.items()
+        return {n: (c.value - 2 * c.stderr, c.value + 2 * c.stderr) for n, c in found}
 
 
 def test_signs_powers_and_open_ends_are_written_as_latex_reads_them():

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from rig_files import REST, grid
 
 import pam_ocp as pam
@@ -25,6 +26,13 @@ T = 0.01 * np.arange(N)
 WAVE = np.sin(6 * T)
 BARS, MM = 2 + WAVE, 20 + 5 * WAVE
 CELLS = grid()
+IN_UNITS = {
+    "p_bar": CELLS["pressure"] / 1e5,
+    "p_mbar": CELLS["pressure"] / 1e2,
+    "F_N": CELLS["force"],
+    "kappa_%": 100 * CELLS["contraction"],
+    "l_mm": 300 * (1 - CELLS["contraction"]),
+}
 ROW = np.arange(CELLS["force"].size)
 EVERY = ROW % 5 == 2
 
@@ -97,12 +105,11 @@ def test_a_clock_without_a_unit_that_no_rig_has_is_doubted(plant: Any, time: Any
 
 
 def test_counts_of_samples_are_no_seconds_and_take_a_calibration(plant: Any):
-    read, said = heard(pam.read_record, record(np.arange(N)), plant)
+    rig = record(np.arange(N))
+    read, said = heard(pam.read_record, rig, plant)
     assert "counts 0, 1, 2" in said[pam.UnitWarning]
     assert answered(said[pam.UnitWarning]) == {"time": "count * 1 ms"}
-    read, said = heard(
-        pam.read_record, record(np.arange(N)), plant, units={"time": "count * 10 ms"}
-    )
+    read, said = heard(pam.read_record, rig, plant, units={"time": "count * 10 ms"})
     np.testing.assert_allclose(read.t, T, atol=1e-12)
     assert not said
 
@@ -168,31 +175,26 @@ def test_usual_clocks_and_what_the_package_wrote_are_not_doubted(plant: Any, tmp
 
 # ---- sentinels -----------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("changed", "mark"),
+    ("head", "mark"),
     [
-        ({"p_bar": np.where(ROW == 7, 9999, CELLS["pressure"] / 1e5)}, "9999"),
-        ({"p_bar": np.where(EVERY, -9999, CELLS["pressure"] / 1e5)}, "-9999"),
-        ({"p_bar": np.where(EVERY, 1e30, CELLS["pressure"] / 1e5)}, "1e+30"),
-        ({"p_bar": np.where(EVERY, 9.91e37, CELLS["pressure"] / 1e5)}, "9.91e+37"),
-        ({"p_mbar": np.where(EVERY, 65535, CELLS["pressure"] / 1e2)}, "65535"),
-        ({"p_mbar": np.where(EVERY, 32767, CELLS["pressure"] / 1e2)}, "32767"),
-        ({"p_bar": np.where(EVERY, 88.88, CELLS["pressure"] / 1e5)}, "88.88"),
-        ({"F_N": np.where(EVERY, -9999, CELLS["force"])}, "-9999"),
-        ({"F_N": np.where(EVERY, 9999, CELLS["force"])}, "9999"),
-        ({"F_N": np.where(EVERY, -32768, CELLS["force"])}, "-32768"),
-        ({"kappa_%": np.where(EVERY, -999, 100 * CELLS["contraction"])}, "-999"),
-        ({"l_mm": np.where(EVERY, 999.9, 300 * (1 - CELLS["contraction"]))}, "999.9"),
+        ("p_bar", 9999),  # in one row alone
+        *(("p_bar", mark) for mark in (-9999, 1e30, 9.91e37, 88.88)),
+        *(("p_mbar", mark) for mark in (65535, 32767)),
+        *(("F_N", mark) for mark in (-9999, 9999, -32768)),
+        ("kappa_%", -999),
+        ("l_mm", 999.9),
     ],
 )
-def test_a_sentinel_is_missing_named_and_kept_where_that_is_said(changed: Any, mark: str):
-    rows = EVERY if mark != "9999" or "F_N" in changed else ROW == 7
-    read, said = heard(pam.read_table, table(**changed), rest_length=REST)
-    assert mark in said[ReadingWarning]
+def test_a_sentinel_is_missing_named_and_kept_where_that_is_said(head: str, mark: float):
+    rows = ROW == 7 if (head, mark) == ("p_bar", 9999) else EVERY
+    rig = table(**{head: np.where(rows, mark, IN_UNITS[head])})
+    read, said = heard(pam.read_table, rig, rest_length=REST)
+    assert f"{mark:g}" in said[ReadingWarning]
     assert "missing=None" in said[ReadingWarning]
     np.testing.assert_allclose(read.force, CELLS["force"][~rows])
     np.testing.assert_allclose(read.pressure, CELLS["pressure"][~rows])
     try:
-        kept = len(heard(pam.read_table, table(**changed), rest_length=REST, missing=None)[0])
+        kept = len(heard(pam.read_table, rig, rest_length=REST, missing=None)[0])
     except InputError:
         kept = ROW.size
     assert kept == ROW.size
@@ -210,8 +212,7 @@ def test_values_that_the_user_names_are_missing_and_nothing_else():
     force = [("off" if r == 3 else 1234.5 if r == 4 else f) for r, f in enumerate(CELLS["force"])]
     read, _ = heard(pam.read_table, table(F_N=force), missing=["off", 1234.5])
     np.testing.assert_allclose(read.force, np.delete(CELLS["force"], [3, 4]))
-    with pytest.raises(InputError, match=r"missing = \[True\]: give the values"):
-        pam.read_table(table(), missing=[True])
+    refused(r"missing = \[True\]: give the values", pam.read_table, table(), missing=[True])
 
 
 def test_a_record_loses_the_rows_of_its_sentinels_with_and_without_a_plant(plant: Any):
@@ -236,6 +237,13 @@ def test_nothing_is_taken_for_a_sentinel_that_may_be_measured(plant: Any):
 
 
 # ---- points and commas ---------------------------------------------------------------------------
+def of_rows(folder: Path, rows: list[str], unit: str = "bar", **options: Any) -> Any:
+    """(what is read of a file, its warnings)."""
+    file = folder / "rig.csv"
+    file.write_text("\n".join([f"l [mm];p [{unit}];F [N]", *rows]))
+    return heard(pam.read_table, file, rest_length=REST, **options)
+
+
 @pytest.mark.parametrize("sign", [".", ","])
 def test_a_column_with_the_other_decimal_sign_is_read_by_its_own(tmp_path: Path, sign: str):
     other = "," if sign == "." else "."
@@ -244,14 +252,11 @@ def test_a_column_with_the_other_decimal_sign_is_read_by_its_own(tmp_path: Path,
     def written(v: float, digits: int, s: str) -> str:
         return f"{v:.{digits}f}".replace(".", s)
 
-    cells = zip(300 * (1 - CELLS["contraction"]), bars, CELLS["force"], strict=True)
     rows = [
         ";".join([written(length, 1, sign), written(p, 3, other), written(f, 2, sign)])
-        for length, p, f in cells
+        for length, p, f in zip(IN_UNITS["l_mm"], bars, CELLS["force"], strict=True)
     ]
-    file = tmp_path / "rig.csv"
-    file.write_text("\n".join(["l [mm];p [bar];F [N]", *rows]))
-    read, said = heard(pam.read_table, file, rest_length=REST)
+    read, said = of_rows(tmp_path, rows)
     np.testing.assert_allclose(read.pressure, 1e5 * bars)
     np.testing.assert_allclose(read.force, CELLS["force"], atol=6e-3)
     assert "'p [bar]' has a decimal" in said[ReadingWarning]
@@ -259,39 +264,35 @@ def test_a_column_with_the_other_decimal_sign_is_read_by_its_own(tmp_path: Path,
 
 
 def test_thousands_and_decimals_in_one_column_are_not_mixed(tmp_path: Path):
-    file = tmp_path / "rig.csv"  # 0.800 can be no thousand, so 6.300 is none
+    # 0.800 can be no thousand, so 6.300 is none
     rows = ["300,5;0.800;500,25", "300,5;6.300;2500,5", "285,25;2.000;700,5", "285,25;6.000;2000,5"]
-    file.write_text("\n".join(["l [mm];p [bar];F [N]", *rows]))
-    read, said = heard(pam.read_table, file, rest_length=REST)
+    read, said = of_rows(tmp_path, rows)
     np.testing.assert_allclose(read.pressure, [0.8e5, 6.3e5, 2e5, 6e5])
     assert "decimal point" in said[ReadingWarning]
 
 
 def test_points_between_thousands_of_pascal_stay_so(tmp_path: Path):
-    file = tmp_path / "rig.csv"
     rows = ["300,5;80.000;500,25", "300,5;630.000;2.500,5", "285,2;200.000;700,5"]
-    file.write_text("\n".join(["l [mm];p [Pa];F [N]", *rows]))
-    read, said = heard(pam.read_table, file, rest_length=REST)
+    read, said = of_rows(tmp_path, rows, "Pa")
     np.testing.assert_allclose(read.pressure, [0.8e5, 6.3e5, 2e5])
     assert not said
 
 
 def test_what_can_be_both_is_doubted_with_the_keyword(tmp_path: Path):
-    file = tmp_path / "rig.csv"
-    file.write_text("l [mm];p [bar];F [N]\n300;2;950\n300;4;1,021\n285;4;987\n285;6;1,512\n")
+    rows = ["300;2;950", "300;4;1,021", "285;4;987", "285;6;1,512"]
     for decimal, expected in ((",", 1.512), (".", 1512.0)):
-        read, said = heard(pam.read_table, file, rest_length=REST, decimal=decimal)
+        read, said = of_rows(tmp_path, rows, decimal=decimal)
         assert read.force[-1] == expected
         assert "could be" not in said.get(pam.UnitWarning, "")
-    assert "decimal='.'" in heard(pam.read_table, file, rest_length=REST)[1][pam.UnitWarning]
+    assert "decimal='.'" in of_rows(tmp_path, rows)[1][pam.UnitWarning]
 
 
 # ---- units ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"p": CELLS["pressure"] / 1e2}, "'pressure': 'mbar'"),
-        ({"p_Pa": CELLS["pressure"] / 1e2}, "force per pressure"),
+        ({"p": IN_UNITS["p_mbar"]}, "'pressure': 'mbar'"),
+        ({"p_Pa": IN_UNITS["p_mbar"]}, "force per pressure"),
         ({"p_bar": CELLS["pressure"] / 1e6}, "force per pressure"),
         ({"p_bar": CELLS["pressure"] * 4 / 1e5}, "did you mean psi"),
         ({"F": CELLS["force"] / 1e3}, "force per pressure"),
@@ -318,15 +319,11 @@ def test_a_table_in_a_unit_that_cannot_be_is_doubted_and_read(changed: Any, word
         ({"p": CELLS["pressure"] / 1e6}, r"units=\{'pressure': 'MPa'\}"),
         ({"p": CELLS["pressure"] / 1e5}, r"units=\{'pressure': 'bar'\}"),
         ({"F": CELLS["force"] * 102}, r"units=\{'force': 'gf'\}"),
-        (
-            {"p_bar": np.where(ROW < 5, CELLS["pressure"] / 1e3, CELLS["pressure"] / 1e5)},
-            "the column mixes units",
-        ),
+        ({"p_bar": IN_UNITS["p_bar"] * np.where(ROW < 5, 100, 1)}, "the column mixes units"),
     ],
 )
 def test_a_unit_that_is_impossible_is_refused_with_the_one_that_fits(changed: Any, words: str):
-    with pytest.raises(InputError, match=words):
-        pam.read_table(table(**changed))
+    refused(words, pam.read_table, table(**changed))
 
 
 def test_the_answer_settles_a_doubt():
@@ -389,8 +386,7 @@ def test_a_record_in_a_unit_that_cannot_be_is_doubted_and_read(plant: Any, rig: 
 def test_a_record_in_a_unit_that_is_impossible_is_refused_with_the_one_that_fits(
     plant: pam.Plant, rig: Any, words: str
 ):
-    with pytest.raises(InputError, match=words):
-        pam.read_record(rig, plant)
+    refused(words, pam.read_record, rig, plant)
 
 
 def test_degrees_taken_for_radians_are_doubted_and_read_by_the_answer():
@@ -409,11 +405,8 @@ def test_pressures_that_were_set_and_those_that_muscles_bear_are_not_doubted(pla
     high = {"t": T, "muscle_pressure [bar]": 5.5 + 3.3 * WAVE}
     for rig in (held, high):
         assert not heard(pam.read_record, rig, plant)[1]
-    beside = {
-        "t": T,
-        "muscle_pressure [bar]": 1.01 + BARS / 2,
-        "muscle_command [bar]": 1 + BARS / 2,
-    }
+    shown, told = 1.01 + BARS / 2, 1 + BARS / 2
+    beside = {"t": T, "muscle_pressure [bar]": shown, "muscle_command [bar]": told}
     assert not heard(pam.read_record, beside, plant)[1]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError, UnknownNameError
@@ -37,17 +38,15 @@ def test_names_and_units_of_a_plant_are_recognised(slide: pam.Plant) -> None:
 
 def test_columns_and_units_can_be_told(slide: pam.Plant) -> None:
     raw = {"t": T, "ch1": [1.0, 2.0, 3.0, 4.0]}
-    record = read_record(
-        raw, slide, columns={"x": "ch1"}, units={"x": "mm"}, interpolation="previous"
-    )
+    told = {"columns": {"x": "ch1"}, "units": {"x": "mm"}, "interpolation": "previous"}
+    record = read_record(raw, slide, **told)
     np.testing.assert_allclose(record["x"], [1e-3, 2e-3, 3e-3, 4e-3])
     assert record.interpolation == "previous"
 
 
 def test_without_a_plant_every_column_is_an_output_in_si() -> None:
-    record = read_record(
-        {"t_s": T, "angle [deg]": [0, 90, 180, 0], "p1_bar": [0, 1, 2, 3], "n": [1, 2, 3, 4]}
-    )
+    columns = {"t_s": T, "angle [deg]": [0, 90, 180, 0], "p1_bar": [0, 1, 2, 3], "n": [1, 2, 3, 4]}
+    record = read_record(columns)
     np.testing.assert_allclose(record["angle"], [0, np.pi / 2, np.pi, 0])
     np.testing.assert_allclose(record["p1"], [0, 1e5, 2e5, 3e5])
     assert [v.unit for v in record.variables] == ["rad", "Pa", "1"]
@@ -87,8 +86,7 @@ def test_several_files_and_one_file_in_parts_are_the_same_set(tmp_path: Path) ->
 def test_times_and_cells_that_cannot_be_are_refused_with_their_place(
     changes: dict[str, Any], words: str, slide: pam.Plant
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        read_record(columns(**changes), slide)
+    refused(words, read_record, columns(**changes), slide)
 
 
 @pytest.mark.parametrize("column", ["time [ms]", "x [mm]"])
@@ -98,8 +96,7 @@ def test_rows_with_empty_cells_are_dropped_and_counted(column: str, slide: pam.P
     with pytest.warns(ReadingWarning, match=r"1 of 4 rows dropped .*first row 2"):
         record = read_record(holed, slide)
     np.testing.assert_allclose(record["x"], [1e-3, 3e-3, 4e-3])
-    with pytest.raises(InputError, match="row 2 is empty"):
-        read_record(holed, slide, empty="refuse")
+    refused("row 2 is empty", read_record, holed, slide, empty="refuse")
 
 
 @pytest.mark.parametrize("row", [0, 7, 29])
@@ -107,18 +104,15 @@ def test_a_single_wrong_time_is_dropped_wherever_it_stands(row: int) -> None:
     t = 0.1 * np.arange(30)
     wrong = t.copy()
     wrong[row] = 50.0 if row < 29 else 0.0
-    with pytest.warns(
-        ReadingWarning, match=rf"1 rows of a single wrong time dropped .*row {row + 1}"
-    ):
+    words = rf"1 rows of a single wrong time dropped .*row {row + 1}"
+    with pytest.warns(ReadingWarning, match=words):
         record = read_record({"t": wrong, "x": t})
     np.testing.assert_allclose(record["x"], np.delete(t, row))
-    with pytest.raises(InputError, match=r"runs backwards|gap"):
-        read_record({"t": wrong, "x": t}, clock="refuse")
+    refused(r"runs backwards|gap", read_record, {"t": wrong, "x": t}, clock="refuse")
 
 
 def test_a_clock_that_never_runs_is_refused() -> None:
-    with pytest.raises(InputError, match="time stands still in row 2"):
-        read_record({"t": np.zeros(30), "x": np.arange(30.0)})
+    refused("time stands still in row 2", read_record, {"t": np.zeros(30), "x": np.arange(30.0)})
 
 
 def test_a_gap_can_be_allowed(slide: pam.Plant) -> None:
@@ -126,34 +120,31 @@ def test_a_gap_can_be_allowed(slide: pam.Plant) -> None:
     assert read_record(wide, slide, max_gap=1.0).duration == pytest.approx(0.9)
 
 
-def test_units_that_do_not_measure_the_quantity_are_refused(slide: pam.Plant) -> None:
-    with pytest.raises(InputError, match=r"is in bar, which is no unit of x \(m\)"):
-        read_record({"t": T, "x [bar]": [1, 2, 3, 4]}, slide)
-    with pytest.raises(InputError, match=r"units\['x'\] = 'bar' is no unit of x"):
-        read_record({"t": T, "x [mm]": [1, 2, 3, 4]}, slide, units={"x": "bar"})
-    with pytest.raises(UnknownNameError, match="unknown unit"):
-        read_record({"t": T, "x [furlong]": [1, 2, 3, 4]}, slide)
+WAY = [1, 2, 3, 4]
 
 
-def test_units_that_cannot_be_are_refused_with_the_place(slide: pam.Plant) -> None:
-    with pytest.raises(InputError, match=r"'x', row 4, is 4 m \(read in m, as no unit was named\)"):
-        read_record({"t": T, "x": [1, 2, 3, 4]}, slide)
-    with pytest.raises(InputError, match=r"the unit cannot be right.*units=\{'muscle1.command'"):
-        read_record({"t": T, "muscle1_command [bar]": [2e5, 3e5, 3e5, 2e5]}, slide)
-    with pytest.raises(InputError, match="it looks like bar"):
-        read_record({"t": T, "muscle1_command": [2.0, 3.0, 3.0, 2.0]}, slide)
-    none = read_record({"t": T, "x [mm]": [1, 2, 3, 4], "muscle1_command": [0.0] * 4}, slide)
-    assert np.all(none["muscle1.command"] == 0)  # a muscle without pressure is no wrong unit
+def test_units_that_cannot_be_or_measure_something_else_are_refused(slide: pam.Plant) -> None:
+    def wrong(words: str, column: Any, error: Any = InputError, **options: Any) -> None:
+        refused(words, read_record, {"t": T, **column}, slide, error=error, **options)
+
+    wrong(r"is in bar, which is no unit of x \(m\)", {"x [bar]": WAY})
+    wrong(r"units\['x'\] = 'bar' is no unit of x", {"x [mm]": WAY}, units={"x": "bar"})
+    wrong("unknown unit", {"x [furlong]": WAY}, UnknownNameError)
+    wrong(r"'x', row 4, is 4 m \(read in m, as no unit was named\)", {"x": WAY})
+    words, command = r"the unit cannot be right.*units=\{'muscle1.command'", [2e5, 3e5, 3e5, 2e5]
+    wrong(words, {"muscle1_command [bar]": command})
+    wrong("it looks like bar", {"muscle1_command": [2.0, 3.0, 3.0, 2.0]})
+
+
+def test_a_muscle_without_pressure_is_no_wrong_unit(slide: pam.Plant) -> None:
+    none = read_record({"t": T, "x [mm]": WAY, "muscle1_command": [0.0] * 4}, slide)
+    assert np.all(none["muscle1.command"] == 0)
 
 
 def test_what_is_not_there_is_named(slide: pam.Plant) -> None:
-    with pytest.raises(InputError, match="no column for the time"):
-        read_record({"x": [1, 2]}, slide)
-    with pytest.raises(InputError, match="bears the name of a variable of plant"):
-        read_record({"t": [0, 1], "foo": [1, 2]}, slide)
-    with pytest.raises(UnknownNameError, match="column 'bar'"):
-        read_record({"t": [0, 1], "foo": [1, 2]}, slide, columns={"x": "bar"})
-    with pytest.raises(UnknownNameError, match="column to split at"):
-        read_records({"t": [0, 1], "x": [1, 2]}, slide, split="episode")
-    with pytest.raises(InputError, match="1 sample"):
-        read_record({"t": [0.0], "x": [1.0]}, slide)
+    two, wrong = {"t": [0, 1], "foo": [1, 2]}, {"error": UnknownNameError}
+    refused("no column for the time", read_record, {"x": [1, 2]}, slide)
+    refused("bears the name of a variable of plant", read_record, two, slide)
+    refused("column 'bar'", read_record, two, slide, columns={"x": "bar"}, **wrong)
+    refused("column to split at", read_records, two, slide, split="episode", **wrong)
+    refused("1 sample", read_record, {"t": [0.0], "x": [1.0]}, slide)

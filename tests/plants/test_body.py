@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import rates_and_outputs
 from scipy.optimize import brentq
 
 import pam_ocp as pam
@@ -20,12 +21,8 @@ IDEAL = pam.feeds.IdealPressure()
 
 def acceleration(plant, **at):
     """der of the velocity of the first position, at states and inputs by name."""
-    known = {n.replace("_", "."): v for n, v in at.items()}
-    states = {v.name for v in plant.states}
-    x = plant.vector("state", {n: v for n, v in known.items() if n in states})
-    u = plant.vector("input", {n: v for n, v in known.items() if n not in states})
-    velocity = [v.name for v in plant.states].index(next(iter(plant.positions.values())))
-    return float(plant.function(x, u, plant.vector("parameter"))[0][velocity])
+    rates, _ = rates_and_outputs(plant, {n.replace("_", "."): v for n, v in at.items()})
+    return rates[next(iter(plant.positions.values()))]
 
 
 # ---- mass ----------------------------------------------------------------------------------------
@@ -68,12 +65,10 @@ def test_on_a_lever_a_body_has_the_inertia_and_the_torque_of_its_kinetic_energy(
 
 def test_on_a_tendon_the_body_moves_with_the_muscle():
     plant = pam.SeriesLoad(HEAVY, 8.0, fitting_mass=0.2, damping=50.0, feed=IDEAL)
-    x = plant.vector("state", {"x": 0.02, "muscle.shortening": 0.021})
-    u = plant.vector("input", {"muscle.pressure": 3e5})
-    at = [v.name for v in plant.states].index("muscle.velocity")
-    found = float(plant.function(x, u, plant.vector("parameter"))[0][at])
+    at = {"x": 0.02, "muscle.shortening": 0.021, "muscle.pressure": 3e5}
     pull = float(MUSCLE.force(3e5, 0.021 / 0.2)) - 1e5 * 0.001
-    assert found == pytest.approx((pull - BODY / 2 * G) / (0.2 + BODY / 2))
+    expected = (pull - BODY / 2 * G) / (0.2 + BODY / 2)
+    assert rates_and_outputs(plant, at)[0]["muscle.velocity"] == pytest.approx(expected)
 
 
 def test_a_muscle_without_body_leaves_a_plant_as_it_is():

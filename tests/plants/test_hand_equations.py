@@ -6,6 +6,7 @@ import casadi as ca
 import hand_equations as hand
 import numpy as np
 import pytest
+from conftest import rates_and_outputs
 from fibres import LONG, SHORT, THIN, bought
 
 import pam_ocp as pam
@@ -13,6 +14,7 @@ import pam_ocp as pam
 POINTS = 40
 CHOKED = 3e-8
 GAS = {"dead_volume": 3e-5, "exponent": 1.3, "temperature": 305.0, "ambient": 0.95e5}
+BY_HAND = tuple(GAS.values())  # in the order in which hand.Valves takes them
 
 
 def by_valves(tube=None):
@@ -27,8 +29,7 @@ def by_valves(tube=None):
         gas=pam.gas.Gas(**GAS),
     )
     flow = lambda u: (u["fill"], u["vent"])  # noqa: E731
-    gas = (GAS["dead_volume"], GAS["exponent"], GAS["temperature"], GAS["ambient"])
-    return feed, hand.Valves(flow, CHOKED, 1.7e-8, 0.25, 6.5e5, 2e-9, *gas, tube)
+    return feed, hand.Valves(flow, CHOKED, 1.7e-8, 0.25, 6.5e5, 2e-9, *BY_HAND, tube)
 
 
 FEEDS = {
@@ -194,16 +195,12 @@ def compare(plant, equations, seed, points=POINTS):
             rates, outputs = equations(x, u)
         except AssertionError:  # where something is rounded off, which has tests of its own
             continue
-        ordered = [[d[v.name] for v in of] for d, of in ((x, plant.states), (u, plant.inputs))]
-        xdot, y, _ = plant.function(*ordered, plant.vector("parameter"))
-        for v, value in zip(plant.states, np.asarray(xdot).ravel(), strict=True):
-            expected = rates[v.name]
-            assert value == pytest.approx(expected, rel=1e-6, abs=1e-6 * size[v.name]), v.name
-        for v, value in zip(plant.outputs, np.asarray(y).ravel(), strict=True):
-            if v.name in outputs:
-                expected = outputs[v.name]
-                assert value == pytest.approx(expected, rel=1e-6, abs=1e-6 * size[v.name]), v.name
-                seen.add(v.name)
+        slopes, shown = rates_and_outputs(plant, x | u)
+        seen |= set(shown) & set(outputs)
+        pairs = [(n, slope, rates[n]) for n, slope in slopes.items()]
+        pairs += [(n, shown[n], outputs[n]) for n in set(shown) & set(outputs)]
+        for name, value, expected in pairs:
+            assert value == pytest.approx(expected, rel=1e-6, abs=1e-6 * size[name]), name
         met += 1
         if met == points:
             return seen
@@ -253,12 +250,9 @@ def test_a_load_fed_back_from_its_position_moves_as_its_equations_say():
             rates, outputs = equations(x, u)
         except AssertionError:
             continue
-        given = [[d[v.name] for v in of] for d, of in ((x, plant.states), (u, plant.inputs))]
-        xdot, y, _ = plant.function(*given, plant.vector("parameter"))
-        found = dict(zip([v.name for v in plant.outputs], np.asarray(y).ravel(), strict=True))
-        expected = [rates[v.name] for v in plant.states]
-        assert np.asarray(xdot).ravel() == pytest.approx(expected, rel=1e-9)
-        command = found["muscle.command"]
+        slopes, shown = rates_and_outputs(plant, x | u)
+        assert slopes == pytest.approx({n: rates[n] for n in slopes}, rel=1e-9)
+        command = shown["muscle.command"]
         assert command == pytest.approx(outputs["muscle.command"], rel=1e-9, abs=1e-3)
         ends.add("low" if command < 1 else "high" if command > 5e5 - 1 else "between")
     assert ends == {"low", "high", "between"}
@@ -269,15 +263,13 @@ def test_a_fully_open_spool_is_an_open_valve():
         conductance=CHOKED, exhaust_conductance=1.7e-8, gas=pam.gas.Gas(**GAS)
     )
     plant = pam.HangingLoad(bought(LONG), 12.0, feed=feed)
-    rates = [v.name for v in plant.states].index("muscle.pressure")
-    for command, fill, vent in ((1.0, 1.0, 0.0), (-1.0, 0.0, 1.0)):
-        gas = (GAS["dead_volume"], GAS["exponent"], GAS["temperature"], GAS["ambient"])
-        valves = hand.Valves(lambda _, f=fill, w=vent: (f, w), CHOKED, 1.7e-8, 0.3, 6e5, 0.0, *gas)
+    at = {"x": 0.05, "v": 0.3, "muscle.pressure": 2.2e5}
+    for command, opened in ((1.0, (1.0, 0.0)), (-1.0, (0.0, 1.0))):
+        flow = lambda _, opened=opened: opened  # noqa: E731
+        valves = hand.Valves(flow, CHOKED, 1.7e-8, 0.3, 6e5, 0.0, *BY_HAND)
         expected, _ = valves({"pressure": 2.2e5}, {}, LONG, 0.05 / 0.4, 0.3)
-        x = plant.vector("state", {"x": 0.05, "v": 0.3, "muscle.pressure": 2.2e5})
-        u = plant.vector("input", {"muscle.command": command})
-        found = float(plant.function(x, u, plant.vector("parameter"))[0][rates])
-        assert found == pytest.approx(expected["pressure"], rel=1e-9)
+        rates, _ = rates_and_outputs(plant, {**at, "muscle.command": command})
+        assert rates["muscle.pressure"] == pytest.approx(expected["pressure"], rel=1e-9)
 
 
 def test_the_stroke_of_a_pair_ends_where_the_first_muscle_leaves_its_range():
@@ -303,9 +295,9 @@ def test_a_wall_pushes_back_but_never_holds(side):
     plant, bare = (pam.HangingLoad(bought(LONG), 12.0, loads=some) for some in ((wall,), ()))
 
     def pushed(v):
-        x = [0.05 + side * 5e-3, side * v, 3e5]
-        both = [float(p.function(x, [3e5], p.vector("parameter"))[0][1]) for p in (plant, bare)]
-        return -side * 12.0 * (both[0] - both[1])
+        at = {"x": 0.05 + side * 5e-3, "v": side * v, "muscle.pressure": 3e5}
+        walled, free = (rates_and_outputs(p, at)[0]["v"] for p in (plant, bare))
+        return -side * 12.0 * (walled - free)
 
     speeds = np.linspace(-3.0, 3.0, 61)
     found = np.array([pushed(v) for v in speeds])
@@ -322,10 +314,8 @@ def test_the_stops_of_a_joint_stand_at_its_limits(theta, omega):
         pam.AntagonisticJoint(bought(LONG), 0.06, limits=limits, feed=pam.feeds.IdealPressure())
         for limits in ((-0.4, 0.5), None)
     )
-    torque = [
-        0.06 * float(p.function([theta, omega], [3e5, 3e5], p.vector("parameter"))[0][1])
-        for p in (held, free)
-    ]
+    at = {"theta": theta, "omega": omega, "muscle1.pressure": 3e5, "muscle2.pressure": 3e5}
+    torque = [0.06 * rates_and_outputs(p, at)[0]["omega"] for p in (held, free)]
     expected = sum(
         hand.wall_force(where, 2e3, 5.0, side, theta, omega, 0.1)
         for where, side in ((0.5, 1), (-0.4, -1))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import flat
+from conftest import rates_and_outputs
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
@@ -17,6 +17,7 @@ R, T0, RHO0, P0, G = 287.05, 293.15, 1.185, 101325.0, 1.4
 CP = R * G / (G - 1)
 V, C, B = 1e-4, 1e-8, 0.3
 PER_SECOND = R * C * RHO0 * T0 / V  # R C rho0 sqrt(Tref T0)/V at T0
+MUSCLE = "DMSP-20-200N"
 
 
 def chamber(heat: float | None, **feed):
@@ -25,7 +26,7 @@ def chamber(heat: float | None, **feed):
     gas = Gas(PolynomialVolume([V]), dead_volume=0.0, heat=transfer, **feed.pop("gas", {}))
     plant = pam.Plant("chamber")
     valve = pam.feeds.SpoolValve(conductance=C, critical_ratio=B, gas=gas, **feed)
-    plant.add_muscle("m", "DMSP-20-200N", shortening=0.0, rate=0.0, pre_contraction=0.1, feed=valve)
+    plant.add_muscle("m", MUSCLE, shortening=0.0, rate=0.0, pre_contraction=0.1, feed=valve)
     return plant
 
 
@@ -47,9 +48,8 @@ def test_without_heat_choked_venting_takes_its_time_in_closed_form():
 def test_with_perfect_heat_choked_venting_is_exponential():
     first = 6e5 + P0
     motion = run(chamber(1e9), -1.0, 0.06, pressure=6e5)
-    assert motion["m.pressure"] + P0 == pytest.approx(
-        first * np.exp(-PER_SECOND * motion.t), rel=1e-6
-    )
+    falling = np.exp(-PER_SECOND * motion.t)
+    assert motion["m.pressure"] + P0 == pytest.approx(first * falling, rel=1e-6)
 
 
 @pytest.mark.parametrize(("heat", "exponent"), [(0.0, G), (1e9, 1.0)])
@@ -89,14 +89,8 @@ def test_a_closed_muscle_is_compressed_by_the_exponent_of_the_limit(heat, expone
     x = plant.state("x", unit="m", start=0.0)
     plant.der(x, -0.05)
     gas = Gas(PolynomialVolume([5e-5, 4e-4]), dead_volume=0.0, heat=ConstantHeatTransfer(heat))
-    plant.add_muscle(
-        "m",
-        "DMSP-20-200N",
-        shortening=x,
-        rate=-0.05,
-        pre_contraction=0.2,
-        feed=pam.feeds.SpoolValve(gas=gas),
-    )
+    feed = pam.feeds.SpoolValve(gas=gas)
+    plant.add_muscle("m", MUSCLE, shortening=x, rate=-0.05, pre_contraction=0.2, feed=feed)
     motion = pam.simulate(plant, duration=0.3, start={"m.pressure": 2e5}, rtol=1e-11)
     product = (motion["m.pressure"] + P0) * motion["m.volume"] ** exponent
     assert np.ptp(motion["m.volume"]) > 2e-5
@@ -114,7 +108,7 @@ def test_air_shut_in_with_heat_damps_as_a_relaxing_spring():
     plant.der(x, v)
     gas = Gas(PolynomialVolume([v0, slope * L0]), dead_volume=0.0, heat=ConstantHeatTransfer(h))
     valve = pam.feeds.SpoolValve(gas=gas)
-    plant.add_muscle("m", "DMSP-20-200N", shortening=x, rate=v, feed=valve)
+    plant.add_muscle("m", MUSCLE, shortening=x, rate=v, feed=valve)
     names = [s.name for s in plant.states]
     state = plant.vector("state", {"x": x0, "m.pressure": 3e5, "m.temperature": T0})
     jacobians = plant.jacobians(state, plant.vector("input"), plant.vector("parameter"))
@@ -133,29 +127,19 @@ def test_air_shut_in_with_heat_damps_as_a_relaxing_spring():
 
 
 # ---- hand-written equations --------------------------------------------------------------------
-A1, A2, A3, A4, A5, A6 = (
-    -4.00180705,
-    292.4620246,
-    -0.32930845,
-    -9.33564098,
-    294.0538256,
-    -280.498151,
-)
+A1, A2, A3 = -4.00180705, 292.4620246, -0.32930845
+A4, A5, A6 = -9.33564098, 294.0538256, -280.498151
 L0, D0, DEAD = 0.2, 0.02, 20e-6
 HEAT, POWER, CAPACITY, OUTWARD, STIFF = 40.0, 0.5, 20.0, 0.5, 2e-3
 MASS, SUPPLY, OVERLAP, LEAK = 8.0, 5e5 + P0, 0.02, 2e-10
 
 
 def warm_plant():
-    gas = Gas(
-        dead_volume=DEAD,
-        heat=PressureHeatTransfer(HEAT, POWER),
-        rubber=Rubber(CAPACITY, OUTWARD, stiffening=STIFF),
-    )
-    feed = pam.feeds.SpoolValve(
-        conductance=C, supply=5e5, supply_temperature=300.0, gas=gas, leak=LEAK
-    )
-    return pam.HangingLoad("DMSP-20-200N", MASS, damping=60.0, feed=feed)
+    heat, rubber = PressureHeatTransfer(HEAT, POWER), Rubber(CAPACITY, OUTWARD, stiffening=STIFF)
+    gas = Gas(dead_volume=DEAD, heat=heat, rubber=rubber)
+    given = {"supply": 5e5, "supply_temperature": 300.0, "gas": gas, "leak": LEAK}
+    feed = pam.feeds.SpoolValve(conductance=C, **given)
+    return pam.HangingLoad(MUSCLE, MASS, damping=60.0, feed=feed)
 
 
 def by_hand(x, v, p, warm, wall, command):
@@ -194,30 +178,19 @@ def by_hand(x, v, p, warm, wall, command):
 
 
 def test_the_plant_is_the_hand_written_one_at_200_random_points():
-    plant = warm_plant()
-    assert [v.name for v in plant.states] == [
-        "x",
-        "v",
-        "muscle.pressure",
-        "muscle.temperature",
-        "muscle.rubber_temperature",
-    ]
-    draw, p = np.random.default_rng(11), plant.vector("parameter")
+    plant, draw = warm_plant(), np.random.default_rng(11)
+    names = [v.name for v in plant.states]
+    of_muscle = ("pressure", "temperature", "rubber_temperature")
+    assert names == ["x", "v", *(f"muscle.{n}" for n in of_muscle)]
     for _ in range(200):
         command = draw.choice([-1, 1]) * draw.uniform(0.05, 0.9)
-        at = [
-            draw.uniform(0.0, 0.03),
-            draw.uniform(-0.3, 0.3),
-            draw.uniform(1.8e5, 4.5e5),
-            draw.uniform(250.0, 350.0),
-            draw.uniform(285.0, 330.0),
-        ]
-        rates, outputs = plant.function(at, [command], p)[:2]
+        at = draw.uniform([0.0, -0.3, 1.8e5, 250.0, 285.0], [0.03, 0.3, 4.5e5, 350.0, 330.0])
+        given = dict(zip(names, at, strict=True)) | {"muscle.command": command}
+        rates, outputs = rates_and_outputs(plant, given)
         expected, (enthalpy, heat, _, _) = by_hand(*at, command)
-        assert flat(rates) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-        named = dict(zip([v.name for v in plant.outputs], flat(outputs), strict=True))
-        assert named["muscle.enthalpy_flow"] == pytest.approx(enthalpy, rel=1e-9, abs=1e-9)
-        assert named["muscle.heat_flow"] == pytest.approx(heat, rel=1e-9, abs=1e-9)
+        assert [*rates.values()] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert outputs["muscle.enthalpy_flow"] == pytest.approx(enthalpy, rel=1e-9, abs=1e-9)
+        assert outputs["muscle.heat_flow"] == pytest.approx(heat, rel=1e-9, abs=1e-9)
 
 
 def test_the_energy_balance_of_a_motion_closes_to_1e_8():
@@ -233,48 +206,32 @@ def test_the_energy_balance_of_a_motion_closes_to_1e_8():
         z = step.y[:, -1]
     stored = by_hand(*z[:5], 0.5)[1][3] - first
     assert stored == pytest.approx(z[5] + z[6] - z[7], abs=1e-8 * (abs(z[5:8]).sum() + first))
-    motion = pam.simulate(
-        warm_plant(),
-        {"muscle.command": (times, [*commands, 0.0])},
-        duration=0.4,
-        start={"x": 0.033, "muscle.pressure": 3e5},
-    )
-    end = [motion[v.name][-1] for v in warm_plant().states]
+    plant, start = warm_plant(), {"x": 0.033, "muscle.pressure": 3e5}
+    given = {"muscle.command": (times, [*commands, 0.0])}
+    motion = pam.simulate(plant, given, duration=0.4, start=start)
+    end = [motion[v.name][-1] for v in plant.states]
     assert end == pytest.approx(z[:5], rel=1e-6, abs=1e-7)
 
 
 # ---- the wall -----------------------------------------------------------------------------------
 def test_friction_warms_the_rubber_by_what_it_takes_from_the_motion():
     gas = Gas(heat=ConstantHeatTransfer(0.0), rubber=Rubber(50.0, 0.0))
-    plant = pam.HangingLoad(
-        "DMSP-20-200N",
-        8.0,
-        feed=pam.feeds.SpoolValve(gas=gas),
-        losses=pam.losses.CoulombFriction(40.0),
-    )
-    at = {"v": 0.2, "muscle.pressure": 3e5, "x": 0.01}
-    rates = plant.function(plant.vector("state", at), [0.0], plant.vector("parameter"))[0]
-    names = [v.name for v in plant.states]
+    feed, friction = pam.feeds.SpoolValve(gas=gas), pam.losses.CoulombFriction(40.0)
+    plant = pam.HangingLoad(MUSCLE, 8.0, feed=feed, losses=friction)
+    rates, _ = rates_and_outputs(plant, {"v": 0.2, "muscle.pressure": 3e5, "x": 0.01})
     loss = 40.0 * math.tanh(0.2 / 1e-3) * 0.2
-    assert float(rates[names.index("muscle.rubber_temperature")]) == pytest.approx(loss / 50.0)
+    assert rates["muscle.rubber_temperature"] == pytest.approx(loss / 50.0)
 
 
 def test_a_warm_wall_changes_the_force_at_zero_pressure_alone():
-    plant = warm_plant()
-    force = plant.expression("muscle.force")
-    import casadi as ca
-
-    of = ca.Function("force", [plant.x, plant.p], [force])
-    p = plant.vector("parameter")
-    forces = {
-        (bar, warm): float(of([0.02, 0.0, bar * 1e5, 293.15, warm], p))
-        for bar in (2, 4)
-        for warm in (293.15, 323.15)
-    }
-    wall = A2 * math.exp(A3 * 10) + A6
+    plant, wall = warm_plant(), A2 * math.exp(A3 * 10) + A6
     for bar in (2, 4):
-        grown = forces[bar, 323.15] - forces[bar, 293.15]
-        assert grown == pytest.approx(STIFF * 30 * wall, rel=1e-9)
+        at = {"x": 0.02, "v": 0.0, "muscle.pressure": bar * 1e5, "muscle.temperature": 293.15}
+        cold, warm = (
+            rates_and_outputs(plant, {**at, "muscle.rubber_temperature": t})[1]["muscle.force"]
+            for t in (293.15, 323.15)
+        )
+        assert warm - cold == pytest.approx(STIFF * 30 * wall, rel=1e-9)
 
 
 def test_a_file_may_speak_of_heat():

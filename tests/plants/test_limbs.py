@@ -1,18 +1,18 @@
 """Limbs of URDF and MJCF files against equations by hand, the package's own joints, and MuJoCo."""
 
-import importlib.util
 import pickle
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import rates_and_outputs, refused
+from design_tools import example
 
 import pam_ocp as pam
 from pam_ocp.plants import LimbMuscle
 from pam_ocp.plants.skeleton import read_skeleton
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 ARM = Path(pam.__file__).parent / "data" / "arm.urdf"
 G = 9.80665
 MUSCLE = "DMSP-20-400N"
@@ -49,9 +49,7 @@ def limb(tmp_path):
 
 
 def rates(plant, values):
-    x, p = plant.vector("state", values), plant.vector("parameter")
-    slopes = np.array(plant.function(x, plant.vector("input"), p)[0]).ravel()
-    return dict(zip((v.name for v in plant.states), slopes, strict=True))
+    return rates_and_outputs(plant, values)[0]
 
 
 BAR = link("bar", 1.5, "0 0 -0.2", 0.02, 0.02, 0.001)
@@ -77,15 +75,9 @@ def test_two_muscles_on_pulleys_are_an_antagonistic_joint(limb):
     extra = joint("a", "base", "bar", rest='<dynamics damping="0.3"/>')
     wall = {"a": pam.loads.Wall(0.1)}
     plant = limb(link("base"), BAR, extra, muscles=pair, loads=wall)
-    own = pam.AntagonisticJoint(
-        muscle,
-        0.02 + 1.5 * 0.04,
-        moment_arm2=0.03,
-        link_mass=1.5,
-        link_length=0.2,
-        losses=losses,
-        loads=pam.loads.Wall(0.1),
-    )
+    of_link = {"moment_arm2": 0.03, "link_mass": 1.5, "link_length": 0.2}
+    outer = {"losses": losses, "loads": pam.loads.Wall(0.1)}
+    own = pam.AntagonisticJoint(muscle, 0.02 + 1.5 * 0.04, **of_link, **outer)
     for theta, omega, p1, p2 in ((0.2, 1.0, 3e5, 2e5), (-0.3, -2.0, 1e5, 4e5)):
         common = {"muscle1.pressure": p1, "muscle2.pressure": p2, "muscle1.hysteresis": 0.4}
         expected = rates(own, {"theta": theta, "omega": omega, **common})
@@ -104,11 +96,8 @@ ROD = [
 
 
 def test_the_planar_arm_is_a_limb(limb):
-    spec = importlib.util.spec_from_file_location("planar_arm", EXAMPLES / "planar_arm.py")
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
     muscle = pam.muscle(MUSCLE)
-    own = example.planar_arm(muscle)
+    own = example("planar_arm").planar_arm(muscle)
     muscles = [
         LimbMuscle(f"{side}{i}", muscle, [(f"q{i}", sign * 0.035)], pre_contraction=0.12)
         for i in (1, 2)
@@ -146,12 +135,9 @@ def test_a_limb_without_damping_keeps_its_energy(limb):
 
 
 # ---- against MuJoCo ------------------------------------------------------------------------------
-def reference_arm(**options):
+def reference_arm():
     """The arm of examples/limb.py."""
-    spec = importlib.util.spec_from_file_location("limb_example", EXAMPLES / "limb.py")
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    return example.seven_joint_arm(**options)
+    return example("limb").seven_joint_arm()
 
 
 def test_a_tree_with_prismatic_and_fixed_joints_moves_as_in_mujoco(tmp_path):
@@ -322,8 +308,7 @@ HINGE = joint("a", "base", "bar")
     ],
 )
 def test_what_is_no_limb_is_refused_by_name(limb, elements, said):
-    with pytest.raises(pam.InputError, match=said):
-        limb(*elements)
+    refused(said, limb, *elements)
 
 
 def pulling(path, **options):
@@ -341,28 +326,20 @@ def pulling(path, **options):
     ],
 )
 def test_a_path_that_leads_nowhere_is_refused(limb, path, said):
-    with pytest.raises(pam.InputError, match=said):
-        limb(*OK, HINGE, muscles=pulling(path))
+    refused(said, limb, *OK, HINGE, muscles=pulling(path))
 
 
 def test_arguments_are_refused(limb, tmp_path):
     with pytest.raises(pam.InputError, match="give one of offset and pre_contraction"):
         pulling([("a", 0.03)], offset=0.1, pre_contraction=0.1)
-    with pytest.raises(pam.InputError, match="has no radius"):
-        pulling([("a", 0.0)])
-    with pytest.raises(pam.InputError, match="two points"):
-        pulling([("base", (0, 0, 0))])
-    with pytest.raises(pam.InputError, match="its path holds"):
-        pulling([("base", (0, 0))])
-    with pytest.raises(pam.InputError, match=r"nowhere.urdf' does not exist"):
-        pam.plants.limb(tmp_path / "nowhere.urdf", SLACK)
-    with pytest.raises(pam.InputError, match="each with a name of its own"):
-        limb(*OK, HINGE, muscles=[*SLACK, *SLACK])
-    with pytest.raises(pam.InputError, match="unknown joint of limb 'limb' 'b'"):
-        limb(*OK, HINGE, damping={"b": 1.0})
+    refused("has no radius", pulling, [("a", 0.0)])
+    refused("two points", pulling, [("base", (0, 0, 0))])
+    refused("its path holds", pulling, [("base", (0, 0))])
+    refused(r"nowhere.urdf' does not exist", pam.plants.limb, tmp_path / "nowhere.urdf", SLACK)
+    refused("each with a name of its own", limb, *OK, HINGE, muscles=[*SLACK, *SLACK])
+    refused("unknown joint of limb 'limb' 'b'", limb, *OK, HINGE, damping={"b": 1.0})
     (tmp_path / "words.urdf").write_text("words")
-    with pytest.raises(pam.InputError, match="is no XML"):
-        pam.plants.limb(tmp_path / "words.urdf", SLACK)
+    refused("is no XML", pam.plants.limb, tmp_path / "words.urdf", SLACK)
 
 
 def test_a_free_body_of_mjcf_is_refused(tmp_path):
@@ -372,8 +349,7 @@ def test_a_free_body_of_mjcf_is_refused(tmp_path):
         '<mujoco><worldbody><body><freejoint name="loose"/><geom size="1"/></body>'
         "</worldbody></mujoco>"
     )
-    with pytest.raises(pam.InputError, match="joint 'loose' is free"):
-        pam.plants.limb(file, SLACK)
+    refused("joint 'loose' is free", pam.plants.limb, file, SLACK)
 
 
 # ---- as all plants -------------------------------------------------------------------------------
@@ -424,8 +400,7 @@ def test_a_limb_is_drawn_and_filmed(limb, tmp_path):
     assert len(ends) == 3
     run = pam.simulate(plant, {"flexor.command": 3e5}, t=np.linspace(0, 0.2, 11))
     assert plant.animate(run, tmp_path / "a.gif", seconds=0.2, fps=5).stat().st_size > 1000
-    with pytest.raises(pam.InputError, match="unknown colour"):
-        plant.plot(colour="red")
+    refused("unknown colour", plant.plot, colour="red")
 
 
 # ---- the arm of seven joints and fourteen muscles ------------------------------------------------
@@ -451,8 +426,7 @@ def test_the_arm_moves_in_mujoco_as_here():
 
 def test_mujoco_takes_no_path_of_points_and_pulleys(limb):
     pytest.importorskip("mujoco")
-    with pytest.raises(pam.InputError, match="of points or of pulleys"):
-        pam.export.mujoco_limb(wrapped(limb, 0.03))
+    refused("of points or of pulleys", pam.export.mujoco_limb, wrapped(limb, 0.03))
 
 
 @pytest.mark.slow
@@ -484,18 +458,11 @@ def test_the_arm_rests_where_static_optimisation_says_and_is_linear_there():
 
 @pytest.mark.slow
 def test_the_arm_is_planned_and_verified():
-    spec = importlib.util.spec_from_file_location("limb_example", EXAMPLES / "limb.py")
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    plan = pam.plan(
-        example.seven_joint_arm(),
-        stops=[example.HANG, example.REACH],
-        duration=0.6,
-        minimise="effort",
-        method=pam.Collocation(intervals=16, degree=7),
-    )
+    limb, way = example("limb"), pam.Collocation(intervals=16, degree=7)
+    asked = {"stops": [limb.HANG, limb.REACH], "duration": 0.6, "minimise": "effort"}
+    plan = pam.plan(limb.seven_joint_arm(), **asked, method=way)
     assert plan.verified
-    for name, angle in example.REACH.items():
+    for name, angle in limb.REACH.items():
         assert plan.trajectory[name][-1] == pytest.approx(angle, abs=1e-3)
 
 

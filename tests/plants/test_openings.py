@@ -5,7 +5,7 @@ import pickle
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import flat
+from conftest import flat, refused
 
 import pam_ocp as pam
 from pam_ocp import InputError
@@ -279,12 +279,8 @@ def test_a_command_in_its_dead_zone_has_less_slope():
 def test_an_opening_stands_in_for_inputs_once():
     plant = pam.Plant("wrong")
     x, u = plant.state("x"), plant.input("u")
-    with pytest.raises(InputError, match="stands in for x"):
-        plant.opening("w", [x], x, lambda w: [w], [])
-    with pytest.raises(InputError, match="stands in for nothing"):
-        plant.opening("w", [], u, lambda w: [w], [])
-    with pytest.raises(InputError, match="'u' is declared twice"):
-        plant.opening("u", [u], u, lambda w: [w], [])
+    refused("stands in for x", plant.opening, "w", [x], x, lambda w: [w], [])
+    refused("stands in for nothing", plant.opening, "w", [], u, lambda w: [w], [])
+    refused("'u' is declared twice", plant.opening, "u", [u], u, lambda w: [w], [])
     plant.opening("w", [u], u, lambda w: [w], [(u, lambda w: w)])
-    with pytest.raises(InputError, match="'w' is declared twice"):
-        plant.opening("w", [u], u, lambda w: [w], [])
+    refused("'w' is declared twice", plant.opening, "w", [u], u, lambda w: [w], [])

@@ -3,9 +3,9 @@
 import math
 
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
-from pam_ocp import InputError
 
 NAN = math.nan
 TOO_SMALL = {  # the least value that is refused, at the edge
@@ -70,8 +70,7 @@ def test_a_number_that_cannot_be_is_refused_by_its_name(kind, argument, value):
     given = GIVEN.get(kind, {})
     kind(**given)
     for wrong in (value, (NAN,) if isinstance(value, tuple) else NAN):
-        with pytest.raises(InputError, match=rf"{kind.__name__}.*{argument}"):
-            kind(**{**given, argument: wrong})
+        refused(rf"{kind.__name__}.*{argument}", kind, **{**given, argument: wrong})
 
 
 @pytest.mark.parametrize(
@@ -97,5 +96,4 @@ def test_a_number_that_cannot_be_is_refused_by_its_name(kind, argument, value):
     ],
 )
 def test_an_arrangement_that_cannot_be_is_refused(plant, argument, wrong):
-    with pytest.raises(InputError, match=argument.rstrip("2")):
-        plant(pam.muscle("DMSP-20-400N"), **{argument: wrong})
+    refused(argument.rstrip("2"), plant, pam.muscle("DMSP-20-400N"), **{argument: wrong})

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 from scipy.interpolate import pade
 from scipy.special import gammainc
@@ -24,21 +25,23 @@ def hanging(feed: Any) -> pam.Plant:
     return pam.HangingLoad("DMSP-20-200N", 10.0, feed=feed)
 
 
+EACH: dict[str, Any] = {"lag": 0.05, "venting_lag": 0.09, "slew": 6e5, "venting_slew": 4e5}
+EACH |= {"dead_time": F.DeadTime(0.02, order=3), "max_pressure": 6e5}
+PAIR = {"gain": 0.8e5, "bias": -2e3, "base": 2.5e5}
+
+
+def pair(feed: Any) -> pam.Plant:
+    return pam.AntagonisticSlide("DMSP-20-200N", 2.0, damping=60.0, feed=feed)
+
+
 def rig(**changes: Any) -> pam.Plant:
     """An antagonistic pair with everything that a regulator can have."""
-    given: dict[str, Any] = {
-        "lag": 0.05,
-        "venting_lag": 0.09,
-        "slew": 6e5,
-        "venting_slew": 4e5,
-        "dead_time": F.DeadTime(0.02, order=3),
-        "gain": 0.8e5,
-        "bias": -2e3,
-        "base": 2.5e5,
-        "max_pressure": 6e5,
-    }
-    feed = F.PairRegulator(**(given | changes))
-    return pam.AntagonisticSlide("DMSP-20-200N", 2.0, damping=60.0, feed=feed)
+    return pair(F.PairRegulator(**(EACH | PAIR | changes)))
+
+
+def of_both(**values: float) -> dict[str, float]:
+    """Values of both muscles."""
+    return {f"muscle{i}.{n}": v for i in (1, 2) for n, v in values.items()}
 
 
 def pressure_after_step(feed: Any, low: float, high: float, t: Any, **values: float) -> Any:
@@ -71,13 +74,7 @@ def test_filling_and_venting_have_lags_of_their_own(low: float, high: float, lag
 
 
 def test_where_the_pressure_is_what_was_asked_for_it_rests_whatever_the_roundings() -> None:
-    plant = rig().with_values(
-        {
-            f"muscle{i}.{n}": v
-            for i in (1, 2)
-            for n, v in (("switch_width", 5e4), ("slew_rounding", 1.0))
-        }
-    )
+    plant = rig().with_values(of_both(switch_width=5e4, slew_rounding=1.0))
     point = plant.equilibrium(difference=0.7)
     assert point["muscle1.pressure"] == pytest.approx(2.5e5 + 0.7 * 0.8e5 - 2e3, abs=1e-6)
     assert point["muscle2.pressure"] == pytest.approx(2.5e5 - 0.7 * 0.8e5 - 2e3, abs=1e-6)
@@ -125,36 +122,20 @@ def test_exact_dead_times_shift_the_command(between: Any) -> None:
     def late(now: float) -> float:
         if between == "linear":
             return float(np.interp(now - time, knots, values))
-        return (
-            float(values[np.searchsorted(knots, now - time + 1e-12, side="right") - 1])
-            if now >= time
-            else 3e5
-        )
+        return float(values[max(np.searchsorted(knots, now - time + 1e-12, side="right") - 1, 0)])
 
     p, at = [3e5], 3e5
     grid = np.unique(np.concatenate([t, knots + time]))
-    for a, b in pairwise(grid):
-        if b > 1.0:
-            break
-        one = solve_ivp(
-            lambda s, x, a=a: (late(s if between == "linear" else a) - x) / lag,
-            (a, b),
-            [at],
-            rtol=1e-11,
-            atol=1e-6,
-        )
-        at = float(one.y[0, -1])
+    for a, b in pairwise(grid[grid <= 1.0]):
+
+        def slope(s: float, x: Any, a: float = a) -> Any:
+            return (late(s if between == "linear" else a) - x) / lag
+
+        at = float(solve_ivp(slope, (a, b), [at], rtol=1e-11, atol=1e-6).y[0, -1])
         if np.any(np.isclose(b, t, rtol=0, atol=1e-14)):
             p.append(at)
-    motion = pam.simulate(
-        plant,
-        {"muscle.command": (knots, values)},
-        t=t,
-        start=start,
-        interpolation=between,
-        dead_times="exact",
-        rtol=1e-11,
-    )
+    asked = {"interpolation": between, "dead_times": "exact", "rtol": 1e-11}
+    motion = pam.simulate(plant, {"muscle.command": (knots, values)}, t=t, start=start, **asked)
     np.testing.assert_allclose(motion["muscle.pressure"], p, rtol=1e-6)
     early = t < time
     np.testing.assert_allclose(motion["muscle.delay4"][early], 3e5, rtol=1e-12)
@@ -196,13 +177,8 @@ def test_without_its_line_a_plant_takes_the_late_command_as_an_input() -> None:
 # ---- the whole rig -------------------------------------------------------------------------------
 def test_the_rig_moves_as_scipy_says() -> None:
     """The equations of the pair, written out, with the kinks as they are."""
-    plant = rig(dead_time=None).with_values(
-        {
-            f"muscle{i}.{n}": v
-            for i in (1, 2)
-            for n, v in (("switch_width", math.pi), ("slew_rounding", 1e-6))
-        }
-    )
+    rounded = of_both(switch_width=math.pi, slew_rounding=1e-6)
+    plant = rig(dead_time=None).with_values(rounded)
     force = plant.function
     names = [v.name for v in plant.states]
 
@@ -226,18 +202,9 @@ def test_the_rig_moves_as_scipy_says() -> None:
 
 
 def test_one_command_for_the_pair_is_two_commands_about_the_base() -> None:
-    pair = rig()
-    single = F.Regulator(
-        0.05,
-        venting_lag=0.09,
-        slew=6e5,
-        venting_slew=4e5,
-        dead_time=F.DeadTime(0.02, order=3),
-        max_pressure=6e5,
-    )
-    apart = pam.AntagonisticSlide("DMSP-20-200N", 2.0, damping=60.0, feed=single)
+    joined, apart = rig(), pair(F.Regulator(**EACH))
     t, u = np.linspace(0, 0.5, 51), np.array([0.0] * 10 + [1.0] * 20 + [-0.6] * 21)
-    one = pam.simulate(pair, {"difference": u}, t=t, start=pair.equilibrium(difference=0.0))
+    one = pam.simulate(joined, {"difference": u}, t=t, start=joined.equilibrium(difference=0.0))
     commands = {f"muscle{i}.command": 2.48e5 + s * 0.8e5 * u for i, s in ((1, 1), (2, -1))}
     begin = apart.equilibrium({n: c[0] for n, c in commands.items()})
     two = pam.simulate(apart, commands, t=t, start=begin)
@@ -245,9 +212,8 @@ def test_one_command_for_the_pair_is_two_commands_about_the_base() -> None:
 
 
 def test_a_gain_makes_the_command_volts_within_the_range_of_pressure() -> None:
-    command = hanging(F.Regulator(gain="1.2 bar/V", bias="-0.3 bar", max_pressure=6e5)).variable(
-        "muscle.command"
-    )
+    feed = F.Regulator(gain="1.2 bar/V", bias="-0.3 bar", max_pressure=6e5)
+    command = hanging(feed).variable("muscle.command")
     assert command.unit == "V"
     assert command.min == pytest.approx(0.25)
     assert command.max == pytest.approx(5.25)
@@ -276,10 +242,7 @@ def test_linear_models_are_the_slopes_of_the_equations() -> None:
     plant = rig()
     plant.add_sensor("x", pam.plants.Sensor(gain=40.0, zero=0.5, filter=0.01, unit="V"))
     point = plant.equilibrium(difference=0.4)
-    x, u, p = (
-        plant.vector(c, point if c != "parameter" else None)
-        for c in ("state", "input", "parameter")
-    )
+    x, u, p = point.x, point.u, plant.vector("parameter")
     a, b, c, _ = (np.asarray(m) for m in plant.jacobians(x, u, p))
 
     def both(z: Any) -> Any:
@@ -287,38 +250,26 @@ def test_linear_models_are_the_slopes_of_the_equations() -> None:
         return np.concatenate([np.asarray(f).ravel() for f in found[:2]])
 
     z = np.concatenate([x, u])
-    for j, size in enumerate(
-        np.concatenate([plant.vector(c, attribute="nominal") for c in ("state", "input")]) * 1e-6
-    ):
-        step = np.zeros(len(z))
-        step[j] = size
-        slope = (both(z + step) - both(z - step)) / (2 * size)
-        exact = np.concatenate([a, c])[:, j] if j < len(x) else None
-        if exact is None:
-            slope, exact = slope[: len(x)], b[:, j - len(x)]
+    sizes = 1e-6 * np.array([v.nominal for v in (*plant.states, *plant.inputs)])
+    for j, step in enumerate(np.diag(sizes)):
+        slope = (both(z + step) - both(z - step)) / (2 * sizes[j])
+        exact = np.concatenate([a, c])[:, j] if j < len(x) else b[:, j - len(x)]
         scale = np.abs(exact).max() + 1e-9
-        assert np.abs(slope - exact).max() < 2e-6 * scale
+        assert np.abs(slope[: len(exact)] - exact).max() < 2e-6 * scale
 
 
 # ---- sensors -------------------------------------------------------------------------------------
 def test_a_sensor_shows_gain_zero_filter_and_steps() -> None:
     plant = hanging(None)
-    plant.add_sensor(
-        "x", pam.plants.Sensor(gain=50.0, zero=0.2, filter=0.02, resolution=0.005, unit="V")
-    )
+    sensor = pam.plants.Sensor(gain=50.0, zero=0.2, filter=0.02, resolution=0.005, unit="V")
+    plant.add_sensor("x", sensor)
     assert plant.variable("x.gain").unit == "V/m"
     u = {"muscle.command": 4e5}
     motion = pam.simulate(plant, u, duration=0.5, rtol=1e-11)
     fine = pam.simulate(plant, u, t=np.linspace(0, 0.5, 20001), rtol=1e-11)
-    lag = solve_ivp(
-        lambda t, z: (np.interp(t, fine.t, fine["x"]) - z) / 0.02,
-        (0, 0.5),
-        [motion["x.filtered"][0]],
-        t_eval=motion.t,
-        rtol=1e-9,
-        atol=1e-12,
-        max_step=1e-3,
-    )
+    slope = lambda t, z: (np.interp(t, fine.t, fine["x"]) - z) / 0.02  # noqa: E731
+    tight = {"t_eval": motion.t, "rtol": 1e-9, "atol": 1e-12, "max_step": 1e-3}
+    lag = solve_ivp(slope, (0, 0.5), [motion["x.filtered"][0]], **tight)
     np.testing.assert_allclose(motion["x.measured"], 50 * lag.y[0] + 0.2, atol=1e-6)
     steps = motion["x.reading"] / 0.005
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
@@ -349,8 +300,7 @@ def test_a_filter_on_one_muscle_alone_ends_the_symmetry() -> None:
     ],
 )
 def test_what_cannot_be_is_refused(make: Any, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        make()
+    refused(words, make)
 
 
 # ---- what is done with them ----------------------------------------------------------------------

@@ -6,35 +6,28 @@ from itertools import cycle
 
 import numpy as np
 import pytest
+from conftest import noisy_record
+from fmu_tools import require_agreement
 
 import pam_ocp as pam
 from pam_ocp.muscles.gas import Gas
 from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
-from pam_ocp.plants.feeds import (
-    Compressor,
-    FirstOrderSpool,
-    LumpedTube,
-    QuickExhaust,
-    Receiver,
-    SecondOrderSpool,
-    SpoolValve,
-    Tube,
-)
 
+F = pam.feeds
 WARM = Gas(heat=ConstantHeatTransfer(40.0))
 FEEDS = {
-    "heat": SpoolValve(gas=WARM),
-    "pressure heat, rubber": SpoolValve(
+    "heat": F.SpoolValve(gas=WARM),
+    "pressure heat, rubber": F.SpoolValve(
         gas=Gas(heat=PressureHeatTransfer(), rubber=Rubber(20.0, stiffening=2e-3))
     ),
-    "receiver": SpoolValve(supply=Receiver(1e-3)),
-    "warm receiver, compressor": SpoolValve(
-        supply=Receiver(1e-3, source=Compressor(pressure=6e5), wall_conductance=1.0), gas=WARM
+    "receiver": F.SpoolValve(supply=F.Receiver(1e-3)),
+    "warm receiver, compressor": F.SpoolValve(
+        supply=F.Receiver(1e-3, source=F.Compressor(pressure=6e5), wall_conductance=1.0), gas=WARM
     ),
-    "tube": SpoolValve(tube=LumpedTube(1.0, 4e-3, 2)),
-    "first-order spool": SpoolValve(spool=FirstOrderSpool(8e-3), offset=0.01),
-    "second-order spool": SpoolValve(spool=SecondOrderSpool(), exhaust_overlap=0.05),
-    "quick exhaust": SpoolValve(tube=Tube(10e-6, 20e-3), quick_exhaust=QuickExhaust()),
+    "tube": F.SpoolValve(tube=F.LumpedTube(1.0, 4e-3, 2)),
+    "first-order spool": F.SpoolValve(spool=F.FirstOrderSpool(8e-3), offset=0.01),
+    "second-order spool": F.SpoolValve(spool=F.SecondOrderSpool(), exhaust_overlap=0.05),
+    "quick exhaust": F.SpoolValve(tube=F.Tube(10e-6, 20e-3), quick_exhaust=F.QuickExhaust()),
 }
 
 
@@ -65,35 +58,18 @@ def test_its_fmu_moves_as_it_does_in_python(name, fmi, tmp_path):
     plant = hanging(FEEDS[name])
     t = np.linspace(0, 0.5, 51)
     command = 0.08 * np.sign(np.sin(20 * t))
-    start = {
-        "x": 0.03,
-        **{
-            v.name: 3e5
-            for v in plant.states
-            if v.name.startswith("muscle.") and "pressure" in v.name
-        },
-    }
+    own = [v.name for v in plant.states if v.name.startswith("muscle.") and "pressure" in v.name]
+    start = {"x": 0.03, **dict.fromkeys(own, 3e5)}
     motion = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start, rtol=1e-11)
-    fmu = pam.export_fmu(plant, tmp_path / "plant.fmu", platforms="native", fmi=fmi)
-    check = pam.check_fmu(fmu, against=motion)
-    assert check.findings == ()
-    assert set(check.deviations) == {"CoSimulation", "ModelExchange"}
-    assert check.largest < 1e-6
-    assert np.ptp(motion["x"]) > 1e-3
+    require_agreement(plant, motion, tmp_path, fmi)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FEEDS)
 def test_a_plan_with_it_is_verified(name):
-    plan = pam.plan(
-        hanging(FEEDS[name]),
-        stops=[{"x": 0.025}, {"x": 0.03}],
-        minimise="effort",
-        duration=0.4,
-        starts=1,
-        method=pam.Collocation(12, 4),
-    )
-    assert plan.verdict
+    stops, way = [{"x": 0.025}, {"x": 0.03}], pam.Collocation(12, 4)
+    asked = {"minimise": "effort", "duration": 0.4, "starts": 1, "method": way}
+    assert pam.plan(hanging(FEEDS[name]), stops=stops, **asked).verdict
 
 
 def noisy(plant, seed, tenths):
@@ -103,10 +79,8 @@ def noisy(plant, seed, tenths):
     command = np.repeat(draw.uniform(-0.25, 0.25, tenths), 10)
     start = {"x": 0.03, "muscle.pressure": 3e5}
     run = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start)
-    columns = {"muscle.command": command}
-    for name, size in {"x": 2e-5, "muscle.pressure": 500.0}.items():
-        columns[name] = run[name] + size * draw.standard_normal(t.size)
-    return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    noise = {"x": 2e-5, "muscle.pressure": 500.0}
+    return noisy_record(plant, run, {"muscle.command": command}, noise, draw)
 
 
 @pytest.mark.slow
@@ -119,7 +93,7 @@ def noisy(plant, seed, tenths):
     ],
 )
 def test_a_fit_has_the_truth_within_its_intervals(name, free):
-    bottle = SpoolValve(supply=Receiver(1e-3, source=Compressor(2e-4, pressure=7e5)))
+    bottle = F.SpoolValve(supply=F.Receiver(1e-3, source=F.Compressor(2e-4, pressure=7e5)))
     plant = hanging(bottle if name == "receiver" else FEEDS[name])
     told = noisy(plant, 3, 20 if name == "receiver" else 10)  # a bottle is emptied slowly
     fit = pam.fit_plant(plant.with_values(free), told, list(free))
