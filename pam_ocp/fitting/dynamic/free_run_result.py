@@ -62,15 +62,15 @@ def spread_of(rollout: Rollout, z: Array) -> Spread:
     edge = (z - u.low < 1e-9) | (u.high - z < 1e-9)
     label = _blocks(runs)
     scores = np.zeros((int(label.max()) + 1, len(z)))
-    square, cost, samples = np.zeros((len(z), len(z))), 0.0, 0.0
+    cost, _, square, _ = rollout.normal(z)
     for rows, errors, slopes, _ in rollout.blocks(z):
-        m, k = label[rows].shape[0], slopes.shape[1] // len(runs.names)
-        own = np.repeat(label[rows, :k], len(runs.names), axis=1)
-        for i in range(m):
-            np.add.at(scores, own[i], slopes[i] * errors[i][:, None])
-        flat = slopes.reshape(-1, len(z))
-        square += flat.T @ flat
-        cost += float(np.sum(errors**2))
+        k = slopes.shape[1] // len(runs.names)
+        of_errors = np.repeat(label[rows, :k], len(runs.names), axis=1)
+        for own, columns in rollout.by_record(rows):
+            places = np.ix_(of_errors[own].ravel(), columns)
+            np.add.at(
+                scores, places, (slopes[own] * errors[own, :, None]).reshape(-1, len(columns))
+            )
     samples = 1.0 / float(np.sum((runs.weights / max(runs.weights.sum(), 1e-300)) ** 2))
     samples *= len(runs.names)
     free = ~edge & (np.diag(square) > UNSEEN * np.diag(square).max(initial=0.0))
@@ -249,11 +249,10 @@ class FreeRunFit(FittedPlant):
             return Adequacy()  # a model with a disturbance says itself that it lacks something
         u, names = self.unknowns, list(self.training.names)
         known = running(self.records, self.interpolation)
-        evidence = evidence_of(self.plant, known, names, u, self.rig, self.z)
-        if evidence is None and self.at_bound:  # a mass of nothing: no motion can be followed there
-            edge = [n in self.at_bound for n in u.names]
-            begin = np.where(edge, u.guess, self.z)
-            evidence = evidence_of(self.plant, known, names, u, self.rig, begin)
+        # a mass of nothing: no motion can be followed where a value is at its edge
+        edge = [n in self.at_bound for n in u.names]
+        begin = np.where(edge, u.guess, self.z)
+        evidence = evidence_of(self.plant, known, names, u, self.rig, begin)
         own = {n: c.stderr for n, c in self.spread.coefficients.items()}
         if evidence is None and self._whole:
             runs = self.training
