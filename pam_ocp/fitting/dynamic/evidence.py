@@ -82,6 +82,12 @@ class Evidence:
     squares_with: Callable[[str], Array]
     """(ny,) mean squares of the residuals with the suspects of a cause at their least squares."""
 
+    @property
+    def rms(self) -> Array:
+        """Of the residuals of each measured variable."""
+        every = np.concatenate([m.error for m in self.motions])
+        return np.asarray(np.sqrt(np.mean(every**2, axis=0)))
+
 
 @dataclass(frozen=True, eq=False)
 class _Case:
@@ -183,41 +189,20 @@ def _followed(case: _Case) -> tuple[Runs, Array]:
         length = samples * sampling
 
 
-def _blocks(
-    rollout: Rollout, z: Array, k: int, m: int, targets: Sequence[Array] | None = None
-) -> list[Motion]:
-    """targets : predictions that count as modelled, in place of those of the slopes' run."""
-    runs, found = rollout.runs, {}
-    for part, y, slopes in rollout.computed(z, True):
-        for i, row in enumerate(part.rows):
-            n = int(runs.length[row])
-            modelled = y[i, :n] if targets is None else targets[row][:n]
-            s = np.nan_to_num(slopes[i, :n])
-            if np.any(np.abs(s[..., k + m :]) > LOST * rollout.spread[:, None]):
-                raise FitError("motions that depend on their starts without bound tell nothing")
-            found[int(row)] = Motion(
-                modelled - runs.measured[row, :n], s[..., k + m :], s[..., :k], s[..., k : k + m]
-            )
-    return [found[i] for i in range(len(runs.record))]
-
-
-def projected(
-    motions: Sequence[Motion], weights: Array, more: Callable[[Motion], Array]
-) -> tuple[Array, Array]:
-    """(error (n,), columns (n, .)) of all motions times ``weights``, their starts projected out."""
+def projected(motions: Sequence[Motion], weights: Array) -> tuple[Array, Array]:
+    """(error (n,), columns (n, .) of the values) of all motions times ``weights``, their starts
+    projected out.
+    """
     errors, columns = [], []
     for m in motions:
-        basis = _basis((m.start * weights[:, None]).reshape(-1, m.start.shape[2]))
+        start = (m.start * weights[:, None]).reshape(-1, m.start.shape[2])
+        size = np.linalg.norm(start, axis=0)
+        basis = spanned(start[:, size > UNSEEN * size.max(initial=0.0)], NEGLIGIBLE)
         e = (m.error * weights).ravel()
-        c = (more(m) * weights[:, None]).reshape(len(e), -1)
+        c = (m.values * weights[:, None]).reshape(len(e), -1)
         errors.append(e - basis @ (basis.T @ e))
         columns.append(c - basis @ (basis.T @ c))
     return np.concatenate(errors), np.concatenate(columns)
-
-
-def _basis(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    return spanned(columns[:, size > UNSEEN * size.max(initial=0.0)], NEGLIGIBLE)
 
 
 def solved(matrix: Array, right: Array) -> Array:
@@ -306,11 +291,6 @@ def _rows(runs: Runs) -> list[Array]:
     return [r[:n] for r, n in zip(runs.measured, runs.length, strict=True)]
 
 
-def roots(blocks: Sequence[Motion]) -> Array:
-    """Of the mean squares of each measured variable."""
-    return np.asarray(np.sqrt(np.mean(np.concatenate([m.error for m in blocks]) ** 2, axis=0)))
-
-
 def _evidence(
     case: _Case, runs: Runs, z: Array, x0: Array, modelled: Array, gap: Array
 ) -> Evidence:
@@ -327,17 +307,24 @@ def _evidence(
     at = np.concatenate([z[:count], np.zeros(m), z[count:], x0.ravel()])
     order = [*range(count), *range(count + m, k + m)]
     edge = np.minimum(x0.ravel() - u.low[k:], u.high[k:] - x0.ravel()).reshape(x0.shape) < EDGE
-    blocks = []
-    for b, held in zip(_blocks(rollout, at, k + m, 0, list(modelled)), edge, strict=True):
-        own = b.values[..., count : count + m]
-        start = np.where(held, 0.0, b.start)  # at the edge of its range it is not free
-        blocks.append(replace(b, start=start, values=b.values[..., order], suspects=own))
+    motions = {}
+    for part, _, slopes in rollout.computed(at, True):
+        for row, own in zip(part.rows.tolist(), slopes, strict=True):
+            n = int(runs.length[row])
+            s = np.nan_to_num(own[:n])
+            start = s[..., k + m :]
+            if np.any(np.abs(start) > LOST * rollout.spread[:, None]):
+                raise FitError("motions that depend on their starts without bound tell nothing")
+            start = np.where(edge[row], 0.0, start)  # at the edge of its range it is not free
+            error = modelled[row, :n] - runs.measured[row, :n]
+            suspects = s[..., count : count + m]
+            motions[row] = Motion(error, start, s[..., order], suspects)
     return Evidence(
         tuple(runs.names),
         tuple(case.plant.variable(n).unit for n in runs.names),
         u.names[:k],
         u.scale[:k],
-        tuple(blocks),
+        tuple(motions[i] for i in range(len(runs.record))),
         found.suspects,
         z - case.z,
         gap,

@@ -357,32 +357,32 @@ def told(run: FreeRun) -> FreeRun:
 
 
 # ---- runs of the same kind along other records ---------------------------------------------------
-def asked_like(
-    fit: FreeRunFit, plant: Plant, records: Sequence[Trajectory], options: Mapping[str, Any]
-) -> Runs:
-    """What runs of a plant as those of the fit start from; ``options`` that differ."""
+def rollout_like(
+    fit: FreeRunFit,
+    plant: Plant,
+    records: Sequence[Trajectory],
+    options: Mapping[str, Any],
+    weights: Sequence[str] = (),
+) -> Rollout:
+    """Runs of a plant as those of the fit; ``options`` that differ. Sought are the starts that each
+    record has for itself, as in the fit, and what was learned: weights, and memories' starts.
+    """
     every = {**fit.options, "outputs": list(fit.training.names), **options}
-    return runs_of(plant, records, **every)
-
-
-def unknowns_like(
-    fit: FreeRunFit, plant: Plant, runs: Runs, records: int, weights: Sequence[str] = ()
-) -> RunUnknowns:
-    """Starts of each record as in the fit, and the weights and memories of what was learned."""
+    runs = runs_of(plant, records, **every)
     states = [v.name for v in plant.states]
     along = {fit.plant.states[i].name for i in fit.unknowns.along}
     hidden = [i for i, n in enumerate(states) if n in along or ".learned.memory" in n]
-    guesses = settled_starts(plant, runs, records, hidden).T
-    found, _ = unknowns_of(
+    guesses = settled_starts(plant, runs, len(records), hidden).T
+    unknowns, _ = unknowns_of(
         plant,
         [replace(g, scale=1.0) for g in groups(plant, list(weights))] if weights else (),
         runs.names,
-        records,
+        len(records),
         float(runs.t[0]),
         starts={n: "record" for n in fit.own_starts if n not in along},
         hidden=dict(zip(hidden, guesses, strict=True)),
     )
-    return found
+    return Rollout(plant, runs, unknowns, fit.rig)
 
 
 def begun(rollout: Rollout) -> Array:
@@ -399,6 +399,5 @@ def runs_like(
 ) -> FreeRun:
     """Runs of a plant as those of the fit, along other records."""
     known = running(recorded(records), fit.interpolation)
-    runs = asked_like(fit, plant, known, options)
-    rollout = Rollout(plant, runs, unknowns_like(fit, plant, runs, len(known)), fit.rig)
-    return runs.result(rollout.predicted(begun(rollout)))
+    rollout = rollout_like(fit, plant, known, options)
+    return rollout.runs.result(rollout.predicted(begun(rollout)))

@@ -30,8 +30,8 @@ from ...plants.plant import Plant
 from ...simulation.integrate import Integration
 from ...simulation.simulator import simulate
 from ..statistics import Array
-from .experiment import Experiment, ParameterGroup
-from .rig import Rig, RunUnknowns, unknowns_of
+from .experiment import Experiment
+from .rig import Rig, RunUnknowns
 
 FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting", "simulation"]
 METHODS = get_args(FitMethod)
@@ -256,35 +256,6 @@ def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:
         np.concatenate(interval),
         np.concatenate(offset),
     )
-
-
-def unknowns_with_starts(
-    plant: Plant,
-    groups: Sequence[ParameterGroup],
-    measured: Sequence[str],
-    experiments: Sequence[Experiment],
-    **sensed: Any,
-) -> RunUnknowns:
-    """What is sought beside the motion: with where all states begin in each record. sensed : delay,
-    gains and offsets.
-    """
-    starts = np.array([e.states[0] for e in experiments]).T
-    u, _ = unknowns_of(
-        plant,
-        groups,
-        measured,
-        len(experiments),
-        usual(experiments),
-        hidden=dict(enumerate(starts)),
-        **sensed,
-    )
-    names = u.names if len(experiments) > 1 else [n.replace(", record 1)", ")") for n in u.names]
-    return u.changed(name=names, guess=np.clip(u.guess, u.low, u.high))
-
-
-def usual(experiments: Sequence[Experiment]) -> float:
-    """Length of an interval [s]."""
-    return float(np.median(np.concatenate([np.diff(e.mesh) for e in experiments])))
 
 
 def _interval(

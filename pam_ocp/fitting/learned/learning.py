@@ -29,7 +29,7 @@ from ...plants.plant import Plant, require_plant
 from ..dynamic.choice import paired
 from ..dynamic.experiment import groups, recorded, running
 from ..dynamic.free_run_fit import fit_free_run
-from ..dynamic.free_run_result import FreeRunFit, asked_like, begun, runs_like, unknowns_like
+from ..dynamic.free_run_result import FreeRunFit, begun, rollout_like, runs_like
 from ..dynamic.gauss_newton import descend
 from ..dynamic.rollout import Rollout
 from ..dynamic.runs import Band, FreeRun
@@ -384,11 +384,8 @@ class _Search:
 
     def __init__(self, made: Attached, fit: FreeRunFit, records: Sequence[Trajectory]) -> None:
         self._made, self._w = made, made.begin
-        runs = asked_like(fit, made.plant, records, {})
-        unknowns = unknowns_like(fit, made.plant, runs, len(records), made.weights)
-        self._rollout = Rollout(made.plant, runs, unknowns, fit.rig)
-        plain = unknowns_like(fit, made.plant, runs, len(records))
-        self._starts = begun(Rollout(made.at(made.centre), runs, plain, fit.rig))
+        self._rollout = rollout_like(fit, made.plant, records, {}, made.weights)
+        self._starts = begun(rollout_like(fit, made.at(made.centre), records, {}))
 
     def to(self, strength: float, evaluations: int) -> Array:
         """The weights at a strength."""
@@ -405,7 +402,7 @@ class _Search:
 
 def _visited(fit: FreeRunFit, records: Sequence[Trajectory]) -> Visited:
     """States and inputs at all samples of the runs of the fit."""
-    runs = asked_like(fit, fit.plant, records, {})
+    runs = rollout_like(fit, fit.plant, records, {}).runs
     rollout = Rollout(fit.plant, runs, fit.unknowns, fit.rig)
     states, inputs = [], []
     for part, x in rollout.states(fit.z):
