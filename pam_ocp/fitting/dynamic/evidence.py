@@ -112,10 +112,10 @@ class _Case:
             inputs=[found.inputs[r] for r in found.record],
         )
 
-    def rollout(self, runs: Runs, weigh: Array | None = None) -> Rollout:
+    def rollout(self, runs: Runs) -> Rollout:
         """With as many starts as there are motions."""
         unknowns = self.unknowns.of_motions(self.plant, len(runs.record))
-        return Rollout(self.plant, runs, unknowns, self.rig, weigh=weigh, wild=LOST)
+        return Rollout(self.plant, runs, unknowns, self.rig, wild=LOST)
 
 
 def evidence_of(
@@ -141,10 +141,9 @@ def evidence_of(
             np.asarray(z)[unknowns.of_model],
             LEAST_STEPS,
         )
-        runs, x0 = _followed(case)
-        z, x0, _ = _least_squares(case, runs, case.z, x0)
+        runs, every = _followed(case)
+        every, _ = _least_squares(case, runs, every)
         fine = case.rollout(runs)
-        every = np.concatenate([z, x0.ravel()])
         modelled = fine.predicted(every)
         while True:
             finer = fine.finer()
@@ -153,18 +152,17 @@ def evidence_of(
             if np.all(gap <= ACCURATE * rms) or finer.runs.steps > MOST_STEPS:
                 break
             # values that were found with long steps leave more than they should
-            z, x0, _ = _least_squares(case, finer.runs, z, x0)
-            every = np.concatenate([z, x0.ravel()])
+            every, _ = _least_squares(case, finer.runs, every)
             fine, modelled = finer, finer.predicted(every)
         if not np.all(np.isfinite(gap)):
             return None  # shorter steps diverge, and shall say what longer ones cannot
-        return _evidence(replace(case, steps=fine.runs.steps), fine.runs, z, x0, better, gap)
+        return _evidence(replace(case, steps=fine.runs.steps), fine.runs, every, better, gap)
     except (PamError, np.linalg.LinAlgError):
         return None
 
 
 def _followed(case: _Case) -> tuple[Runs, Array]:
-    """Motions as long as their starts stay in sight, and guesses of these (n, nx), scaled."""
+    """Motions as long as their starts stay in sight; the values, and guesses of all starts."""
     sampling = case.records[0].duration / (len(case.records[0]) - 1)
     length: float | None = None
     samples = max(len(r) for r in case.records) - 2
@@ -184,7 +182,7 @@ def _followed(case: _Case) -> tuple[Runs, Array]:
             if not np.all(np.isfinite(y[inside])):
                 steep = np.inf
         if steep <= STEEP or samples < 2 * SHORTEST:
-            return runs, x0
+            return runs, z
         samples //= 2
         length = samples * sampling
 
@@ -253,17 +251,15 @@ class _Projected:
 def _least_squares(
     case: _Case,
     runs: Runs,
-    z: Array,
-    x0: Array,
+    best: Array,
     sensors: Sensors | None = None,
     least: float = GAINED,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array]:
     """Values and starts of the least squares of these motions, from those given; mean squares (ny,)
     of the residuals, by which the variables are weighed. sensors : whose errors are sought, too.
     least : relative change below which the search ends.
     """
-    k, best = len(z), np.concatenate([z, x0.ravel()])
-    plain = case.rollout(runs)
+    k, plain = len(case.unknowns.rows), case.rollout(runs)
     low, high = plain.unknowns.low, plain.unknowns.high
     inside = ~np.isnan(runs.measured)
 
@@ -276,7 +272,7 @@ def _least_squares(
 
     found = squares(best)
     for number in range(WEIGHINGS):
-        weighed = case.rollout(runs, 1 / np.maximum(np.sqrt(found), 1e-12))
+        weighed = plain.weighed(1 / np.maximum(np.sqrt(found), 1e-12))
         problem = _Projected(weighed, sensors) if sensors else weighed
         # values that are moved by wrong starts go astray
         ends = (a if number else np.concatenate([best[:k], a[k:]]) for a in (low, high))
@@ -284,17 +280,16 @@ def _least_squares(
         last, found = found, squares(best)
         if number and np.sum(np.abs(np.log(found / last))) < least:
             break
-    return best[:k], best[k:].reshape(x0.shape), found * plain.spread**2
+    return best, found * plain.spread**2
 
 
 def _rows(runs: Runs) -> list[Array]:
     return [r[:n] for r, n in zip(runs.measured, runs.length, strict=True)]
 
 
-def _evidence(
-    case: _Case, runs: Runs, z: Array, x0: Array, modelled: Array, gap: Array
-) -> Evidence:
-    groups, k = case.unknowns.groups, len(z)
+def _evidence(case: _Case, runs: Runs, every: Array, modelled: Array, gap: Array) -> Evidence:
+    groups, k = case.unknowns.groups, len(case.z)
+    z, x0 = every[:k], every[k:].reshape(len(runs.record), -1)
     delays = case.unknowns.rig(case.plant, runs.names, case.rig, z).delays
     found = suspected(case.plant, case.records, groups, delays, runs.names)
     u = case.unknowns.of_motions(case.plant, len(runs.record))
@@ -304,9 +299,9 @@ def _evidence(
     later = wider.runs(runs.horizons[0] if runs.horizons else None)
     unknowns = u.with_more(*map(Unknown.of_group, found.groups[count:]))
     rollout = Rollout(found.plant, later, unknowns, rig)
-    at = np.concatenate([z[:count], np.zeros(m), z[count:], x0.ravel()])
+    at = np.insert(every, [count] * m, 0.0)
     order = [*range(count), *range(count + m, k + m)]
-    edge = np.minimum(x0.ravel() - u.low[k:], u.high[k:] - x0.ravel()).reshape(x0.shape) < EDGE
+    edge = (np.minimum(every - u.low, u.high - every)[k:] < EDGE).reshape(x0.shape)
     motions = {}
     for part, _, slopes in rollout.computed(at, True):
         for row, own in zip(part.rows.tolist(), slopes, strict=True):
@@ -352,5 +347,6 @@ def _squares_with(
     z = np.insert(z, [count] * len(chosen), 0.0)
     begun = np.hstack([x0, np.zeros((len(x0), len(case.plant.states) - x0.shape[1]))])
     with suppress(FitError):
-        return _least_squares(wide, runs, z, begun, sensors if has else None, COMPARED)[2]
+        begin = np.concatenate([z, begun.ravel()])
+        return _least_squares(wide, runs, begin, sensors if has else None, COMPARED)[1]
     return np.asarray(np.nanmean((modelled - runs.measured) ** 2, axis=(0, 1)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -88,6 +89,13 @@ class Rollout:
         """With steps of half the length."""
         halved = replace(self.runs, steps=2 * self.runs.steps)
         return Rollout(self._plant, halved, self.unknowns, self._rig)
+
+    def weighed(self, weigh: Array) -> Rollout:
+        """The same runs with other factors of the measured variables."""
+        found = copy(self)
+        found.weights = np.sqrt(self.runs.weights / len(weigh))[..., None] * weigh
+        found._seen, found._normal = {}, {}
+        return found
 
     # ---- what is asked for --------------------------------------------------------------------
     def predicted(self, z: Array) -> Array:

@@ -331,7 +331,12 @@ class _Trial:
             runs_like(self.fit, self.attached.at(w), self.left(i), {})
             for i, w in enumerate(weights)
         ]
-        found = [_losses(run, len(self.left(i))) for i, run in enumerate(runs)]
+        found = [
+            np.concatenate(
+                [run.losses(len(self.left(i)), h) for h in run.horizons or (None,)], axis=1
+            )
+            for i, run in enumerate(runs)
+        ]
         losses = np.empty((len(self.parts), found[0].shape[1]))
         for i, own in enumerate(found):
             losses[self.fold == i] = own
@@ -371,12 +376,6 @@ def _parts(
             "and its past take; take fewer folds, shorter horizons, or longer records"
         )
     return found
-
-
-def _losses(run: FreeRun, records: int) -> Array:
-    """(records, horizons ny)."""
-    several = run.horizons or (None,)
-    return np.concatenate([run.losses(records, h) for h in several], axis=1)
 
 
 class _Search:
