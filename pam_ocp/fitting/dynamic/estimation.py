@@ -61,7 +61,7 @@ class Asked:
 
     names: Sequence[str]
     delays: tuple[float, float]
-    sensors: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    sensors: Mapping[str, Any] = field(default_factory=dict)
     process: Sequence[tuple[int, float]] = ()
     noise: Array | None = None
     degree: int | None = None

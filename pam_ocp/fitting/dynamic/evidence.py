@@ -275,10 +275,10 @@ def _least_squares(
         weighed = plain.weighed(1 / np.maximum(np.sqrt(found), 1e-12))
         problem = _Projected(weighed, sensors) if sensors else weighed
         # values that are moved by wrong starts go astray
-        ends = (a if number else np.concatenate([best[:k], a[k:]]) for a in (low, high))
-        best = descend(problem, best, *ends, EVALUATIONS, enough=least).z
-        last, found = found, squares(best)
-        if number and np.sum(np.abs(np.log(found / last))) < least:
+        first, last = (a if number else np.concatenate([best[:k], a[k:]]) for a in (low, high))
+        best = descend(problem, best, first, last, EVALUATIONS, enough=least).z
+        before, found = found, squares(best)
+        if number and np.sum(np.abs(np.log(found / before))) < least:
             break
     return best, found * plain.spread**2
 
