@@ -249,10 +249,11 @@ class FreeRunFit(FittedPlant):
             return Adequacy()  # a model with a disturbance says itself that it lacks something
         u, names = self.unknowns, list(self.training.names)
         known = running(self.records, self.interpolation)
-        # a mass of nothing: no motion can be followed where a value is at its edge
+        # beside its edge, if a value is there: a mass of nothing, whose motion cannot be followed
         edge = [n in self.at_bound for n in u.names]
-        begin = np.where(edge, u.guess, self.z)
-        evidence = evidence_of(self.plant, known, names, u, self.rig, begin)
+        starts = [np.where(edge, u.guess, self.z), self.z][not any(edge) :]
+        tried = (evidence_of(self.plant, known, names, u, self.rig, z) for z in starts)
+        evidence = next((e for e in tried if e is not None), None)
         own = {n: c.stderr for n, c in self.spread.coefficients.items()}
         if evidence is None and self._whole:
             runs = self.training

@@ -54,7 +54,7 @@ class Rollout:
     """Runs, residuals and their exact Jacobian in the scaled unknowns z. A residual is an error in
     units of the variable's spread times the root of its sample's weight, so their sum of squares is
     the mean squared error. weigh : factors of the measured variables on top of that. static : the
-    plant counts as at rest under its inputs at each sample. wild : see WILD.
+    plant counts as at rest under its inputs at each sample. wild : in place of WILD.
     """
 
     def __init__(
@@ -147,12 +147,8 @@ class Rollout:
 
     def _normal_of(self, z: Array, other: Array | None) -> tuple[float, Array, Array, int]:
         several = (1,) if other is None else other.shape[3:]
-        cost, gradient, square, damped = (
-            0.0,
-            np.zeros((len(z), *several)),
-            np.zeros((len(z),) * 2),
-            0,
-        )
+        gradient, square = np.zeros((len(z), *several)), np.zeros((len(z), len(z)))
+        cost, damped = 0.0, 0
         for rows, errors, slopes, wild in self.blocks(z):
             if other is not None:
                 errors = other[rows, : slopes.shape[1] // other.shape[2]]
