@@ -14,13 +14,13 @@ causes, the first two kinds judge the fit's own residuals.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..static.correlation import neighbours
 from ..statistics import Array, even, f_test, inverse
-from .evidence import Evidence, Motion, projected, roots, solved
+from .evidence import Evidence, Motion, projected, solved
 from .suspects import CAUSES, Suspect, sensor_suspects
 
 LEVEL = 0.01
@@ -279,19 +279,18 @@ def adequacy_of(
     """
     if evidence is None:
         return LOST
-    motions = evidence.motions
-    rms = roots(motions)
+    rms = evidence.rms
     if np.any(rms <= np.maximum(EXACT * evidence.integration, _resolved(evidence.measured))):
         return UNTESTED
-    case = _Case(evidence, motions, 1 / rms, _columns(evidence))
+    case = _Case(evidence, 1 / rms, _columns(evidence))
     base = case.regressed(())
     if base.dof < FEWEST:
         return UNTESTED
-    case = _Case(evidence, motions, 1 / base.sigma, case.columns)
+    case = replace(case, weights=1 / base.sigma)
     base = case.regressed(())
     tests, noise = _tests(case, base)
     rejected = any(t.rejects for t in tests)
-    cause = _likeliest(case, base) if rejected else _Cause("", case.noises(base), base)
+    cause = _likeliest(case, base) if rejected else ("", base)
     return _verdict(case, base, cause, tests, noise, weights, stderr)
 
 
@@ -337,8 +336,8 @@ def _resolved(measured: Sequence[Array]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Regressed:
-    """Residuals of motions by least squares in starts, values and some suspects. rows : all of
-    them, whitened if they were; squares : their sum; share : of the degrees of freedom lost.
+    """Residuals of motions by least squares in starts, values and some suspects. squares : their
+    sum, whitened if they were; columns : independent ones of values and suspects.
     """
 
     values: Array
@@ -352,7 +351,6 @@ class _Regressed:
 @dataclass(frozen=True, eq=False)
 class _Case:
     evidence: Evidence
-    motions: Sequence[Motion]
     weights: Array
     columns: tuple[tuple[Suspect, Sequence[Array]], ...]
     """Suspects with their slopes (K, ny) in each motion."""
@@ -362,7 +360,7 @@ class _Case:
 
     def stacked(self, number: int, chosen: Sequence[int]) -> Array:
         """Slopes (K, ny, k + chosen) of a motion."""
-        m = self.motions[number]
+        m = self.evidence.motions[number]
         more = [self.columns[i][1][number] for i in chosen]
         return np.concatenate([m.values, *(c[..., None] for c in more)], axis=2)
 
@@ -370,9 +368,9 @@ class _Case:
         """Generalised least squares where ``noises`` of the measured variables are given."""
         motions = [
             _whitened(m, self.stacked(i, chosen), self.weights, noises)
-            for i, m in enumerate(self.motions)
+            for i, m in enumerate(self.evidence.motions)
         ]
-        error, columns = projected(motions, np.ones(1), lambda m: m.values)
+        error, columns = projected(motions, np.ones(1))
         found = solved(columns, error)
         left = error - columns @ found
         rank = int(np.linalg.matrix_rank(even(columns)[0], tol=1e-6)) if columns.size else 0
@@ -382,7 +380,7 @@ class _Case:
         )
         dof = error.size - rank - starts
         residuals = []
-        for i, m in enumerate(self.motions):
+        for i, m in enumerate(self.evidence.motions):
             e = m.error - self.stacked(i, chosen) @ found
             w = self.weights[:, None]
             begun = solved((m.start * w).reshape(e.size, -1), (e * self.weights).ravel())
@@ -393,7 +391,7 @@ class _Case:
 
     def criterion(self, cause: str, more: int) -> float:
         """Schwarz' criterion of the model with all suspects of a cause at their least squares."""
-        n = sum(len(m.error) for m in self.motions)
+        n = sum(len(m.error) for m in self.evidence.motions)
         squares = self.evidence.squares_with(cause)
         return float(n * np.sum(np.log(np.maximum(squares, 1e-300))) + more * np.log(n))
 
@@ -489,15 +487,7 @@ def _whiteness(variables: Sequence[Sequence[Array]], level: float) -> AdequacyTe
 
 
 # ---- causes -------------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
-class _Cause:
-    name: str
-    noises: list[Noise]
-    fit: _Regressed
-    chosen: tuple[int, ...] = ()
-
-
-def _likeliest(case: _Case, base: _Regressed) -> _Cause:
+def _likeliest(case: _Case, base: _Regressed) -> tuple[str, _Regressed]:
     """That which takes up most, if any is more than autoregressive noise may seem to be. By score
     tests of residuals whitened as such; of those that pass, by the least squares with each: where
     much is missing slopes do not reach so far, as values have moved to make up for it.
@@ -513,27 +503,26 @@ def _likeliest(case: _Case, base: _Regressed) -> _Cause:
             more[cause] = found[1][0]
     if not told:
         name = "coloured noise" if any(n.order for n in noises) else "unknown"
-        return _Cause(name, noises, base)
+        return name, base
     name = min(more, key=lambda c: case.criterion(c, more[c]))
-    fit = case.regressed(case.of(name))
-    return _Cause(name, case.noises(fit), fit, case.of(name))
+    return name, case.regressed(case.of(name))
 
 
 # ---- verdict ------------------------------------------------------------------------------------
 def _verdict(
     case: _Case,
     base: _Regressed,
-    cause: _Cause,
+    cause: tuple[str, _Regressed],
     tests: tuple[AdequacyTest, ...],
     noise: dict[str, float],
     weights: Array,
     given: Mapping[str, float] | None,
 ) -> Adequacy:
     e = case.evidence
-    k = len(e.names)
+    (name, fit), k = cause, len(e.names)
     rms = dict(zip(e.outputs, base.sigma.tolist(), strict=True))
     follows = {n: neighbours([r[:, j] for r in base.residuals]) for j, n in enumerate(e.outputs)}
-    shifts = (base.values[:k] - cause.fit.values[:k]) * e.scale
+    shifts = (base.values[:k] - fit.values[:k]) * e.scale
     # the noise that the values were found in: with all that the model leaves out
     noises = case.noises(base)
     if given is None:
@@ -542,14 +531,14 @@ def _verdict(
         stderr = np.array([given[n] for n in e.names])
     apart = np.abs(e.shifts * e.scale)
     # values of a search that did not end are apart, too
-    counts = (apart > APART * stderr) | (given is not None and bool(cause.name))
+    counts = (apart > APART * stderr) | (given is not None and bool(name))
     off = shifts**2 + np.where(counts, apart**2, 0.0)
     stderr = np.sqrt(stderr**2 + off)
-    subject, amount, unit = _subject(case, cause)
-    part = 1 - cause.fit.squares / max(base.squares, 1e-300)
+    subject, amount, unit = _subject(case, name, case.noises(fit))
+    part = 1 - fit.squares / max(base.squares, 1e-300)
     effective = sum(x.effective for x in noises) * sum(map(len, base.residuals))
     return Adequacy(
-        cause.name,
+        name,
         subject,
         amount,
         unit,
@@ -569,8 +558,8 @@ def _covariance(case: _Case, noises: Sequence[Noise], weights: Array) -> Array:
     projections, k = [], len(case.evidence.names)
     if not k:
         return np.empty((0, 0))
-    for m in case.motions:
-        _, columns = projected([m], weights, lambda x: x.values)
+    for m in case.evidence.motions:
+        _, columns = projected([m], weights)
         projections.append(columns.reshape(*m.error.shape, k))
     every, size = even(np.concatenate([p.reshape(-1, k) for p in projections]))
     usual = inverse(every.T @ every)
@@ -581,14 +570,14 @@ def _covariance(case: _Case, noises: Sequence[Noise], weights: Array) -> Array:
     return np.asarray(usual @ meat @ usual / np.outer(size, size))
 
 
-def _subject(case: _Case, cause: _Cause) -> tuple[str, float, str]:
+def _subject(case: _Case, cause: str, noises: Sequence[Noise]) -> tuple[str, float, str]:
     """Of the suspects of a cause, the one that takes up most by itself, and how much of it."""
-    if cause.name == "coloured noise":
-        order = [n.effective for n in cause.noises]
+    if cause == "coloured noise":
+        order = [n.effective for n in noises]
         return case.evidence.outputs[int(np.argmin(order))], 0.0, "1"
-    if not cause.chosen:
+    if not case.of(cause):
         return "", 0.0, "1"
-    alone = [(case.regressed((i,), cause.noises), i) for i in cause.chosen]
+    alone = [(case.regressed((i,), noises), i) for i in case.of(cause)]
     fit, i = min(alone, key=lambda a: a[0].squares)
     suspect = case.columns[i][0]
     return suspect.subject, float(-fit.values[-1]) * suspect.size, suspect.unit

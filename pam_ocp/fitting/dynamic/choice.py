@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -451,7 +452,7 @@ def _fits(
     tasks = [(n, out) for n in structures for out in left_out]
     tasks.sort(key=lambda task: -structures[task[0]].complexity)
 
-    work = _Without(structures, records, fold)
+    work = partial(_without, structures, records, fold)
     found: dict[str, dict[tuple[int, ...], _Fitted]] = {n: {} for n in structures}
     place = executor if isinstance(executor, Executor | Client) else 0
     shared = [t for t in tasks if not getattr(structures[t[0]], "alone", False)]
@@ -472,27 +473,24 @@ def _fits(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Without:
-    """Called with a structure's name and the folds left out, here or in another process."""
-
-    structures: Mapping[str, Structure]
-    records: Sequence[Trajectory]
-    fold: NDArray[np.intp]
-
-    def __call__(self, task: tuple[str, tuple[int, ...]]) -> _Fitted:
-        name, out = task
-        placed = list(zip(self.records, self.fold, strict=True))
-        training = [r for r, k in placed if k not in out]
-        tests = {i: [r for r, k in placed if k == i] for i in out}
-        structure, began = self.structures[name], time.process_time()
-        try:
-            model = structure.fit(training)
-            seconds = time.process_time() - began
-            losses = {k: _losses(structure, model, test) for k, test in tests.items()}
-        except PamError as error:
-            return _Fitted({}, time.process_time() - began, f"{type(error).__name__}: {error}")
-        return _Fitted(losses, seconds)
+def _without(
+    structures: Mapping[str, Structure],
+    records: Sequence[Trajectory],
+    fold: NDArray[np.intp],
+    task: tuple[str, tuple[int, ...]],
+) -> _Fitted:
+    """Of a structure's name and the folds left out, here or in another process."""
+    name, out = task
+    placed = list(zip(records, fold, strict=True))
+    training = [r for r, k in placed if k not in out]
+    structure, began = structures[name], time.process_time()
+    try:
+        model = structure.fit(training)
+        seconds = time.process_time() - began
+        losses = {i: _losses(structure, model, [r for r, k in placed if k == i]) for i in out}
+    except PamError as error:
+        return _Fitted({}, time.process_time() - began, f"{type(error).__name__}: {error}")
+    return _Fitted(losses, seconds)
 
 
 def _gathered(

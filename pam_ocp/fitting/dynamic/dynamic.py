@@ -152,15 +152,20 @@ def fit_plant(
     wanted = groups(plant, free, bounds)
     if iterations is not None:
         require_count("iterations", iterations)
+    late = delay_range(delay, partial(require_positive, zero=True))
+    constant = {
+        named("inputs", n, plant, "input").name: require_finite(n, value)
+        for n, value in (inputs or {}).items()
+    }
     asked = Asked(
         names,
-        _delays(delay),
+        late if isinstance(late, tuple) else (late, late),
         {"gains": gains, "offsets": offsets},
         _process(plant, process_noise, ways[0], noise),
         _noise(plant, names, noise),
         degree,
         step,
-        _constant(plant, inputs),
+        constant,
         noisy,
         iterations,
         reporter(progress),
@@ -171,25 +176,23 @@ def fit_plant(
 
     def by(way: FitMethod, ran: Sequence[Trajectory]) -> Found:
         task = asked.task(plant, ran, wanted, way)
-        if way != "simulation":  # which meets kinks as they are
-            task = _narrowed(task, roundings)
-        return _fitted(task)
+        # a simulation meets kinks as they are
+        return _fitted(task if way == "simulation" else _narrowed(task, roundings))
 
-    def at_first(ran: Sequence[Trajectory]) -> Found:
+    def fitted(ran: Sequence[Trajectory]) -> Found:
         first, *rest = ways
+        found: Found | None = None
         try:
             found = by(first, ran)
-            if not rest or found[0].status == TIMED or found[0].integration_error < ASTRAY:
-                return found
         except FitError as error:
             if not rest or isinstance(error, NoInfluence):
                 raise
-        return by(rest[0], ran)
-
-    def fitted(ran: Sequence[Trajectory]) -> Found:
-        found = at_first(ran)
-        many = len(wanted) > 1
-        if not many or found[0].status == TIMED or not _poor(found[0]) or process_noise or noisy:
+        if found is None or (
+            rest and found[0].status != TIMED and not found[0].integration_error < ASTRAY
+        ):
+            found = by(rest[0], ran)
+        several = len(wanted) > 1 and not (process_noise or noisy)
+        if not several or found[0].status == TIMED or not _poor(found[0]):
             return found
         return _not_worse(asked, found, ran, wanted)
 
@@ -328,11 +331,6 @@ def _narrowed(task: FitTask, widths: Mapping[str, float]) -> FitTask:
 
 
 # ---- arguments ----------------------------------------------------------------------------------
-def _delays(delay: Any) -> tuple[float, float]:
-    found = delay_range(delay, partial(require_positive, zero=True))
-    return found if isinstance(found, tuple) else (found, found)
-
-
 def _process(
     plant: Plant, given: Mapping[str, float] | None, method: Any, noise: Any
 ) -> tuple[tuple[int, float], ...]:
@@ -367,13 +365,6 @@ def _scattering(
         v = named(argument, name, plant, kind)
         found[v.name] = require_positive(f"{argument}[{name!r}]", value, v.unit + per)
     return found
-
-
-def _constant(plant: Plant, given: Mapping[str, float] | None) -> dict[str, float]:
-    return {
-        named("inputs", name, plant, "input").name: require_finite(name, value)
-        for name, value in (given or {}).items()
-    }
 
 
 def _noise(plant: Plant, names: Sequence[str], noise: Mapping[str, float] | None) -> Array | None:

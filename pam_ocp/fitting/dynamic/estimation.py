@@ -18,7 +18,7 @@ from ..statistics import Array, Linearisation, even
 from .experiment import Experiment, ParameterGroup, measured_names, prepare, recorded
 from .gauss_newton import GaussNewtonResult, Report, solve
 from .plant_fit import PlantFit
-from .rig import Rig
+from .rig import Rig, unknowns_of
 from .transcribe import (
     METHODS,
     FitMethod,
@@ -27,8 +27,6 @@ from .transcribe import (
     SimulatedProgram,
     sensed,
     transcribe,
-    unknowns_with_starts,
-    usual,
 )
 
 SCANNED_DELAYS = 5
@@ -63,7 +61,7 @@ class Asked:
 
     names: Sequence[str]
     delays: tuple[float, float]
-    sensors: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    sensors: Mapping[str, Any] = field(default_factory=dict)
     process: Sequence[tuple[int, float]] = ()
     noise: Array | None = None
     degree: int | None = None
@@ -96,21 +94,30 @@ class Asked:
             for r in records
         ]
         width = max(e.coefficients.shape[1] for e in experiments)
-        if not self.input_noise:  # held and joined inputs side by side
-            experiments = [
-                replace(e, coefficients=_padded(e.coefficients, width)) for e in experiments
-            ]
-        delay = self.delays if self.free_delay else low
-        unknowns = unknowns_with_starts(
-            plant, wanted, self.names, experiments, delay=delay, **self.sensors
+        if not self.input_noise:  # held and joined inputs side by side: higher powers are zero
+            for i, e in enumerate(experiments):
+                more = ((0, 0), (0, width - e.coefficients.shape[1]), (0, 0))
+                experiments[i] = replace(e, coefficients=np.pad(e.coefficients, more))
+        u, _ = unknowns_of(
+            plant,
+            wanted,
+            self.names,
+            len(experiments),
+            usual(experiments),
+            delay=self.delays if self.free_delay else low,
+            hidden=dict(enumerate(np.array([e.states[0] for e in experiments]).T)),
+            **self.sensors,
         )
+        one = len(experiments) == 1
+        names = [n.replace(", record 1)", ")") if one else n for n in u.names]
+        unknowns = u.changed(name=names, guess=np.clip(u.guess, u.low, u.high))
         known = self.names, unknowns, low, self.process
         return FitTask(plant, experiments, *known, method, order, self)
 
 
-def _padded(coefficients: Array, width: int) -> Array:
-    """Polynomials (n, degree + 1, nu) with higher powers that are zero."""
-    return np.pad(coefficients, ((0, 0), (0, width - coefficients.shape[1]), (0, 0)))
+def usual(experiments: Sequence[Experiment]) -> float:
+    """Length of an interval [s]."""
+    return float(np.median(np.concatenate([np.diff(e.mesh) for e in experiments])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +184,6 @@ class FitTask(FitProblem):
         limits = (n for n in (iterations, self.asked.iterations) if n is not None)
         return solve(program, weights, guess, min(limits, default=None), self.asked.report, stage)
 
-    @property
-    def usual(self) -> float:
-        return usual(self.experiments)
-
 
 @dataclass(frozen=True, eq=False)
 class PlantEstimate:
@@ -230,7 +233,10 @@ def require_influence(task: FitTask, program: Program, sigma: Array) -> None:
         raise FitError("the plant's start values give no finite motion; set them with with_values")
     least = (BLIND_BY_RUNS if task.method == "simulation" else BLIND) * lengths.max()
     blind = [n for n, size in zip(names, lengths, strict=False) if size <= least]
-    still = all(_constant(e) for e in task.experiments)
+    levels = [e.coefficients[:, 0] for e in task.experiments]
+    sizes = [np.abs(x).max(axis=0, initial=1.0) for x in levels]
+    # no input moves by more than rounding
+    still = all(np.all(np.ptp(x, axis=0) <= 1e-9 * s) for x, s in zip(levels, sizes, strict=True))
     if blind and not still:
         raise NoInfluence(
             f"{', '.join(blind)}: no influence on {', '.join(task.measured)} in these "
@@ -250,17 +256,12 @@ def require_influence(task: FitTask, program: Program, sigma: Array) -> None:
         )
 
 
-def _constant(experiment: Experiment) -> bool:
-    """Whether no input moves by more than rounding."""
-    values = experiment.coefficients[:, 0]
-    return bool(np.all(np.ptp(values, axis=0) <= 1e-9 * np.abs(values).max(axis=0, initial=1.0)))
-
-
 # ---- the delay -----------------------------------------------------------------------------------
 def _around(task: FitTask, delay: float) -> tuple[float, float] | None:
     """One mesh interval to either side, within the limits; None for a known delay."""
     low, high = task.asked.delays
-    return (max(low, delay - task.usual), min(high, delay + task.usual)) if low < high else None
+    step = usual(task.experiments)
+    return (max(low, delay - step), min(high, delay + step)) if low < high else None
 
 
 def _seek_delay(
@@ -275,11 +276,12 @@ def _seek_delay(
         delay, w = _scanned(task, sigma)
     else:
         delay, w = start, task.program(start).guess
-    for _ in range(int(np.ceil((high - low) / task.usual)) + 3):
+    step = usual(task.experiments)
+    for _ in range(int(np.ceil((high - low) / step)) + 3):
         program = task.program(delay, _around(task, delay))
         solution = task.solved(program, 1 / sigma, w, "delay", 6 * SCAN_ITERATIONS)
         w, moved = solution.w, task.delay(solution.w)
-        settled = abs(moved - delay) < 0.5 * task.usual
+        settled = abs(moved - delay) < 0.5 * step
         delay = moved
         if settled or solution.timed:
             break

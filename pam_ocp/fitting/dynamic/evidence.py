@@ -20,6 +20,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array, spanned
 from .experiment import with_inputs
+from .gauss_newton import descend
 from .rig import Rig, RunUnknowns, Unknown
 from .rollout import Rollout, gaps
 from .runs import LEAST_STEPS, MOST_STEPS, Runs, runs_of, settled_starts
@@ -33,19 +34,15 @@ LOST = 1e6
 """As STEEP, but of the shortest motions and of finer steps: beyond it nothing is followed. So it is
 where a memory has kinks, which no step meets.
 """
-ROUNDS = 30
-"""Gauss-Newton steps to the least squares of these motions, at most: only there do the tests hold.
-"""
+EVALUATIONS = 30
+"""Of the slopes on the way to the least squares of these motions, for one set of weights."""
+WEIGHINGS = 5
+"""Of the measured variables by their residuals, at most."""
 GAINED = 1e-4
-"""Of the sum of squares, below which they end."""
+"""Relative change of the sum of squares below which this ends: only at its least do the tests hold.
+"""
 COMPARED = 3e-3
 """The same where only causes are compared: what they take up differs by more."""
-TRIALS = (*((s, 0.0) for s in (1.0, 0.3, 0.1)), *((1.0, d) for d in (1e-4, 0.01, 0.1, 1.0, 10.0)))
-"""(Part of a step, Levenberg's damping in squared lengths of columns), one after the other."""
-ENOUGH = 0.02
-"""Of the sum of squares, gained by a damped step with which no other is tried."""
-SHORT = 1e-2
-"""Length of a column, in that of the longest, below which damping holds it the more."""
 UNSEEN = 1e-10
 """Length of a column, in that of the longest, below which it is rounding."""
 EDGE = 1e-9
@@ -85,6 +82,12 @@ class Evidence:
     squares_with: Callable[[str], Array]
     """(ny,) mean squares of the residuals with the suspects of a cause at their least squares."""
 
+    @property
+    def rms(self) -> Array:
+        """Of the residuals of each measured variable."""
+        every = np.concatenate([m.error for m in self.motions])
+        return np.asarray(np.sqrt(np.mean(every**2, axis=0)))
+
 
 @dataclass(frozen=True, eq=False)
 class _Case:
@@ -112,7 +115,7 @@ class _Case:
     def rollout(self, runs: Runs) -> Rollout:
         """With as many starts as there are motions."""
         unknowns = self.unknowns.of_motions(self.plant, len(runs.record))
-        return Rollout(self.plant, runs, unknowns, self.rig)
+        return Rollout(self.plant, runs, unknowns, self.rig, wild=LOST)
 
 
 def evidence_of(
@@ -138,10 +141,9 @@ def evidence_of(
             np.asarray(z)[unknowns.of_model],
             LEAST_STEPS,
         )
-        runs, x0 = _followed(case)
-        z, x0, _ = _least_squares(case, runs, runs, case.z, x0)
+        runs, every = _followed(case)
+        every, _ = _least_squares(case, runs, every)
         fine = case.rollout(runs)
-        every = np.concatenate([z, x0.ravel()])
         modelled = fine.predicted(every)
         while True:
             finer = fine.finer()
@@ -150,18 +152,17 @@ def evidence_of(
             if np.all(gap <= ACCURATE * rms) or finer.runs.steps > MOST_STEPS:
                 break
             # values that were found with long steps leave more than they should
-            z, x0, _ = _least_squares(case, fine.runs, finer.runs, z, x0)
-            every = np.concatenate([z, x0.ravel()])
+            every, _ = _least_squares(case, finer.runs, every)
             fine, modelled = finer, finer.predicted(every)
         if not np.all(np.isfinite(gap)):
             return None  # shorter steps diverge, and shall say what longer ones cannot
-        return _evidence(replace(case, steps=fine.runs.steps), fine.runs, z, x0, better, gap)
+        return _evidence(replace(case, steps=fine.runs.steps), fine.runs, every, better, gap)
     except (PamError, np.linalg.LinAlgError):
         return None
 
 
 def _followed(case: _Case) -> tuple[Runs, Array]:
-    """Motions as long as their starts stay in sight, and guesses of these (n, nx), scaled."""
+    """Motions as long as their starts stay in sight; the values, and guesses of all starts."""
     sampling = case.records[0].duration / (len(case.records[0]) - 1)
     length: float | None = None
     samples = max(len(r) for r in case.records) - 2
@@ -181,206 +182,114 @@ def _followed(case: _Case) -> tuple[Runs, Array]:
             if not np.all(np.isfinite(y[inside])):
                 steep = np.inf
         if steep <= STEEP or samples < 2 * SHORTEST:
-            return runs, x0
+            return runs, z
         samples //= 2
         length = samples * sampling
 
 
-def _blocks(
-    rollout: Rollout, z: Array, k: int, m: int, targets: Sequence[Array] | None = None
-) -> list[Motion]:
-    """targets : predictions that count as modelled, in place of those of the slopes' run."""
-    runs, found = rollout.runs, {}
-    for part, y, slopes in rollout.computed(z, True):
-        for i, row in enumerate(part.rows):
-            n = int(runs.length[row])
-            modelled = y[i, :n] if targets is None else targets[row][:n]
-            s = np.nan_to_num(slopes[i, :n])
-            if np.any(np.abs(s[..., k + m :]) > LOST * rollout.spread[:, None]):
-                raise FitError("motions that depend on their starts without bound tell nothing")
-            found[int(row)] = Motion(
-                modelled - runs.measured[row, :n], s[..., k + m :], s[..., :k], s[..., k : k + m]
-            )
-    return [found[i] for i in range(len(runs.record))]
-
-
-def projected(
-    motions: Sequence[Motion], weights: Array, more: Callable[[Motion], Array]
-) -> tuple[Array, Array]:
-    """(error (n,), columns (n, .)) of all motions times ``weights``, their starts projected out."""
+def projected(motions: Sequence[Motion], weights: Array) -> tuple[Array, Array]:
+    """(error (n,), columns (n, .) of the values) of all motions times ``weights``, their starts
+    projected out.
+    """
     errors, columns = [], []
     for m in motions:
-        basis = _basis((m.start * weights[:, None]).reshape(-1, m.start.shape[2]))
+        start = (m.start * weights[:, None]).reshape(-1, m.start.shape[2])
+        size = np.linalg.norm(start, axis=0)
+        basis = spanned(start[:, size > UNSEEN * size.max(initial=0.0)], NEGLIGIBLE)
         e = (m.error * weights).ravel()
-        c = (more(m) * weights[:, None]).reshape(len(e), -1)
+        c = (m.values * weights[:, None]).reshape(len(e), -1)
         errors.append(e - basis @ (basis.T @ e))
         columns.append(c - basis @ (basis.T @ c))
     return np.concatenate(errors), np.concatenate(columns)
 
 
-def _basis(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    return spanned(columns[:, size > UNSEEN * size.max(initial=0.0)], NEGLIGIBLE)
-
-
-def solved(matrix: Array, right: Array, damping: float = 0.0) -> Array:
+def solved(matrix: Array, right: Array) -> Array:
     """Least squares with columns of unit length; the shortest, and nothing of what is not seen."""
     size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > UNSEEN * size.max(initial=0.0), size, np.inf)
-    if damping:
-        seen = np.where(np.isfinite(size), size, 0.0)
-        size = np.maximum(size, SHORT * seen.max(initial=0.0))
-    even = matrix / size
-    if damping:
-        even = np.vstack([even, np.sqrt(damping) * np.eye(len(size))])
-        right = np.concatenate([right, np.zeros(len(size))])
-    return np.asarray(np.linalg.lstsq(even, right, rcond=NEGLIGIBLE)[0] / size)
+    return np.asarray(np.linalg.lstsq(matrix / size, right, rcond=NEGLIGIBLE)[0] / size)
 
 
 Sensors = Callable[[Sequence[Array]], Sequence[Array]]
 """(K, ny, p) of each motion from what is modelled (K, ny): what p errors of sensors add to it."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Projected:
+    """The squares of motions whose sensors have such errors as fit best: these are linear, and
+    projected out (variable projection; L. Kaufman, BIT 15 (1975) 49-57).
+    """
+
+    rollout: Rollout
+    sensors: Sensors
+
+    def errors(self, predicted: Array) -> tuple[Array, Array]:
+        """(n, K, ny) weighted, and a basis (n, K, ny, p) of what sensors may add to them."""
+        runs, errors = self.rollout.runs, self.rollout.errors(predicted)
+        shown = [y[:k] for y, k in zip(predicted, runs.length, strict=True)]
+        if not all(np.all(np.isfinite(y)) for y in shown):
+            return errors, np.empty((*errors.shape, 0))
+        columns = self.sensors(shown)
+        weights = self.rollout.weights / self.rollout.spread
+        every = np.zeros((*errors.shape, columns[0].shape[2]))
+        for row, w, own in zip(every, weights, columns, strict=True):
+            row[: len(own)] = own * w[: len(own), :, None]
+        basis = spanned(every.reshape(errors.size, -1), NEGLIGIBLE)
+        left = errors.ravel() - basis @ (basis.T @ errors.ravel())
+        return left.reshape(errors.shape), basis.reshape(*errors.shape, -1)
+
+    def cost(self, z: Array, /) -> float:
+        return float(np.sum(self.errors(self.rollout.predicted(z))[0] ** 2))
+
+    def normal(self, z: Array, /) -> tuple[float, Array, Array, int]:
+        left, basis = self.errors(self.rollout.predicted(z))
+        both = np.concatenate([left[..., None], basis], axis=3)
+        _, right, square, damped = self.rollout.normal(z, both)
+        return float(np.sum(left**2)), right[:, 0], square - right[:, 1:] @ right[:, 1:].T, damped
+
+
 def _least_squares(
     case: _Case,
     runs: Runs,
-    fine: Runs,
-    z: Array,
-    x0: Array,
+    best: Array,
     sensors: Sensors | None = None,
     least: float = GAINED,
-) -> tuple[Array, Array, list[Array]]:
-    """Values and starts of the least squares of these motions, from those given; what is modelled.
-    runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little
-    off cost a step more, not accuracy. sensors : whose errors are sought, too; they are linear.
-    least : gain of a round, below which it is the last.
+) -> tuple[Array, Array]:
+    """Values and starts of the least squares of these motions, from those given; mean squares (ny,)
+    of the residuals, by which the variables are weighed. sensors : whose errors are sought, too.
+    least : relative change below which the search ends.
     """
-    rollout, k = case.rollout(runs), len(z)
-    u = rollout.unknowns
-    motion = rollout if fine is runs else case.rollout(fine)
-    weights = 1 / rollout.spread
-    best = np.concatenate([z, x0.ravel()])
+    k, plain = len(case.unknowns.rows), case.rollout(runs)
+    low, high = plain.unknowns.low, plain.unknowns.high
+    inside = ~np.isnan(runs.measured)
 
-    def shown(point: Array, weights: Array) -> list[Array]:
-        values = motion.predicted(point)
-        return _shown(values, runs, sensors, weights)
-
-    modelled = shown(best, weights)
-    for number in range(ROUNDS):
-        blocks = _blocks(rollout, best, k, 0, modelled)
-        weights = 1 / np.maximum(roots(blocks), 1e-12 * rollout.spread)
-        last, more = _squares(modelled, runs, weights), 0
+    def squares(at: Array) -> Array:
+        errors = plain.errors(plain.predicted(at))
         if sensors:
-            columns = sensors([m.error + y for m, y in zip(blocks, _rows(runs), strict=True)])
-            more = columns[0].shape[2]
-            blocks = [
-                replace(m, values=np.concatenate([m.values, c], axis=2))
-                for m, c in zip(blocks, columns, strict=True)
-            ]
-        low, high = (
-            np.insert(edge - best, [k] * more, far)
-            for edge, far in ((u.low, -np.inf), (u.high, np.inf))
-        )
-        gained, moved = 0.0, k + more if number else 0
-        for size, damping in TRIALS:
-            step = _bounded(blocks, weights, moved, low, high, damping)
-            point = best + size * np.delete(step, slice(k, k + more))
-            trial = shown(point, weights)
-            squares = _squares(trial, runs, weights)
-            if squares < last * (1 - gained):
-                found, gained = (point, trial), 1 - squares / last
-            if gained > ENOUGH or (gained and not damping):
-                break
-        if gained:
-            best, modelled = found
-        if number and gained < least:
+            errors, _ = _Projected(plain, sensors).errors(plain.predicted(at))
+        errors = np.divide(errors, plain.weights, out=np.zeros_like(errors), where=inside)
+        return np.asarray(np.sum(errors**2, axis=(0, 1)) / runs.length.sum())
+
+    found = squares(best)
+    for number in range(WEIGHINGS):
+        weighed = plain.weighed(1 / np.maximum(np.sqrt(found), 1e-12))
+        problem = _Projected(weighed, sensors) if sensors else weighed
+        # values that are moved by wrong starts go astray
+        first, last = (a if number else np.concatenate([best[:k], a[k:]]) for a in (low, high))
+        best = descend(problem, best, first, last, EVALUATIONS, enough=least).z
+        before, found = found, squares(best)
+        if number and np.sum(np.abs(np.log(found / before))) < least:
             break
-    return best[:k], best[k:].reshape(x0.shape), modelled
+    return best, found * plain.spread**2
 
 
 def _rows(runs: Runs) -> list[Array]:
     return [r[:n] for r, n in zip(runs.measured, runs.length, strict=True)]
 
 
-def _shown(values: Array, runs: Runs, sensors: Sensors | None, weights: Array) -> list[Array]:
-    """What sensors show of a motion, with those errors that fit best."""
-    if sensors is None or not np.all(np.isfinite(values[~np.isnan(runs.measured)])):
-        return list(values)
-    rows = [v[:n] for v, n in zip(values, runs.length, strict=True)]
-    columns = sensors(rows)
-    matrix = np.concatenate([(c * weights[:, None]).reshape(-1, c.shape[2]) for c in columns])
-    error = np.concatenate(
-        [((m - y) * weights).ravel() for m, y in zip(_rows(runs), rows, strict=True)]
-    )
-    found = solved(matrix, error)
-    shown = values.copy()
-    for row, c in zip(shown, columns, strict=True):
-        row[: len(c)] += c @ found
-    return list(shown)
-
-
-def _squares(modelled: Sequence[Array], runs: Runs, weights: Array) -> float:
-    values = np.asarray(modelled)
-    with np.errstate(over="ignore"):  # a step too long
-        found = float(np.nansum(((values - runs.measured) * weights) ** 2))
-    lost = np.isnan(values) & ~np.isnan(runs.measured)
-    return np.inf if lost.any() or not np.isfinite(found) else found
-
-
-def _bounded(
-    blocks: Sequence[Motion],
-    weights: Array,
-    k: int,
-    low: Array,
-    high: Array,
-    damping: float = 0.0,
-) -> Array:
-    """The step within its range: what would leave it goes to its edge, one set after the other."""
-    values, nx = blocks[0].values.shape[2], blocks[0].start.shape[2]
-    fixed, held = np.zeros(len(low)), np.zeros(len(low), dtype=bool)
-    while True:
-        free = []
-        for i, m in enumerate(blocks):
-            own = slice(values + i * nx, values + (i + 1) * nx)
-            known = m.values @ fixed[:values] + m.start @ fixed[own]
-            start = np.where(held[own], 0.0, m.start)
-            slopes = np.where(held[:values], 0.0, m.values)
-            free.append(replace(m, error=m.error + known, start=start, values=slopes))
-        moved = _step(free, weights, k, damping)
-        out = ~held & ((moved < low) | (moved > high))
-        if not out.any():
-            return np.asarray(fixed + moved)
-        fixed[out] = np.clip(moved, low, high)[out]
-        held |= out
-
-
-def _step(blocks: Sequence[Motion], weights: Array, k: int, damping: float) -> Array:
-    """Of the values (the first k; none of them moves at first) and all starts."""
-    values = blocks[0].values.shape[2]
-    step = np.zeros(values)
-    if k:
-        error, columns = projected(blocks, weights, lambda m: m.values)
-        step = -solved(columns, error, damping)
-    begun = [
-        -solved(
-            (m.start * weights[:, None]).reshape(m.error.size, -1),
-            ((m.error + m.values @ step) * weights).ravel(),
-            damping,
-        )
-        for m in blocks
-    ]
-    return np.concatenate([step, *begun])
-
-
-def roots(blocks: Sequence[Motion]) -> Array:
-    """Of the mean squares of each measured variable."""
-    return np.asarray(np.sqrt(np.mean(np.concatenate([m.error for m in blocks]) ** 2, axis=0)))
-
-
-def _evidence(
-    case: _Case, runs: Runs, z: Array, x0: Array, modelled: Array, gap: Array
-) -> Evidence:
-    groups, k = case.unknowns.groups, len(z)
+def _evidence(case: _Case, runs: Runs, every: Array, modelled: Array, gap: Array) -> Evidence:
+    groups, k = case.unknowns.groups, len(case.z)
+    z, x0 = every[:k], every[k:].reshape(len(runs.record), -1)
     delays = case.unknowns.rig(case.plant, runs.names, case.rig, z).delays
     found = suspected(case.plant, case.records, groups, delays, runs.names)
     u = case.unknowns.of_motions(case.plant, len(runs.record))
@@ -390,20 +299,27 @@ def _evidence(
     later = wider.runs(runs.horizons[0] if runs.horizons else None)
     unknowns = u.with_more(*map(Unknown.of_group, found.groups[count:]))
     rollout = Rollout(found.plant, later, unknowns, rig)
-    at = np.concatenate([z[:count], np.zeros(m), z[count:], x0.ravel()])
+    at = np.insert(every, [count] * m, 0.0)
     order = [*range(count), *range(count + m, k + m)]
-    edge = np.minimum(x0.ravel() - u.low[k:], u.high[k:] - x0.ravel()).reshape(x0.shape) < EDGE
-    blocks = []
-    for b, held in zip(_blocks(rollout, at, k + m, 0, list(modelled)), edge, strict=True):
-        own = b.values[..., count : count + m]
-        start = np.where(held, 0.0, b.start)  # at the edge of its range it is not free
-        blocks.append(replace(b, start=start, values=b.values[..., order], suspects=own))
+    edge = (np.minimum(every - u.low, u.high - every)[k:] < EDGE).reshape(x0.shape)
+    motions = {}
+    for part, _, slopes in rollout.computed(at, True):
+        for row, own in zip(part.rows.tolist(), slopes, strict=True):
+            n = int(runs.length[row])
+            s = np.nan_to_num(own[:n])
+            start = s[..., k + m :]
+            if np.any(np.abs(start) > LOST * rollout.spread[:, None]):
+                raise FitError("motions that depend on their starts without bound tell nothing")
+            start = np.where(edge[row], 0.0, start)  # at the edge of its range it is not free
+            error = modelled[row, :n] - runs.measured[row, :n]
+            suspects = s[..., count : count + m]
+            motions[row] = Motion(error, start, s[..., order], suspects)
     return Evidence(
         tuple(runs.names),
         tuple(case.plant.variable(n).unit for n in runs.names),
         u.names[:k],
         u.scale[:k],
-        tuple(blocks),
+        tuple(motions[i] for i in range(len(runs.record))),
         found.suspects,
         z - case.z,
         gap,
@@ -431,6 +347,6 @@ def _squares_with(
     z = np.insert(z, [count] * len(chosen), 0.0)
     begun = np.hstack([x0, np.zeros((len(x0), len(case.plant.states) - x0.shape[1]))])
     with suppress(FitError):
-        least = _least_squares(wide, runs, runs, z, begun, sensors if has else None, COMPARED)
-        modelled = np.asarray(least[2])
+        begin = np.concatenate([z, begun.ravel()])
+        return _least_squares(wide, runs, begin, sensors if has else None, COMPARED)[1]
     return np.asarray(np.nanmean((modelled - runs.measured) ** 2, axis=(0, 1)))

@@ -124,7 +124,10 @@ def groups(
     require_instance("plant", plant, Plant, "give a Plant, such as HangingLoad(...)")
     ends = bounds_of(bounds)
     places = {v.name: i for i, v in enumerate(plant.parameters)}
-    found = [_group(plant, entry, places, ends) for entry in _entries(free)]
+    entries = list(free) if isinstance(free, Iterable) and not isinstance(free, str) else [free]
+    for entry in entries:
+        require_names("free", entry)
+    found = [_group(plant, entry, places, ends) for entry in entries]
     labels = [g.name for g in found]
     members = [m for g in found for m in g.members]
     if len(set(members)) < len(members):
@@ -139,14 +142,6 @@ def bounds_of(bounds: Mapping[str, tuple[float, float]] | None) -> dict[str, tup
     """{free parameter: (low, high)}, or an InputError."""
     require_instance("bounds", bounds, Mapping, "give {free parameter: (low, high)}", none=True)
     return dict(bounds or {})
-
-
-def _entries(free: Sequence[str | Sequence[str]]) -> list[str | Sequence[str]]:
-    given = [free] if isinstance(free, str) else free
-    entries = list(given) if isinstance(given, Iterable) else [given]
-    for entry in entries:
-        require_names("free", entry)
-    return entries
 
 
 def _group(
@@ -220,14 +215,14 @@ def with_inputs(plant: Plant, record: Trajectory, values: Mapping[str, Any]) -> 
     """The record with these columns, and the disturbances' own values, where it has none."""
     still = {v.name: v.start or 0.0 for v in plant.inputs if v.disturbance}
     missing = {n: v for n, v in (still | dict(values)).items() if n not in record}
-    if not missing:
-        return record
     every = {n: np.broadcast_to(np.asarray(v, float), len(record)) for n, v in missing.items()}
     return with_columns(record, every)
 
 
 def with_columns(record: Trajectory, more: Mapping[str, Array]) -> Trajectory:
-    """The record with these columns, too, or in place of its own."""
+    """The record with these columns, too, or in place of its own; itself where there are none."""
+    if not more:
+        return record
     columns = {n: record[n] for n in record.names} | dict(more)
     return Trajectory(record.t, columns, interpolation=record.interpolation)
 

@@ -62,15 +62,15 @@ def spread_of(rollout: Rollout, z: Array) -> Spread:
     edge = (z - u.low < 1e-9) | (u.high - z < 1e-9)
     label = _blocks(runs)
     scores = np.zeros((int(label.max()) + 1, len(z)))
-    square, cost, samples = np.zeros((len(z), len(z))), 0.0, 0.0
+    cost, _, square, _ = rollout.normal(z)
     for rows, errors, slopes, _ in rollout.blocks(z):
-        m, k = label[rows].shape[0], slopes.shape[1] // len(runs.names)
-        own = np.repeat(label[rows, :k], len(runs.names), axis=1)
-        for i in range(m):
-            np.add.at(scores, own[i], slopes[i] * errors[i][:, None])
-        flat = slopes.reshape(-1, len(z))
-        square += flat.T @ flat
-        cost += float(np.sum(errors**2))
+        k = slopes.shape[1] // len(runs.names)
+        of_errors = np.repeat(label[rows, :k], len(runs.names), axis=1)
+        for own, columns in rollout.by_record(rows):
+            places = np.ix_(of_errors[own].ravel(), columns)
+            np.add.at(
+                scores, places, (slopes[own] * errors[own, :, None]).reshape(-1, len(columns))
+            )
     samples = 1.0 / float(np.sum((runs.weights / max(runs.weights.sum(), 1e-300)) ** 2))
     samples *= len(runs.names)
     free = ~edge & (np.diag(square) > UNSEEN * np.diag(square).max(initial=0.0))
@@ -249,11 +249,11 @@ class FreeRunFit(FittedPlant):
             return Adequacy()  # a model with a disturbance says itself that it lacks something
         u, names = self.unknowns, list(self.training.names)
         known = running(self.records, self.interpolation)
-        evidence = evidence_of(self.plant, known, names, u, self.rig, self.z)
-        if evidence is None and self.at_bound:  # a mass of nothing: no motion can be followed there
-            edge = [n in self.at_bound for n in u.names]
-            begin = np.where(edge, u.guess, self.z)
-            evidence = evidence_of(self.plant, known, names, u, self.rig, begin)
+        # beside its edge, if a value is there: a mass of nothing, whose motion cannot be followed
+        edge = [n in self.at_bound for n in u.names]
+        starts = [np.where(edge, u.guess, self.z), self.z][not any(edge) :]
+        tried = (evidence_of(self.plant, known, names, u, self.rig, z) for z in starts)
+        evidence = next((e for e in tried if e is not None), None)
         own = {n: c.stderr for n, c in self.spread.coefficients.items()}
         if evidence is None and self._whole:
             runs = self.training
@@ -358,32 +358,32 @@ def told(run: FreeRun) -> FreeRun:
 
 
 # ---- runs of the same kind along other records ---------------------------------------------------
-def asked_like(
-    fit: FreeRunFit, plant: Plant, records: Sequence[Trajectory], options: Mapping[str, Any]
-) -> Runs:
-    """What runs of a plant as those of the fit start from; ``options`` that differ."""
+def rollout_like(
+    fit: FreeRunFit,
+    plant: Plant,
+    records: Sequence[Trajectory],
+    options: Mapping[str, Any],
+    weights: Sequence[str] = (),
+) -> Rollout:
+    """Runs of a plant as those of the fit; ``options`` that differ. Sought are the starts that each
+    record has for itself, as in the fit, and what was learned: weights, and memories' starts.
+    """
     every = {**fit.options, "outputs": list(fit.training.names), **options}
-    return runs_of(plant, records, **every)
-
-
-def unknowns_like(
-    fit: FreeRunFit, plant: Plant, runs: Runs, records: int, weights: Sequence[str] = ()
-) -> RunUnknowns:
-    """Starts of each record as in the fit, and the weights and memories of what was learned."""
+    runs = runs_of(plant, records, **every)
     states = [v.name for v in plant.states]
     along = {fit.plant.states[i].name for i in fit.unknowns.along}
     hidden = [i for i, n in enumerate(states) if n in along or ".learned.memory" in n]
-    guesses = settled_starts(plant, runs, records, hidden).T
-    found, _ = unknowns_of(
+    guesses = settled_starts(plant, runs, len(records), hidden).T
+    unknowns, _ = unknowns_of(
         plant,
         [replace(g, scale=1.0) for g in groups(plant, list(weights))] if weights else (),
         runs.names,
-        records,
+        len(records),
         float(runs.t[0]),
         starts={n: "record" for n in fit.own_starts if n not in along},
         hidden=dict(zip(hidden, guesses, strict=True)),
     )
-    return found
+    return Rollout(plant, runs, unknowns, fit.rig)
 
 
 def begun(rollout: Rollout) -> Array:
@@ -400,6 +400,5 @@ def runs_like(
 ) -> FreeRun:
     """Runs of a plant as those of the fit, along other records."""
     known = running(recorded(records), fit.interpolation)
-    runs = asked_like(fit, plant, known, options)
-    rollout = Rollout(plant, runs, unknowns_like(fit, plant, runs, len(known)), fit.rig)
-    return runs.result(rollout.predicted(begun(rollout)))
+    rollout = rollout_like(fit, plant, known, options)
+    return rollout.runs.result(rollout.predicted(begun(rollout)))

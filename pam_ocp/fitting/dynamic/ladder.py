@@ -52,7 +52,6 @@ from .rungs import (
     RungFit,
     Task,
     climbed,
-    prediction,
     usual_steps,
 )
 from .runs import Band, half_widths
@@ -504,7 +503,8 @@ class Ladder:
         if found.failure:
             raise InputError(f"rung = {found.name!r} has no fit ({found.failure}); choose another")
         measured_names(found.plant, every, self.outputs)
-        run, *members = (prediction(found, z, every) for z in (found.model.z, *found.members))
+        ends = (found.model.z, *found.members)
+        run, *members = (replace(found.model, z=z).run(every) for z in ends)
         apart = np.array([m.predicted - run.predicted for m in members])
         return Band(run, half_widths(apart, run.predicted, found.left, level))
 

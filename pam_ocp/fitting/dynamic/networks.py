@@ -1,7 +1,7 @@
 """Networks, beside which a user sees what the physics is worth.
 
 Fitted to records and judged by free runs from the starts at which
-:class:`~pam_ocp.fitting.dynamic.structures.ArxStructure` is judged (``run_losses``). A network's
+:class:`~pam_ocp.fitting.dynamic.structures.ArxStructure` is judged. A network's
 step is written once, for NumPy and for JAX: it is trained in JAX by optax, on free runs over the
 longest horizon, and predicts in NumPy, so that a model that was kept needs neither. An error counts
 in parts of how far the outputs move over as many samples, lest the ends of runs be all that is
@@ -24,15 +24,7 @@ from ...core.errors import FitError, require_count, require_positive
 from ...core.lazy import library
 from ...core.trajectory import Trajectory
 from ..statistics import Array
-from .structures import (
-    JudgedRuns,
-    Scales,
-    data_of,
-    levels_of,
-    one_length,
-    require_structure,
-    run_losses,
-)
+from .structures import BlackBox, Scales, levels_of, one_length
 
 Weights: TypeAlias = dict[str, Any]
 Single: TypeAlias = NDArray[np.float32]
@@ -80,70 +72,47 @@ def _features(xp: Any, levels: Any, gain: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class _Narx:
-    """Increment of the outputs out of a linear part and one hidden layer of tanh."""
+class _Network:
+    """Increment of the outputs out of a linear part and hidden units: a layer of tanh, or, with a
+    ``memory``, gated recurrent units (K. Cho et al., 2014, arXiv 1406.1078).
+    """
 
     outputs: int
     inputs: int
     order: int
     lag: int
     units: int
-
-    @property
-    def features(self) -> int:
-        return self.order * (self.outputs + self.inputs)
+    memory: bool = False
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Of the weights."""
+        n, features = self.units, self.order * (self.outputs + self.inputs)
+        gates = {"gates": (features + n, 2 * n), "gates0": (2 * n,)}
         return {
-            "linear": (self.features, self.outputs),
+            "linear": (features, self.outputs),
             "offset": (self.outputs,),
-            "in": (self.features, self.units),
-            "in0": (self.units,),
-            "out": (self.units, self.outputs),
+            **(gates if self.memory else {}),
+            "in": (features, n),
+            **({"recalled": (n, n)} if self.memory else {}),
+            "in0": (n,),
+            "out": (n, self.outputs),
         }
-
-    def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any:
-        """Free run (h, n, ny) behind a past (b, n, ny) along inputs (b + h, n, nu), all scaled."""
-        xp, before = way.xp, len(past)
-        times = np.arange(before, len(inputs))
-        drive = _features(xp, levels_of(xp, inputs, times, self.lag, self.order), gains[1])
-
-        def step(levels: Any, u: Any) -> tuple[Any, Any]:
-            x = xp.concatenate([_features(xp, levels, gains[0]), u], axis=-1)
-            hidden = xp.tanh(x @ w["in"] + w["in0"])
-            y = _moved(xp, w, levels, x, hidden, gains[0])
-            return xp.concatenate([y[:, None], levels[:, :-1]], axis=1), y
-
-        return way.scan(step, levels_of(xp, past, [before], 1, self.order)[0], drive)[1]
-
-
-@dataclass(frozen=True)
-class _Gru:
-    """The same with a memory: gated recurrent units (K. Cho et al., 2014, arXiv 1406.1078)."""
-
-    outputs: int
-    inputs: int
-    lag: int
-    units: int
-    order: ClassVar[int] = 2
 
     @property
-    def features(self) -> int:
-        return self.order * (self.outputs + self.inputs)
+    def weights(self) -> int:
+        """How many there are."""
+        return sum(int(np.prod(shape)) for shape in self.shapes().values())
 
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        return {
-            "linear": (self.features, self.outputs),
-            "offset": (self.outputs,),
-            "gates": (self.features + self.units, 2 * self.units),
-            "gates0": (2 * self.units,),
-            "in": (self.features, self.units),
-            "recalled": (self.units, self.units),
-            "in0": (self.units,),
-            "out": (self.units, self.outputs),
-        }
+    def features(self, xp: Any, past: Any, inputs: Any, times: Any, gains: Any) -> Any:
+        """Of the samples before each of ``times`` (times, n, features)."""
+        y = _features(xp, levels_of(xp, past, times, 1, self.order), gains[0])
+        u = _features(xp, levels_of(xp, inputs, times, self.lag, self.order), gains[1])
+        return xp.concatenate([y, u], axis=-1)
 
-    def _remembered(self, xp: Any, w: Weights, memory: Any, x: Any) -> Any:
+    def _hidden(self, xp: Any, w: Weights, memory: Any, x: Any) -> Any:
+        """The units after features x; a layer without memory does not ask for the last ones."""
+        if not self.memory:
+            return xp.tanh(x @ w["in"] + w["in0"])
         both = xp.concatenate([x, memory], axis=-1) @ w["gates"] + w["gates0"]
         gates = 0.5 * (1.0 + xp.tanh(0.5 * both))  # the logistic function
         keep, reset = gates[..., : self.units], gates[..., self.units :]
@@ -151,48 +120,30 @@ class _Gru:
         return keep * memory + (1.0 - keep) * new
 
     def run(self, way: _Arrays, w: Weights, past: Any, inputs: Any, gains: Any) -> Any:
-        """As that of _Narx; the memory is filled by the past."""
+        """Free run (h, n, ny) behind a past (b, n, ny), which fills the memory, along inputs (b +
+        h, n, nu), all scaled.
+        """
         xp, before = way.xp, len(past)
-        times = np.arange(1, len(inputs))
-        drive = _features(xp, levels_of(xp, inputs, times, self.lag, self.order), gains[1])
-        seen = _features(xp, levels_of(xp, past, times[: before - 1], 1, self.order), gains[0])
-        read = xp.concatenate([seen, drive[: before - 1]], axis=-1)
-
-        def warm(memory: Any, x: Any) -> tuple[Any, Any]:
-            return self._remembered(xp, w, memory, x), ()
 
         def step(carry: Any, u: Any) -> tuple[Any, Any]:
             memory, levels = carry
             x = xp.concatenate([_features(xp, levels, gains[0]), u], axis=-1)
-            memory = self._remembered(xp, w, memory, x)
-            y = _moved(xp, w, levels, x, memory, gains[0])
+            memory = self._hidden(xp, w, memory, x)
+            increment = x @ w["linear"] + w["offset"] + memory @ w["out"]
+            y = xp.clip(levels[:, 0] + gains[0] * increment, -FARTHEST, FARTHEST)
             return (memory, xp.concatenate([y[:, None], levels[:, :-1]], axis=1)), y
 
-        memory, _ = way.scan(warm, xp.zeros_like(read[0, :, :1] * w["in0"]), read)
+        def warm(memory: Any, x: Any) -> tuple[Any, Any]:
+            return self._hidden(xp, w, memory, x), ()
+
+        memory = xp.zeros_like(past[0, :, :1] * w["in0"])
+        if self.memory:
+            read = self.features(xp, past, inputs, np.arange(1, before), gains)
+            memory = way.scan(warm, memory, read)[0]
+        times = np.arange(before, len(inputs))
+        drive = _features(xp, levels_of(xp, inputs, times, self.lag, self.order), gains[1])
         levels = levels_of(xp, past, [before], 1, self.order)[0]
-        return way.scan(step, (memory, levels), drive[before - 1 :])[1]
-
-
-def _moved(xp: Any, w: Weights, levels: Any, x: Any, hidden: Any, gain: Any) -> Any:
-    """The next outputs: the last, and an increment out of features and hidden units."""
-    increment = x @ w["linear"] + w["offset"] + hidden @ w["out"]
-    return xp.clip(levels[:, 0] + gain * increment, -FARTHEST, FARTHEST)
-
-
-_Network: TypeAlias = _Narx | _Gru
-
-
-def _first(network: _Network, past: Any, inputs: Any, gains: Any) -> Any:
-    """The features of the first sample behind the past (n, features), in NumPy."""
-    y = levels_of(np, past, [len(past)], 1, network.order)
-    u = levels_of(np, inputs, [len(past)], network.lag, network.order)
-    pair = [_features(np, y, gains[0]), _features(np, u, gains[1])]
-    return np.concatenate(pair, axis=-1)[0]
-
-
-def _count(network: _Network) -> int:
-    """Weights."""
-    return sum(int(np.prod(shape)) for shape in network.shapes().values())
+        return way.scan(step, (memory, levels), drive)[1]
 
 
 # ---- fitted networks ----------------------------------------------------------------------------
@@ -247,7 +198,7 @@ class _Windows:
 
 
 def _drawable(
-    runs: JudgedRuns, series: Sequence[tuple[Array, Array]], before: int, sampling: float
+    runs: BlackBox, series: Sequence[tuple[Array, Array]], before: int, sampling: float
 ) -> _Windows:
     """All starts behind ``first`` from which the shortest horizon lies in the record."""
     first = round(runs.first / sampling)
@@ -278,7 +229,8 @@ def _weighing(pool: _Windows, random: np.random.Generator) -> Array:
 def _linear(network: _Network, pool: _Windows, gains: tuple[Array, Array]) -> tuple[Array, Array]:
     """Least squares of one step, where the training of the linear part begins."""
     y, u, _ = replace(pool, ahead=1)(np.arange(len(pool.places)))
-    x = _first(network, y[:, : pool.before].swapaxes(0, 1), u.swapaxes(0, 1), gains)
+    past = y[:, : pool.before].swapaxes(0, 1)
+    x = network.features(np, past, u.swapaxes(0, 1), [pool.before], gains)[0]
     rows = np.column_stack([x, np.ones(len(x))])
     steps = (y[:, pool.before] - y[:, pool.before - 1]) / gains[0]
     found = np.linalg.lstsq(rows, steps, rcond=1e-6)[0]
@@ -358,10 +310,6 @@ def _split(
     return rows[:, out:], np.take_along_axis(rows[:, :out], picked, axis=1)
 
 
-def _where(rows: Any, new: Array, old: Array) -> Array:
-    return np.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-
 _AT_FORK = {"jax": False}
 """Whether this process was forked from one that had JAX."""
 
@@ -387,7 +335,7 @@ def _require_jax(asks: str) -> None:
 
 # ---- structures ---------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class _NetworkStructure:
+class _NetworkStructure(BlackBox):
     """What networks have in common; :class:`NarxStructure` explains the fields."""
 
     outputs: Sequence[str]
@@ -404,25 +352,23 @@ class _NetworkStructure:
     alone: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        require_structure(self, ("units", "steps", "batch"))
+        self.require("units", "steps", "batch")
         require_positive("rate", self.rate)
         require_count("seed", self.seed, 0)
 
-    def losses(self, model: NetworkModel, records: Sequence[Trajectory], /) -> Array:
-        """Mean squared error of each record over each horizon, output by output."""
-        return run_losses(self, records, model.before, model.predict)
+    def _made(self, order: int, memory: bool) -> _Network:
+        return _Network(len(self.outputs), len(self.inputs), order, self.lag, self.units, memory)
 
     def _fitted(
         self,
         network: _Network,
         before: int,
         members: int,
-        apart: bool,
         records: Sequence[Trajectory],
     ) -> NetworkModel:
-        """apart : all members are kept, each with other windows held out; else the best one."""
+        """With a memory all members are kept, each with other windows held out; else the best."""
         _require_jax(type(self).__name__)
-        data = data_of(self, records)
+        data, apart = self.data(records), network.memory
         scales = data.scales
         scaled = [(scales[0](y), scales[1](u)) for y, u in data.series]
         pool = _drawable(self, scaled, before, data.sampling)
@@ -458,7 +404,10 @@ class _NetworkStructure:
             better = now < least  # never by what is not a number
             waited = 0 if better.any() else waited + 1
             least = np.where(better, now, least)
-            best = {n: _where(better, np.asarray(w[n]), np.asarray(best[n])) for n in best}
+            best = {
+                n: np.where(better.reshape(-1, *[1] * (old.ndim - 1)), np.asarray(w[n]), old)
+                for n, old in best.items()
+            }
             if waited >= PATIENCE:
                 break
         return best, least
@@ -495,18 +444,18 @@ class NarxStructure(_NetworkStructure):
         require_count("tries", self.tries)
 
     @property
-    def _network(self) -> _Narx:
-        return _Narx(len(self.outputs), len(self.inputs), self.order, self.lag, self.units)
+    def _network(self) -> _Network:
+        return self._made(self.order, memory=False)
 
     @property
     def complexity(self) -> float:
         """Number of weights."""
-        return float(_count(self._network))
+        return float(self._network.weights)
 
     def fit(self, records: Sequence[Trajectory], /) -> NetworkModel:
         """Trained on free runs drawn from all records. FitError where none is long enough."""
         before = max(self.order, self.order + self.lag)
-        return self._fitted(self._network, before, self.tries, False, records)
+        return self._fitted(self._network, before, self.tries, records)
 
 
 @dataclass(frozen=True, eq=False)
@@ -538,15 +487,15 @@ class GruStructure(_NetworkStructure):
         require_positive("warm_up", self.warm_up)
 
     @property
-    def _network(self) -> _Gru:
-        return _Gru(len(self.outputs), len(self.inputs), self.lag, self.units)
+    def _network(self) -> _Network:
+        return self._made(2, memory=True)
 
     @property
     def complexity(self) -> float:
         """Number of weights of all members."""
-        return float(self.members * _count(self._network))
+        return float(self.members * self._network.weights)
 
     def fit(self, records: Sequence[Trajectory], /) -> NetworkModel:
         """Trained on free runs drawn from all records. FitError where none is long enough."""
-        before = max(2, round(self.warm_up / data_of(self, records).sampling) + 1)
-        return self._fitted(self._network, before, self.members, True, records)
+        before = max(2, round(self.warm_up / self.data(records).sampling) + 1)
+        return self._fitted(self._network, before, self.members, records)

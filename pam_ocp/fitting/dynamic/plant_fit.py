@@ -116,7 +116,11 @@ class PlantFit(FittedPlant):
             return Adequacy()
         evidence, apart = self._evidence(), {}
         if evidence is not None:
-            strays = _strays(evidence, np.array([self.rmse[n] for n in self.measured]))
+            # how large residuals with free starts are in those of the fit. Larger: the integration
+            # does not follow the plant (a memory, a play). Smaller: no matter.
+            own = np.array([self.rmse[n] for n in self.measured])
+            ratio = np.maximum(evidence.rms / np.maximum(own, 1e-300), 1e-300)
+            strays = float(np.exp(np.mean(np.log(ratio))))
             weights = 1 / np.array([self.noise[n] for n in self.measured])
             found = adequacy_of(evidence, weights) if strays < FOLLOWED else Adequacy()
             if found.cause or (strays < FOLLOWED and (strays > BEHIND or self.status not in DONE)):
@@ -378,15 +382,6 @@ class PlantFit(FittedPlant):
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())
         return f"PlantFit({self.plant.name!r}: {shown})"
-
-
-def _strays(evidence: Evidence, rmse: Array) -> float:
-    """How large residuals of motions with free starts are in those of the fit. Larger: the
-    integration does not follow the plant (a memory, a play). Smaller: no matter.
-    """
-    every = np.concatenate([m.error for m in evidence.motions])
-    ratio = np.sqrt(np.mean(every**2, axis=0)) / np.maximum(rmse, 1e-300)
-    return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-300)))))
 
 
 # ---- files ---------------------------------------------------------------------------------------

@@ -241,25 +241,20 @@ def known_rig(
         if isinstance(ends, tuple):
             raise InputError(f"delay of {names[0]} = {ends}: give seconds; a fit takes a range")
         found |= dict.fromkeys(names, ends)
+
+    def state(argument: str, name: str) -> str:
+        return named(argument, name, plant, "state").name
+
+    def sensor(argument: str, name: str) -> str:
+        return _seen(argument, name, plant, measured)
+
     return Rig(
         {n: d for n, d in found.items() if d},
+        {sensor("gains", n): require_positive("gains", v) for n, v in (gains or {}).items()},
+        {sensor("offsets", n): require_finite("offsets", v) for n, v in (offsets or {}).items()},
+        {state("starts", n): require_finite("starts", v) for n, v in (starts or {}).items()},
         {
-            _seen("gains", n, plant, measured): require_positive("gains", v)
-            for n, v in (gains or {}).items()
-        },
-        {
-            _seen("offsets", n, plant, measured): require_finite("offsets", v)
-            for n, v in (offsets or {}).items()
-        },
-        {
-            named("starts", n, plant, "state").name: require_finite("starts", v)
-            for n, v in (starts or {}).items()
-        },
-        {
-            (
-                named("corrections", s, plant, "state").name,
-                _seen("corrections", y, plant, measured),
-            ): require_finite("corrections", v)
+            (state("corrections", s), sensor("corrections", y)): require_finite("corrections", v)
             for (s, y), v in (corrections or {}).items()
         },
     )
@@ -297,14 +292,14 @@ def unknowns_of(
             known |= dict.fromkeys(names, middle)
         else:
             known |= dict.fromkeys(names, ends)
-    gained = [_place("gains", n, plant, measured) for n in require_names("gains", gains)]
-    shifted = [_place("offsets", n, plant, measured) for n in require_names("offsets", offsets)]
-    for i in gained:
-        rows.append(Unknown("gains", i, f"{measured[i]}.gain", "1", 0.0, 1.0, -0.9, np.inf))
-    for i in shifted:
-        v = plant.variable(measured[i])
-        name = f"{v.name}.offset"
-        rows.append(Unknown("offsets", i, name, v.unit, 0.0, v.nominal, -np.inf, np.inf))
+    places = {n: i for i, n in enumerate(measured)}
+    for entry in require_names("gains", gains):
+        n = _seen("gains", entry, plant, measured)
+        rows.append(Unknown("gains", places[n], f"{n}.gain", "1", 0.0, 1.0, -0.9, np.inf))
+    for entry in require_names("offsets", offsets):
+        n = _seen("offsets", entry, plant, measured)
+        v, ends = plant.variable(n), (-np.inf, np.inf)
+        rows.append(Unknown("offsets", places[n], f"{n}.offset", v.unit, 0.0, v.nominal, *ends))
     common, own = _starts(plant, starts, measured)
     rows += [Unknown.of_start(plant, place, "starts") for place in common]
     pulls = _corrections(plant, correct, measured, sampling, pushed or {})
@@ -358,10 +353,6 @@ def delay_range(
     if not low < high:
         raise InputError(f"delay = ({low:g}, {high:g}) s: the lower must be the smaller")
     return low, high
-
-
-def _place(argument: str, name: str, plant: Plant, measured: Sequence[str]) -> int:
-    return list(measured).index(_seen(argument, name, plant, measured))
 
 
 def _seen(argument: str, name: str, plant: Plant, measured: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -53,7 +54,7 @@ class Rollout:
     """Runs, residuals and their exact Jacobian in the scaled unknowns z. A residual is an error in
     units of the variable's spread times the root of its sample's weight, so their sum of squares is
     the mean squared error. weigh : factors of the measured variables on top of that. static : the
-    plant counts as at rest under its inputs at each sample.
+    plant counts as at rest under its inputs at each sample. wild : in place of WILD.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Rollout:
         *,
         weigh: Array | None = None,
         static: bool = False,
+        wild: float = WILD,
     ) -> None:
         unknowns = unknowns or RunUnknowns()
         self._plant, self.runs, self.unknowns, self._rig = plant, runs, unknowns, rig or Rig()
@@ -80,13 +82,20 @@ class Rollout:
         self._local = unknowns.shared + len(unknowns.own_starts)
         self._scale = unknowns.scale[: self._local]
         self._reach = self._reaches()
-        self._static = static
+        self._static, self._wild = static, wild
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
 
     def finer(self) -> Rollout:
         """With steps of half the length."""
         halved = replace(self.runs, steps=2 * self.runs.steps)
         return Rollout(self._plant, halved, self.unknowns, self._rig)
+
+    def weighed(self, weigh: Array) -> Rollout:
+        """The same runs with other factors of the measured variables."""
+        found = copy(self)
+        found.weights = np.sqrt(self.runs.weights / len(weigh))[..., None] * weigh
+        found._seen, found._normal = {}, {}
+        return found
 
     # ---- what is asked for --------------------------------------------------------------------
     def predicted(self, z: Array) -> Array:
@@ -124,48 +133,63 @@ class Rollout:
         n, k, ny = self.runs.measured.shape
         found = np.zeros((n, k * ny, len(z)))
         for rows, _, slopes, _ in self.blocks(z, damped):
-            for r, block in zip(rows, slopes, strict=True):
-                found[r, : len(block)] = block
+            for own, columns in self.by_record(rows):
+                found[rows[own, None], : slopes.shape[1], columns] = slopes[own].swapaxes(1, 2)
         return np.asarray(found.reshape(n * k * ny, -1))
 
     def normal(self, z: Array, other: Array | None = None) -> tuple[float, Array, Array, int]:
-        """(cost, J^T r, J^T J, number of runs with damped rows); ``other`` residuals in place of
-        those at z.
+        """(cost, J^T r, J^T J, number of runs with damped rows); ``other`` residuals (n, K, ny) in
+        place of those at z, or several (n, K, ny, c), whose J^T r are columns.
         """
         if other is not None:
             return self._normal_of(z, other)
         return _known(self._normal, z, lambda: self._normal_of(z, None))
 
     def _normal_of(self, z: Array, other: Array | None) -> tuple[float, Array, Array, int]:
-        cost, gradient, square, damped = 0.0, np.zeros(len(z)), np.zeros((len(z), len(z))), 0
+        several = (1,) if other is None else other.shape[3:]
+        gradient, square = np.zeros((len(z), *several)), np.zeros((len(z), len(z)))
+        cost, damped = 0.0, 0
         for rows, errors, slopes, wild in self.blocks(z):
-            own = errors if other is None else other[rows, : slopes.shape[1] // other.shape[2]]
-            flat, e = slopes.reshape(-1, len(z)), own.ravel()
-            cost += float(e @ e)
-            gradient += flat.T @ e
-            square += flat.T @ flat
+            if other is not None:
+                errors = other[rows, : slopes.shape[1] // other.shape[2]]
+            cost += float(np.sum(errors**2))
             damped += int(wild.sum())
-        return cost, gradient, square, damped
+            for own, columns in self.by_record(rows):
+                flat = slopes[own].reshape(-1, slopes.shape[2])
+                gradient[columns] += flat.T @ errors[own].reshape(len(flat), *several)
+                square[np.ix_(columns, columns)] += flat.T @ flat
+        return cost, gradient if other is not None else gradient[:, 0], square, damped
 
     def blocks(
         self, z: Array, damped: bool = True
     ) -> Iterator[tuple[NDArray[np.intp], Array, Array, NDArray[np.bool_]]]:
-        """In parts: (runs, residuals (m, K ny), their slopes (m, K ny, nz), which are damped)."""
+        """In parts: (runs, residuals (m, K ny), their slopes (m, K ny, unknowns of all runs and of
+        the record), which are damped).
+        """
         for part, y, slopes in self.computed(z, True):
             m, k, ny = y.shape
             errors = self._error(part.rows, y).reshape(m, k * ny)
             per_spread = slopes / self.spread[:, None]
             size = np.abs(per_spread * self._reach).max(axis=3, initial=0.0)
             size[np.isnan(self.runs.measured[part.rows, :k])] = 0.0
-            wild = ~(size <= WILD)
+            wild = ~(size <= self._wild)
             if damped:
                 with np.errstate(invalid="ignore", divide="ignore"):
-                    per_spread *= np.where(wild, WILD / size, 1.0)[..., None]
+                    per_spread *= np.where(wild, self._wild / size, 1.0)[..., None]
             weight = self.weights[part.rows, :k, :, None]
             rows = np.nan_to_num(per_spread * weight, nan=0.0, posinf=0.0, neginf=0.0)
             rows[np.isnan(self.runs.measured[part.rows, :k])] = 0.0
-            whole = self._scattered(part.rows, rows.reshape(m, k * ny, -1), len(z))
-            yield part.rows, errors, whole, wild.any(axis=(1, 2))
+            yield part.rows, errors, rows.reshape(m, k * ny, -1), wild.any(axis=(1, 2))
+
+    def by_record(
+        self, rows: NDArray[np.intp]
+    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Which of some runs depend on the same unknowns, and the places of these in z."""
+        shared, own = np.arange(self.unknowns.shared), len(self.unknowns.own_starts)
+        record = self.runs.record[rows] * bool(own)
+        for r in np.unique(record):
+            columns = np.concatenate([shared, len(shared) + r * own + np.arange(own)])
+            yield np.flatnonzero(record == r), columns
 
     # ---- how it is computed -------------------------------------------------------------------
     def _error(self, rows: NDArray[np.intp], predicted: Array) -> Array:
@@ -192,18 +216,6 @@ class Rollout:
             places = [j for j, i in u.of("starts") if i in own]
             places += [u.shared + k for k, i in enumerate(u.own_starts) if i in own]
             found[places] = part
-        return found
-
-    def _scattered(self, rows: NDArray[np.intp], slopes: Array, nz: int) -> Array:
-        """Columns of a record's own starts to their places in z."""
-        shared, own = self.unknowns.shared, len(self.unknowns.own_starts)
-        if not own:
-            return slopes
-        found = np.zeros((*slopes.shape[:2], nz))
-        found[..., :shared] = slopes[..., :shared]
-        for i, r in enumerate(self.runs.record[rows]):
-            first = shared + int(r) * own
-            found[i, :, first : first + own] = slopes[i, :, shared:]
         return found
 
     def _cut(self, deep: bool) -> list[_Part]:

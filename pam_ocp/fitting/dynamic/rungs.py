@@ -20,7 +20,6 @@ from ...core.errors import FitError
 from ...core.executors import Place
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
-from ...plants.dead_time import DelayLine
 from ...plants.plant import Plant
 from ...plants.undelayed import without_dead_times
 from ..statistics import Array, Coefficient
@@ -86,16 +85,14 @@ class Rung:
     def fit(self, records: Sequence[Trajectory], /) -> RungModel:
         """Least squares of free runs through whole records, where these begin sought, too."""
         task = _whole(self.plant, records)
-        _, model = _best_start(task, starting(self, {}, FIRST_RATE), self)
+        model = _best_start(task, starting(self, {}, FIRST_RATE), self)
         return _accurate(model)[0]
 
     def losses(self, model: RungModel, records: Sequence[Trajectory], /) -> Array:
         """Mean squared error of each record, variable by variable [its unit squared]; only where it
         begins is estimated from it.
         """
-        plant = self.plant.with_values(_values(self.plant, model))
-        task = replace(_whole(plant, records), steps=model.steps)
-        again = model_of(task, plant, replace(self, free=()))
+        again = model.along(records)
         rollout = again.rollout()
         squares = _squares(rollout, again.fitted(rollout, EVALUATIONS).z)
         return np.asarray(np.nanmean(squares, axis=1) * rollout.spread**2)
@@ -175,9 +172,11 @@ class Task:
 class RungModel:
     """A rung run through whole records from guesses ``x0`` (records, nx) of the starts, dead times
     apart. What is not measured begins at rest; where positions, velocities and pressures begin is
-    unknown in each record, too. z : where a search begins, or ended.
+    unknown in each record, too. whole : with its delay lines, as it was given. z : where a search
+    begins, or ended.
     """
 
+    whole: Plant
     plant: Plant
     records: Sequence[Trajectory]
     outputs: Sequence[str]
@@ -203,6 +202,28 @@ class RungModel:
         return Rollout(
             self.plant, runs, self.unknowns, self.rig, weigh=self.weigh, static=self.static
         )
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Of all parameters that were fitted, dead times among them."""
+        found = self.unknowns.parameters(self.plant, self.z)
+        delays = self.unknowns.rig(self.plant, self.outputs, self.rig, self.z).delays
+        if self.plant is not self.whole:
+            found |= {n.time: delays.get(n.outlet, 0.0) for n in self.whole.delay_lines}
+        known = {n: self.whole.variable(n) for n in found}
+        return {n: float(np.clip(v, known[n].min, known[n].max)) for n, v in found.items()}
+
+    def along(self, records: Sequence[Trajectory]) -> RungModel:
+        """The same with these values through other records: only where they begin is open."""
+        plant = self.whole.with_values(self.values)
+        task = replace(_whole(plant, records, self.outputs), steps=self.steps)
+        return model_of(task, plant, Rung("", plant, (), static=self.static))
+
+    def run(self, records: Sequence[Trajectory]) -> FreeRun:
+        """Runs through other records, from what was measured at their begin, the rest at rest."""
+        again = self.along(records)
+        rollout = again.rollout()
+        return rollout.runs.result(rollout.predicted(again.z))
 
     def fitted(
         self, rollout: Rollout, evaluations: int, starts: bool = True, held: Sequence[int] = ()
@@ -241,7 +262,11 @@ def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
     late = _dead_times(task, plant, wanted)
     bare = plant if late is None else without_dead_times(plant)
     lines = plant.delay_lines if late is not None else ()
-    records = [with_inputs(bare, _at_outlets(r, lines), {}) for r in task.records]
+    # what goes into a delay line stands in a column called as what comes out of it
+    records = [
+        with_inputs(bare, with_columns(r, {n.outlet: r[n.source] for n in lines}), {})
+        for r in task.records
+    ]
     names, places = ({v.name: i for i, v in enumerate(p.parameters)} for p in (plant, bare))
     kept = [
         replace(g, members=tuple(places[n] for n, i in names.items() if i in g.members))
@@ -262,15 +287,8 @@ def model_of(task: Task, plant: Plant, rung: Rung) -> RungModel:
         unknowns = unknowns.with_more(Unknown.sized("delays", members, g.name, "s", *ends))
     times = {line.outlet: float(plant.variable(line.time).start or 0.0) for line in lines}
     rig = Rig({n: d for n, d in times.items() if d})
-    start, static = unknowns.guess, rung.static
-    return RungModel(bare, records, task.outputs, unknowns, rig, x0, start, static, task.steps)
-
-
-def _at_outlets(record: Trajectory, lines: Sequence[DelayLine]) -> Trajectory:
-    """With what goes into a delay line as a column called as what comes out of it."""
-    if not lines:
-        return record
-    return with_columns(record, {n.outlet: record[n.source] for n in lines})
+    begin = x0, unknowns.guess, rung.static, task.steps
+    return RungModel(plant, bare, records, task.outputs, unknowns, rig, *begin)
 
 
 def _dead_times(
@@ -294,17 +312,6 @@ def _whole(
     return Task(records, names, (), nothing, usual_steps(records), {})
 
 
-def _values(plant: Plant, model: RungModel) -> dict[str, float]:
-    """Of all parameters that were fitted, dead times among them."""
-    found = model.unknowns.parameters(model.plant, model.z)
-    delays = model.unknowns.rig(model.plant, model.outputs, model.rig, model.z).delays
-    if model.plant is not plant:
-        found |= {line.time: delays.get(line.outlet, 0.0) for line in plant.delay_lines}
-    return {
-        n: float(np.clip(v, plant.variable(n).min, plant.variable(n).max)) for n, v in found.items()
-    }
-
-
 def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant]:
     """Plants from which a rung's fit begins, after a fastest pressure of ``rate`` [Pa/s]."""
     known = {v.name: v for v in rung.plant.parameters}
@@ -322,16 +329,6 @@ def starting(rung: Rung, before: Mapping[str, float], rate: float) -> list[Plant
     return found
 
 
-def prediction(fit: RungFit, z: Array, records: Sequence[Trajectory]) -> FreeRun:
-    """Runs through other records at z: from what was measured at their begin, the rest at rest."""
-    model: RungModel = fit.model
-    plant = fit.plant.with_values(_values(fit.plant, replace(model, z=z)))
-    task = replace(_whole(plant, records, model.outputs), steps=model.steps)
-    again = model_of(task, plant, Rung(fit.name, plant, (), static=model.static))
-    rollout = again.rollout()
-    return rollout.runs.result(rollout.predicted(again.z))
-
-
 # ---- a rung -------------------------------------------------------------------------------------
 def climbed(
     task: Task,
@@ -343,7 +340,7 @@ def climbed(
     """The rung fitted; values and the fastest rate of a pressure, for the next."""
     clock = time.process_time()
     try:
-        plant, model = _best_start(task, starting(rung, before, rate), rung)
+        model = _best_start(task, starting(rung, before, rate), rung)
         model, coefficients = _accurate(model)
         seconds = time.process_time() - clock
         folds = range(int(task.fold.max()) + 1)
@@ -357,14 +354,14 @@ def climbed(
     samples = np.array([b - a for _, a, b in task.parts], float)
     mean = (samples @ squares) / samples.sum()
     rollout = model.rollout()
-    values = _values(plant, model)
+    values = model.values
     fit = RungFit(
         rung.name,
-        plant.with_values(values),
+        model.whole.with_values(values),
         coefficients,
         dict(zip(task.outputs, (np.sqrt(mean) * rollout.spread).tolist(), strict=True)),
         squares.mean(axis=1),
-        0 if rung.static else len(plant.states),
+        0 if rung.static else len(model.whole.states),
         seconds,
         model=model,
         members=tuple(f.z for f in found),
@@ -375,7 +372,7 @@ def climbed(
 
 
 @verb
-def _best_start(task: Task, plants: Sequence[Plant], rung: Rung) -> tuple[Plant, RungModel]:
+def _best_start(task: Task, plants: Sequence[Plant], rung: Rung) -> RungModel:
     """A few evaluations from each start; where the best led."""
     found, failure = [], FitError("no start")
     for plant in plants:
@@ -385,10 +382,10 @@ def _best_start(task: Task, plants: Sequence[Plant], rung: Rung) -> tuple[Plant,
         except FitError as error:
             failure = error
             continue
-        found.append((tried.cost, plant, replace(model, z=tried.z)))
+        found.append((tried.cost, replace(model, z=tried.z)))
     if not found:
         raise failure
-    return min(found, key=lambda f: f[0])[1:]
+    return min(found, key=lambda f: f[0])[1]
 
 
 def _tried(model: RungModel, later: Sequence[frozenset[str]]) -> Descent:

@@ -5,7 +5,7 @@ windows of the past, checked records.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -128,65 +128,7 @@ class PlantStructure:
         return np.asarray(rows, dtype=float)
 
 
-# ---- free runs of models without physics --------------------------------------------------------
-class JudgedRuns(Protocol):
-    """What says which free runs judge a model without physics: all such are judged by the same."""
-
-    @property
-    def outputs(self) -> Sequence[str]: ...
-    @property
-    def inputs(self) -> Sequence[str]: ...
-    @property
-    def horizon(self) -> Sequence[float]: ...
-    @property
-    def every(self) -> float: ...
-    @property
-    def first(self) -> float: ...
-
-
-def measured(runs: JudgedRuns, record: Trajectory) -> tuple[Array, Array]:
-    """Outputs (N, ny) and inputs (N, nu) of a record."""
-    require_instance("record", record, Trajectory, "give Trajectories")
-    for name in (*runs.outputs, *runs.inputs):
-        if name not in record:
-            raise InputError(f"a record has no column {name}")
-    return record.array(runs.outputs), record.array(runs.inputs)
-
-
-def run_losses(
-    runs: JudgedRuns,
-    records: Sequence[Trajectory],
-    before: int,
-    predict: Callable[[Array, Array], Array],
-) -> Array:
-    """Mean squared error of each record over each horizon, output by output; NaN where no run fits
-    in. predict : of the outputs of ``before`` samples up to the start (n, before, ny) and of the
-    inputs of these and of the run (n, before + h, nu), the outputs of the run (n, h, ny).
-    """
-    found = [[_run_loss(runs, r, h, before, predict) for h in runs.horizon] for r in records]
-    return np.array(found).reshape(len(records), -1)
-
-
-def _run_loss(
-    runs: JudgedRuns,
-    record: Trajectory,
-    horizon: float,
-    before: int,
-    predict: Callable[[Array, Array], Array],
-) -> Array:
-    y, u = measured(runs, record)
-    sampling = record.duration / (len(record) - 1)
-    ahead, stride = round(horizon / sampling), round(runs.every / sampling)
-    first = -(-round(runs.first / sampling) // stride) * stride
-    starts = np.arange(first, len(y) - ahead, stride)
-    if not starts.size:
-        return np.full(y.shape[1], np.nan)
-    # beyond an end of the record its last sample there stands again
-    place = np.clip(starts[:, None] + np.arange(1 - before, ahead + 1), 0, len(y) - 1)
-    error = predict(y[place[:, :before]], u[place]) - y[place[:, before:]]
-    return np.asarray(np.mean(error**2, axis=(0, 1)))
-
-
+# ---- models without physics ---------------------------------------------------------------------
 LONGEST_LAG = 10_000
 """Samples."""
 
@@ -253,35 +195,88 @@ class Data:
         return Scales.of(y), Scales.of(u)
 
 
-def data_of(runs: JudgedRuns, records: Sequence[Trajectory]) -> Data:
-    if not records:
-        raise FitError("no records to fit")
-    series = [measured(runs, r) for r in records]
-    steps = np.array([r.duration / (len(r) - 1) for r in records])
-    if np.ptp(steps) > 0.01 * steps.min():
-        raise FitError(
-            f"records are sampled every {steps.min():g} to {steps.max():g} s: a black box needs "
-            "one sampling interval; resample them"
-        )
-    return Data(series, float(np.mean(steps)))
+class Predictor(Protocol):
+    """A fitted model without physics, which reads ``before`` samples of the past."""
+
+    @property
+    def before(self) -> int: ...
+
+    def predict(self, past: Array, inputs: Array) -> Array:
+        """Of the outputs of ``before`` samples up to the start (n, before, ny) and of the inputs of
+        these and of the run (n, before + h, nu), the outputs of the run (n, h, ny).
+        """
+        ...
 
 
-def require_structure(structure: Any, counts: Sequence[str]) -> None:
-    """What cannot be."""
-    for name in ("outputs", "inputs"):
-        value = getattr(structure, name)
-        if isinstance(value, str) or not len(value):
-            raise InputError(f"{name} = {value!r}: give names of columns, at least one")
-    for name in counts:
-        require_count(name, getattr(structure, name))
-    require_count("lag", structure.lag, -LONGEST_LAG, LONGEST_LAG)
-    if not len(structure.horizon):
-        raise InputError("horizon is empty: give durations [s], at least one")
-    require_positive("every", structure.every)
-    for h in structure.horizon:
-        require_positive("horizon", h)
-    if require_finite("first", structure.first) < 0:
-        raise InputError(f"first = {structure.first:g} s must not be negative")
+class BlackBox:
+    """A structure without physics, of columns of records: all such are judged by the same free
+    runs, over ``horizon`` from every ``every`` seconds on, ``first`` seconds of each record past.
+    """
+
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    horizon: Sequence[float]
+    every: float
+    first: float
+    lag: int
+
+    def require(self, *counts: str) -> None:
+        """InputError for what cannot be; ``counts`` : fields that are counts."""
+        for name in ("outputs", "inputs"):
+            value = getattr(self, name)
+            if isinstance(value, str) or not len(value):
+                raise InputError(f"{name} = {value!r}: give names of columns, at least one")
+        for name in counts:
+            require_count(name, getattr(self, name))
+        require_count("lag", self.lag, -LONGEST_LAG, LONGEST_LAG)
+        if not len(self.horizon):
+            raise InputError("horizon is empty: give durations [s], at least one")
+        require_positive("every", self.every)
+        for h in self.horizon:
+            require_positive("horizon", h)
+        if require_finite("first", self.first) < 0:
+            raise InputError(f"first = {self.first:g} s must not be negative")
+
+    def measured(self, record: Trajectory) -> tuple[Array, Array]:
+        """Outputs (N, ny) and inputs (N, nu) of a record."""
+        require_instance("record", record, Trajectory, "give Trajectories")
+        for name in (*self.outputs, *self.inputs):
+            if name not in record:
+                raise InputError(f"a record has no column {name}")
+        return record.array(self.outputs), record.array(self.inputs)
+
+    def data(self, records: Sequence[Trajectory]) -> Data:
+        """Of records with one sampling interval."""
+        if not records:
+            raise FitError("no records to fit")
+        series = [self.measured(r) for r in records]
+        steps = np.array([r.duration / (len(r) - 1) for r in records])
+        if np.ptp(steps) > 0.01 * steps.min():
+            raise FitError(
+                f"records are sampled every {steps.min():g} to {steps.max():g} s: a black box "
+                "needs one sampling interval; resample them"
+            )
+        return Data(series, float(np.mean(steps)))
+
+    def losses(self, model: Any, records: Sequence[Trajectory], /) -> Array:
+        """Mean squared error of each record over each horizon, output by output; NaN where no run
+        fits in.
+        """
+        found = [[self._loss(model, r, h) for h in self.horizon] for r in records]
+        return np.array(found).reshape(len(records), -1)
+
+    def _loss(self, model: Predictor, record: Trajectory, horizon: float) -> Array:
+        y, u = self.measured(record)
+        sampling, before = record.duration / (len(record) - 1), model.before
+        ahead, stride = round(horizon / sampling), round(self.every / sampling)
+        first = -(-round(self.first / sampling) // stride) * stride
+        starts = np.arange(first, len(y) - ahead, stride)
+        if not starts.size:
+            return np.full(y.shape[1], np.nan)
+        # beyond an end of the record its last sample there stands again
+        place = np.clip(starts[:, None] + np.arange(1 - before, ahead + 1), 0, len(y) - 1)
+        error = model.predict(y[place[:, :before]], u[place]) - y[place[:, before:]]
+        return np.asarray(np.mean(error**2, axis=(0, 1)))
 
 
 def history(y: Array, u: Array, times: Any, order: int, lag: int) -> Array:
@@ -296,10 +291,30 @@ class ArxModel:
     """y(k) from the past of outputs and inputs: coefficients (numbers, ny)."""
 
     coefficients: Array
+    order: int
+    lag: int
+
+    @property
+    def before(self) -> int:
+        """Samples of the past that it reads, the start included."""
+        return max(self.order, self.order + self.lag) + 1
+
+    def predict(self, past: Array, inputs: Array) -> Array:
+        """As :meth:`NetworkModel.predict`."""
+        before, last = past.shape[1], inputs.shape[1]
+        runs = np.concatenate([past, np.zeros((len(past), last - before, past.shape[2]))], axis=1)
+        y, u = runs.swapaxes(0, 1), inputs.swapaxes(0, 1)
+        # what a lag below zero asks of the inputs behind the end of the run is not known there
+        for k in range(before, last):
+            rows = history(y, u, [k], self.order, self.lag - 1)[0]
+            with np.errstate(over="ignore", invalid="ignore"):
+                found = np.column_stack([rows, np.ones(len(runs))]) @ self.coefficients
+                y[k] = np.clip(found, -1e6, 1e6)
+        return runs[:, before:]
 
 
 @dataclass(frozen=True, eq=False)
-class ArxStructure:
+class ArxStructure(BlackBox):
     """Linear in the past of the outputs and inputs: the yardstick for any other structure (L.
     Ljung, System Identification, 1999, 4.2).
 
@@ -332,31 +347,15 @@ class ArxStructure:
         require_count("order", self.order)
         normal, right = 0.0, 0.0
         for record in records:
-            y, u = measured(self, record)
+            y, u = self.measured(record)
             k = np.arange(min(3, len(y) - 1), len(y))
             past = history(y[:, None], u[:, None], k, self.order, self.lag - 1)[:, 0]
             rows = np.column_stack([past, np.ones(len(k))])
             normal, right = normal + rows.T @ rows, right + rows.T @ y[k]
         if not np.ndim(normal):
             raise FitError("no records to fit")
-        return ArxModel(np.asarray(np.linalg.lstsq(normal, right, rcond=1e-14)[0], dtype=float))
-
-    def losses(self, model: ArxModel, records: Sequence[Trajectory], /) -> Array:
-        """Mean squared error of each record over each horizon, output by output."""
-        before = max(self.order, self.order + self.lag) + 1
-        return run_losses(self, records, before, lambda y, u: self._run(model, y, u))
-
-    def _run(self, model: ArxModel, past: Array, inputs: Array) -> Array:
-        before, last = past.shape[1], inputs.shape[1]
-        runs = np.concatenate([past, np.zeros((len(past), last - before, past.shape[2]))], axis=1)
-        y, u = runs.swapaxes(0, 1), inputs.swapaxes(0, 1)
-        # what a lag below zero asks of the inputs behind the end of the run is not known there
-        for k in range(before, last):
-            rows = history(y, u, [k], self.order, self.lag - 1)[0]
-            with np.errstate(over="ignore", invalid="ignore"):
-                found = np.column_stack([rows, np.ones(len(runs))]) @ model.coefficients
-                y[k] = np.clip(found, -1e6, 1e6)
-        return runs[:, before:]
+        found = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-14)[0], dtype=float)
+        return ArxModel(found, self.order, self.lag)
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,7 +400,7 @@ def _older(coefficients: Array, i: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class SubspaceStructure:
+class SubspaceStructure(BlackBox):
     """A linear state-space model of ``order`` states by predictor-based subspace identification (A.
     Chiuso, Automatica 43 (2007) 1034-1048).
 
@@ -428,7 +427,7 @@ class SubspaceStructure:
     past: int = 15
 
     def __post_init__(self) -> None:
-        require_structure(self, ("order", "past"))
+        self.require("order", "past")
         require_count("order", self.order, 1, self.past * len(self.outputs))
 
     @property
@@ -441,7 +440,7 @@ class SubspaceStructure:
 
     def fit(self, records: Sequence[Trajectory], /) -> SubspaceModel:
         """FitError where no record is longer than the past."""
-        data = data_of(self, records)
+        data = self.data(records)
         scales, rows = data.scales, []
         for y, u in ((scales[0](y)[:, None], scales[1](u)[:, None]) for y, u in data.series):
             times = np.arange(self.past + max(0, self.lag), len(y))
@@ -472,7 +471,3 @@ class SubspaceStructure:
         left, size, _ = np.linalg.svd(later @ spread, full_matrices=False)
         size = np.maximum(size[: self.order], 1e-12 * size[0])
         return np.asarray((left[:, : self.order] / np.sqrt(size)).T @ later)
-
-    def losses(self, model: SubspaceModel, records: Sequence[Trajectory], /) -> Array:
-        """Mean squared error of each record over each horizon, output by output."""
-        return run_losses(self, records, model.before, model.predict)

@@ -30,8 +30,8 @@ from ...plants.plant import Plant
 from ...simulation.integrate import Integration
 from ...simulation.simulator import simulate
 from ..statistics import Array
-from .experiment import Experiment, ParameterGroup
-from .rig import Rig, RunUnknowns, unknowns_of
+from .experiment import Experiment
+from .rig import Rig, RunUnknowns
 
 FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting", "simulation"]
 METHODS = get_args(FitMethod)
@@ -163,21 +163,26 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
         inputs += ca.reshape(errors @ jumps[lift.shape[1] :], *mesh.u.shape)
     x0 = ca.reshape(head[u.shared :], len(x_nominal), len(experiments))
     p = u.vector(problem.plant, head)
-    given = (x0, p, lift @ jumps[: lift.shape[1]], inputs)
-    way = _way(problem, mesh, method, degree, given)
+    inside, step, read = _interval(problem, mesh, method, degree)
+    points, ends, defects = ca.MX(0, mesh.h.size), ca.MX(), ca.MX(0, 1)
+    if method == "single-shooting":
+        ends = _rolled(step, experiments, x0, mesh, (inputs, p))
+    else:
+        points = ca.MX.sym("x", len(x_nominal) * inside, mesh.h.size)
+        ends = points[len(x_nominal) * (inside - 1) :, :]
+    begins = ca.horzcat(x0, ends)[:, mesh.begin.tolist()]
+    if problem.process:
+        begins += ca.reshape(lift @ jumps[: lift.shape[1]], *begins.shape)
+    if method != "single-shooting":
+        defects = ca.vec(step.map(mesh.h.size)(begins, points, mesh.h[None], inputs, p))
 
     rows = mesh.interval.tolist()
     late: Any = problem.known_delay
     for place, _ in u.of("delays"):
         late = head[place] * u.scale[place]
-    modelled = way.read.map(len(rows))(
-        way.begins[:, rows],
-        way.inside[:, rows],
-        mesh.offset[None] - late,
-        mesh.h[rows][None],
-        inputs[:, rows],
-        p,
-    )
+    since, spans = mesh.offset[None] - late, mesh.h[rows][None]
+    held = points[:, rows] if method == "collocation" else ca.MX(0, len(rows))
+    modelled = read.map(len(rows))(begins[:, rows], held, since, spans, inputs[:, rows], p)
     gains, offsets = (ca.vertcat(*c) for c in u.sensors(problem.measured, Rig(), head))
     errors_ = ca.MX(ca.DM(mesh.measured / nominal[:, None])) - modelled * gains - offsets / nominal
     weights = ca.MX.sym("weights", len(nominal))
@@ -185,10 +190,10 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
     inner = _points(experiments, method, degree, x_nominal)
     open_ = np.full(inner.size + jumps.numel(), np.inf)
     return FitProgram(
-        ca.veccat(head, way.points, jumps),
+        ca.veccat(head, points, jumps),
         weights,
         residuals,
-        way.defects,
+        defects,
         head.numel(),
         u.scale,
         np.concatenate([u.guess, inner, np.zeros(jumps.numel())]),
@@ -196,52 +201,6 @@ def transcribe(problem: FitProblem, method: FitMethod, degree: int) -> FitProgra
         np.concatenate([u.high, open_]),
         jumps.numel(),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """The motion along all intervals; ``inside`` : the points that ``read`` takes besides the
-    begin.
-    """
-
-    points: ca.MX
-    begins: ca.MX
-    inside: ca.MX
-    defects: ca.MX
-    read: ca.Function
-
-
-def _way(
-    problem: FitProblem,
-    mesh: _Mesh,
-    method: FitMethod,
-    degree: int,
-    given: tuple[ca.MX, ca.MX, ca.MX, ca.MX],
-) -> _Way:
-    """The motion by a method. given : initial states, parameters, jumps in nominals, inputs."""
-    x0, p, jumps, u = given
-    plant, experiments = problem.plant, problem.experiments
-    x_nominal = plant.vector("state", attribute="nominal")
-    nx, n = len(x_nominal), mesh.h.size
-
-    def begins(ends: ca.MX) -> ca.MX:
-        found = ca.horzcat(x0, ends)[:, mesh.begin.tolist()]
-        return found + ca.reshape(jumps, nx, n) if problem.process else found
-
-    if method == "collocation":
-        points = ca.MX.sym("x", nx * degree, n)
-        step, read = _collocation(plant, x_nominal, mesh, problem.measured, degree)
-        begin = begins(points[nx * (degree - 1) :, :])
-        defects = step.map(n)(begin, points, mesh.h[None], u, p)
-        return _Way(points, begin, points, ca.vec(defects), read)
-    step, read = _shooting(plant, x_nominal, mesh, problem.measured, degree)
-    if method == "single-shooting":
-        begin = begins(_rolled(step, experiments, x0, mesh, (u, p)))
-        return _Way(ca.MX(nx, 0), begin, ca.MX(0, n), ca.MX(0, 1), read)
-    points = ca.MX.sym("x", nx, n)
-    begin = begins(points)
-    defects = step.map(n)(begin, mesh.h[None], u, p) - points
-    return _Way(points, begin, ca.MX(0, n), ca.vec(defects), read)
 
 
 def _jumps(
@@ -299,101 +258,49 @@ def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:
     )
 
 
-def unknowns_with_starts(
-    plant: Plant,
-    groups: Sequence[ParameterGroup],
-    measured: Sequence[str],
-    experiments: Sequence[Experiment],
-    **sensed: Any,
-) -> RunUnknowns:
-    """What is sought beside the motion: with where all states begin in each record. sensed : delay,
-    gains and offsets.
+def _interval(
+    problem: FitProblem, mesh: _Mesh, method: FitMethod, degree: int
+) -> tuple[int, ca.Function, ca.Function]:
+    """How many points lie in an interval, the last at its end; (begin, points, length, inputs,
+    parameters) -> their defects; and (begin, points, time since the begin, length, inputs,
+    parameters) -> what is measured, in nominals. States are in nominals, too.
+
+    Collocation: of Lagrange polynomials. Shooting: one point, compared with ``degree`` steps of
+    RK4, which need no points to tell what is measured.
     """
-    starts = np.array([e.states[0] for e in experiments]).T
-    u, _ = unknowns_of(
-        plant,
-        groups,
-        measured,
-        len(experiments),
-        usual(experiments),
-        hidden=dict(enumerate(starts)),
-        **sensed,
-    )
-    names = u.names if len(experiments) > 1 else [n.replace(", record 1)", ")") for n in u.names]
-    return u.changed(name=names, guess=np.clip(u.guess, u.low, u.high))
+    plant = problem.plant
+    x_nominal = plant.vector("state", attribute="nominal")
+    nx, nu = len(x_nominal), len(plant.inputs)
+    inside = degree if method == "collocation" else 1
+    begin, points = ca.SX.sym("begin", nx), ca.SX.sym("points", nx, inside)
+    h, since = ca.SX.sym("h"), ca.SX.sym("since")
+    u, p = ca.SX.sym("u", nu, mesh.u.shape[0] // max(nu, 1)), ca.SX.sym("p", len(plant.parameters))
 
+    def slope(x: ca.SX, at: Any) -> ca.SX:
+        """Rates of the states; ``at`` : time since the begin."""
+        now = ca.SX(polynomial(ca.horzsplit(u), at))
+        return plant.function(x * x_nominal, now, p)[0] / x_nominal
 
-def usual(experiments: Sequence[Experiment]) -> float:
-    """Length of an interval [s]."""
-    return float(np.median(np.concatenate([np.diff(e.mesh) for e in experiments])))
+    def rolled(span: ca.SX) -> ca.SX:
+        return rk4(lambda x, at: slope(x, at * span / degree), begin, span / degree, degree)
 
-
-def _symbols(plant: Plant, x_nominal: Array, mesh: _Mesh) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    nu = len(plant.inputs)
+    if method == "collocation":
+        tau = collocation_points("radau", degree)
+        gained = ca.horzcat(begin, points) @ ca.DM(collocation_matrices(tau)[0])
+        parts = [h * slope(points[:, j], h * tau[j]) - gained[:, j] for j in range(degree)]
+        basis = lagrange((0.0, *tau.tolist()), since / h)
+        x, known = ca.horzcat(begin, points) @ ca.vertcat(*basis), ca.vec(points)
+    else:
+        parts, x, known = [rolled(h) - points], rolled(since), ca.SX(0, 1)
+    now = ca.SX(polynomial(ca.horzsplit(u), since))
+    values = [plant.expression(n) / plant.variable(n).nominal for n in problem.measured]
+    outputs = ca.Function("measured", [plant.x, plant.u, plant.p], [ca.vertcat(*values)])
+    given = [h, ca.vec(u), p]
     return (
-        ca.SX.sym("begin", len(x_nominal)),
-        ca.SX.sym("h"),
-        ca.SX.sym("u", nu, mesh.u.shape[0] // max(nu, 1)),
-        ca.SX.sym("p", len(plant.parameters)),
+        inside,
+        ca.Function("defects", [begin, ca.vec(points), *given], [ca.vertcat(*parts)]),
+        ca.Function("read", [begin, known, since, *given], [outputs(x * x_nominal, now, p)]),
     )
-
-
-def _input(u: ca.SX, since: ca.SX) -> ca.SX:
-    """The inputs ``since`` an interval began."""
-    return ca.SX(polynomial(ca.horzsplit(u), since))
-
-
-def _outputs(plant: Plant, names: Sequence[str]) -> ca.Function:
-    """(x, u, p) -> what is measured, in units of nominals."""
-    values = [plant.expression(n) / plant.variable(n).nominal for n in names]
-    return ca.Function("measured", [plant.x, plant.u, plant.p], [ca.vertcat(*values)])
-
-
-def _collocation(
-    plant: Plant, x_nominal: Array, mesh: _Mesh, names: Sequence[str], degree: int
-) -> tuple[ca.Function, ca.Function]:
-    """Defects of one interval, and what is measured inside of it (Lagrange polynomial)."""
-    begin, h, u, p = _symbols(plant, x_nominal, mesh)
-    points, since = ca.SX.sym("points", len(x_nominal), degree), ca.SX.sym("since")
-    tau = collocation_points("radau", degree)
-    derivative, _, _ = collocation_matrices(tau)
-    slope = ca.horzcat(begin, points) @ ca.DM(derivative)
-    defects = [
-        h * plant.function(points[:, j] * x_nominal, _input(u, h * tau[j]), p)[0] / x_nominal
-        - slope[:, j]
-        for j in range(degree)
-    ]
-    basis = lagrange((0.0, *tau.tolist()), since / h)
-    x = ca.horzcat(begin, points) @ ca.vertcat(*basis) * x_nominal
-    arguments = [begin, ca.vec(points)]
-    return (
-        ca.Function("defects", [*arguments, h, ca.vec(u), p], [ca.vertcat(*defects)]),
-        ca.Function(
-            "read",
-            [*arguments, since, h, ca.vec(u), p],
-            [_outputs(plant, names)(x, _input(u, since), p)],
-        ),
-    )
-
-
-def _shooting(
-    plant: Plant, x_nominal: Array, mesh: _Mesh, names: Sequence[str], steps: int
-) -> tuple[ca.Function, ca.Function]:
-    """The state at an interval's end by ``steps`` steps of RK4, and what is measured inside."""
-    begin, h, u, p = _symbols(plant, x_nominal, mesh)
-    since, span = ca.SX.sym("since"), ca.SX.sym("span")
-
-    d = span / steps
-
-    def slope(x: ca.SX, at: float) -> ca.SX:
-        return plant.function(x * x_nominal, _input(u, at * d), p)[0] / x_nominal
-
-    x = rk4(slope, begin, d, steps)
-    after = ca.Function("after", [begin, span, ca.vec(u), p], [x])
-    inside = after(begin, since, ca.vec(u), p) * x_nominal
-    read = _outputs(plant, names)(inside, _input(u, since), p)
-    none = ca.SX(0, 1)
-    return after, ca.Function("read", [begin, none, since, h, ca.vec(u), p], [read])
 
 
 def _rolled(
@@ -403,13 +310,16 @@ def _rolled(
     mesh: _Mesh,
     given: tuple[ca.MX, ca.MX],
 ) -> ca.MX:
-    """The states at all ends of intervals, each record integrated from its initial state."""
+    """The states at all ends of intervals, each record integrated from its initial state: there
+    defects from points at zero are the states themselves.
+    """
     u, p = given
     first, parts = 0, []
     for r, e in enumerate(experiments):
         n = len(e.mesh) - 1
         span = slice(first, first + n)
-        parts.append(step.mapaccum(n)(x0[:, r], mesh.h[span][None], u[:, span], ca.repmat(p, 1, n)))
+        still, every = ca.DM.zeros(x0.shape[0], n), ca.repmat(p, 1, n)
+        parts.append(step.mapaccum(n)(x0[:, r], still, mesh.h[span][None], u[:, span], every))
         first += n
     return ca.horzcat(*parts)
 

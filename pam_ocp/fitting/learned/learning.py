@@ -29,7 +29,7 @@ from ...plants.plant import Plant, require_plant
 from ..dynamic.choice import paired
 from ..dynamic.experiment import groups, recorded, running
 from ..dynamic.free_run_fit import fit_free_run
-from ..dynamic.free_run_result import FreeRunFit, asked_like, begun, runs_like, unknowns_like
+from ..dynamic.free_run_result import FreeRunFit, begun, rollout_like, runs_like
 from ..dynamic.gauss_newton import descend
 from ..dynamic.rollout import Rollout
 from ..dynamic.runs import Band, FreeRun
@@ -331,7 +331,12 @@ class _Trial:
             runs_like(self.fit, self.attached.at(w), self.left(i), {})
             for i, w in enumerate(weights)
         ]
-        found = [_losses(run, len(self.left(i))) for i, run in enumerate(runs)]
+        found = [
+            np.concatenate(
+                [run.losses(len(self.left(i)), h) for h in run.horizons or (None,)], axis=1
+            )
+            for i, run in enumerate(runs)
+        ]
         losses = np.empty((len(self.parts), found[0].shape[1]))
         for i, own in enumerate(found):
             losses[self.fold == i] = own
@@ -373,22 +378,13 @@ def _parts(
     return found
 
 
-def _losses(run: FreeRun, records: int) -> Array:
-    """(records, horizons ny)."""
-    several = run.horizons or (None,)
-    return np.concatenate([run.losses(records, h) for h in several], axis=1)
-
-
 class _Search:
     """A descent from strong penalties to weak ones along some records; starts stay the physics'."""
 
     def __init__(self, made: Attached, fit: FreeRunFit, records: Sequence[Trajectory]) -> None:
         self._made, self._w = made, made.begin
-        runs = asked_like(fit, made.plant, records, {})
-        unknowns = unknowns_like(fit, made.plant, runs, len(records), made.weights)
-        self._rollout = Rollout(made.plant, runs, unknowns, fit.rig)
-        plain = unknowns_like(fit, made.plant, runs, len(records))
-        self._starts = begun(Rollout(made.at(made.centre), runs, plain, fit.rig))
+        self._rollout = rollout_like(fit, made.plant, records, {}, made.weights)
+        self._starts = begun(rollout_like(fit, made.at(made.centre), records, {}))
 
     def to(self, strength: float, evaluations: int) -> Array:
         """The weights at a strength."""
@@ -405,7 +401,7 @@ class _Search:
 
 def _visited(fit: FreeRunFit, records: Sequence[Trajectory]) -> Visited:
     """States and inputs at all samples of the runs of the fit."""
-    runs = asked_like(fit, fit.plant, records, {})
+    runs = rollout_like(fit, fit.plant, records, {}).runs
     rollout = Rollout(fit.plant, runs, fit.unknowns, fit.rig)
     states, inputs = [], []
     for part, x in rollout.states(fit.z):
