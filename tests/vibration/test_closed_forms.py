@@ -12,6 +12,7 @@ import pam_ocp as pam
 from pam_ocp import InputError, vibration
 from pam_ocp.numerics.periodic_collocation import Periodic
 from pam_ocp.vibration.cycle import Settings, converged, pin
+from pam_ocp.vibration.hopf_bifurcation import _between
 from pam_ocp.vibration.maps import _passages
 
 W, K, NX, NY = 7.0, 0.2, 0.5, 0.8
@@ -55,6 +56,20 @@ def test_the_border_its_frequency_and_what_is_born_there(b):
         [NX, NX, 0]
     )  # a circle; the largest scaled entry is 1
     assert ("unstable above, supercritical" in str(point)) == (b < 0)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "middle"),
+    [
+        (1.0, 29.0, 15.0),
+        (1.0, 100.0, 10.0),
+        (100.0, 1.0, 10.0),
+        (-1.0, 100.0, 49.5),
+        (9.0, 1.0, 5.0),
+    ],
+)
+def test_a_bracket_over_decades_is_searched_in_equal_ratios(low, high, middle):
+    assert _between(low, high, 3) == pytest.approx([low, middle, high])
 
 
 @pytest.mark.parametrize("named", ["x", "y"])
