@@ -10,6 +10,10 @@ from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp import InputError, vibration
+from pam_ocp.numerics.periodic_collocation import Periodic
+from pam_ocp.vibration.cycle import Settings, converged, pin
+from pam_ocp.vibration.hopf_bifurcation import _between
+from pam_ocp.vibration.maps import _passages
 
 W, K, NX, NY = 7.0, 0.2, 0.5, 0.8
 """Angular frequency [1/s], border, nominals."""
@@ -54,6 +58,20 @@ def test_the_border_its_frequency_and_what_is_born_there(b):
     assert ("unstable above, supercritical" in str(point)) == (b < 0)
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "middle"),
+    [
+        (1.0, 29.0, 15.0),
+        (1.0, 100.0, 10.0),
+        (100.0, 1.0, 10.0),
+        (-1.0, 100.0, 49.5),
+        (9.0, 1.0, 5.0),
+    ],
+)
+def test_a_bracket_over_decades_is_searched_in_equal_ratios(low, high, middle):
+    assert _between(low, high, 3) == pytest.approx([low, middle, high])
+
+
 @pytest.mark.parametrize("named", ["x", "y"])
 def test_a_cycle_is_a_circle_and_its_multiplier_that_of_its_radius(named):
     point = at_border()
@@ -69,6 +87,25 @@ def test_a_cycle_is_a_circle_and_its_multiplier_that_of_its_radius(named):
     assert cycle.closing_error < 1e-8
     from_run = pam.simulate(cycle.plant, t=np.linspace(0, 60, 3000), start={"x": 0.1})
     assert vibration.limit_cycle(cycle.plant, from_run).amplitude("x") == pytest.approx(0.3)
+
+
+def test_a_cycle_on_the_finest_mesh_is_taken_where_its_states_are_known_well_enough():
+    """Its multiplier is never exactly 1; beyond the largest mesh the states alone decide."""
+    cycle = vibration.limit_cycle(at_border().plant, at_border(), amplitude={"x": 0.3})
+    periodic = Periodic(cycle.plant, "mu", 6)
+    finest = {"most_intervals": 5, "multiplier_tolerance": 0.0}
+    row = pin(cycle.orbit, periodic.lam)
+    taken = converged(periodic, cycle.orbit, row, Settings(tolerance=1e-8, **finest))
+    assert taken.period == pytest.approx(2 * np.pi / W)
+    with pytest.raises(vibration.VibrationError, match="stays above the tolerance"):
+        converged(periodic, cycle.orbit, row, Settings(tolerance=1e-30, **finest))
+
+
+def test_what_is_no_closed_motion_has_the_frequency_of_its_passages():
+    t = np.linspace(0.0, 4.0, 4001)
+    for hertz, expected in ((3.0, 3.0), (0.4, np.nan)):
+        found = _passages(t, 5 + np.sin(2 * np.pi * hertz * t) + 0.1 * np.cos(17 * hertz * t))
+        assert found == pytest.approx(expected, rel=0.02, nan_ok=True)
 
 
 def test_by_default_a_cycle_swings_by_a_third_of_a_nominal():
