@@ -37,7 +37,7 @@ from conftest import benchmark_slide
 from scipy.io import savemat
 
 import pam_ocp as pam
-from pam_ocp.cli import mpc as mpc_command
+from pam_ocp.cli import plan as motion_commands
 from pam_ocp.cli.main import _parser
 from pam_ocp.core.errors import InputError, PlanWarning
 from pam_ocp.core.quantities import UnitWarning
@@ -235,7 +235,7 @@ def _study(file: Path) -> None:
 
 
 def _loop(file: Path) -> None:
-    study = mpc_command._study(_parser().parse_args(["mpc", str(file)]))
+    study = motion_commands._study(_parser().parse_args(["mpc", str(file)]))
     with guarded(study):
         set_up(study)
 
