@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from .export.ssv import write_muscle_ssv as write_muscle_ssv
     from .figures.control import plot_closed_loop as plot_closed_loop
     from .figures.control import plot_durations as plot_durations
+    from .figures.film import animate_limb as animate_limb
+    from .figures.film import plot_limb as plot_limb
     from .figures.fit_book import write_fit_book as write_fit_book
-    from .figures.limb import animate_limb as animate_limb
-    from .figures.limb import plot_limb as plot_limb
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
@@ -67,9 +67,9 @@ if TYPE_CHECKING:
     from .planning.saved_plan import save_plan as save_plan
     from .rig.homing import Homing as Homing
     from .rig.homing import home as home
-    from .rig.identification import Identified as Identified
-    from .rig.identification import identify as identify
+    from .rig.learning import Identified as Identified
     from .rig.learning import Learned as Learned
+    from .rig.learning import identify as identify
     from .rig.learning import learn as learn
     from .rig.real_time import RealTimeRun as RealTimeRun
     from .rig.real_time import run_in_c as run_in_c
@@ -91,7 +91,7 @@ _HOMES: dict[str, str] = {
     "save_result": "figures.tables",
     "home": "rig.homing",
     "html_of": "figures.sheets",
-    "identify": "rig.identification",
+    "identify": "rig.learning",
     "learn": "rig.learning",
     "run_in_c": "rig.real_time",
     "run_on": "rig.side",
@@ -120,8 +120,8 @@ _HOMES: dict[str, str] = {
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
     "static_optimisation": "operating.moments",
-    "plot_limb": "figures.limb",
-    "animate_limb": "figures.limb",
+    "plot_limb": "figures.film",
+    "animate_limb": "figures.film",
     "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",

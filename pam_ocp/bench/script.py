@@ -343,6 +343,19 @@ def law_keywords(
     return {"weights": weights, "effort": gains["effort"], **found}
 
 
+def run_keywords(said: Mapping[str, Any], position: str, wanted: Any) -> dict[str, Any]:
+    """The keywords of closed_loop that a controller's study stands for. wanted : the position that
+    is to be reached; None for "not given".
+    """
+    study = said["study"]
+    return {
+        "duration": study["duration"],
+        "reference": {position: wanted} if is_followed(said) else None,
+        "disturbances": {PUSH: (study["push"], study["push_from"])} if study["push"] else None,
+        "noise": {position: study["noise"]} if study["noise"] else None,
+    }
+
+
 def control_lines(state: Mapping[str, Any]) -> list[str]:
     """Each controller with its run against the plant, which can be pushed."""
     if state["muscle"] is None or not state["point"] or not state["controllers"]:
@@ -357,7 +370,7 @@ def control_lines(state: Mapping[str, Any]) -> list[str]:
 
 
 def _run_lines(said: Mapping[str, Any]) -> list[str]:
-    id, study, position = said["id"], said["study"], _Code("position")
+    id, position = said["id"], _Code("position")
 
     def rate(weight: float) -> _Code:
         return _Code(f"{{v.name: {weight!r} for v in plant.inputs if not v.disturbance}}")
@@ -365,17 +378,10 @@ def _run_lines(said: Mapping[str, Any]) -> list[str]:
     made = {"pid": "pam.control.PointPid", "lqr": "pam.lqr", "mpc": "pam.Mpc"}[said["kind"]]
     given = ("plant",) if said["kind"] == "mpc" else ("plant", "point")
     law = call(made, *given, **law_keywords(said, position, _Code("velocity"), rate))
-    wanted = {position: _Code(f"point[position] + {study['step']!r}")}
-    run = call(
-        "pam.closed_loop",
-        id,
-        "side",
-        repr(wanted if is_followed(said) else None),
-        duration=study["duration"],
-        start=_Code("start"),
-        disturbances={PUSH: (study["push"], study["push_from"])} if study["push"] else None,
-        noise={position: study["noise"]} if study["noise"] else None,
-    )
+    keywords = run_keywords(said, position, _Code(f"point[position] + {said['study']['step']!r}"))
+    duration, reference = keywords.pop("duration"), repr(keywords.pop("reference"))
+    known = {"duration": duration, "start": _Code("start"), **keywords}
+    run = call("pam.closed_loop", id, "side", reference, **known)
     return [
         f"{id} = {law}",
         f"{id}_run = {run}",

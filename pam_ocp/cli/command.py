@@ -38,9 +38,11 @@ class Option:
 
         Raises WriteError, and InputError for another ending, or a workbook without XlsxWriter.
         """
+        if self.endings is None:
+            return
         name = self.names[0]
         target = getattr(options, name.lstrip("-").replace("-", "_"))
-        if self.endings is None or target is None:
+        if target is None:
             return
         ending = target.suffix.lower()
         if self.endings and ending not in self.endings:

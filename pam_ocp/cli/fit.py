@@ -13,6 +13,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pam_ocp as pam
+
 from ..core.errors import FitError, InputError
 from ..core.files import read_toml, reading
 from ..core.progress import heard, working
@@ -140,7 +142,6 @@ def _fit_plant(options: argparse.Namespace) -> int:
         raise InputError(
             "--free is missing: name the parameters to fit; --variables lists the plant's"
         )
-    from ..fitting.dynamic.dynamic import fit_plant
 
     with reading(options.plant, "a study file", "see its keys"):
         arguments = fit_arguments(study, plant)
@@ -149,7 +150,7 @@ def _fit_plant(options: argparse.Namespace) -> int:
             arguments["progress"] = lambda stage, count, cost: bar.step(
                 note=f"{stage}, cost {cost:.4g}"
             )
-        fit = fit_plant(plant, records, study["free"], **arguments)
+        fit = pam.fit_plant(plant, records, study["free"], **arguments)
     checked = fit.validate(others) if others else []
     tell(
         options,
@@ -311,7 +312,6 @@ def _ladder_data(found: Any) -> dict[str, Any]:
     fails=FitError,
 )
 def _ladder(options: argparse.Namespace) -> int:
-    from ..fitting.dynamic.ladder import fit_ladder
     from ..plants.plant_file import builder_of
 
     study: dict[str, Any] = read_toml(options.study)
@@ -340,7 +340,7 @@ def _ladder(options: argparse.Namespace) -> int:
         given["bounds"] = bounds_of(study, plant)
     pool = ProcessPoolExecutor(options.jobs) if options.jobs > 1 else None
     with pool or nullcontext():
-        found = fit_ladder(
+        found = pam.fitting.fit_ladder(
             build,
             records,
             listed("free", study.get("free", [])),

@@ -9,6 +9,8 @@ import ast
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pam_ocp as pam
+
 from ..core.errors import InputError
 from ..core.files import write_npz
 from ..core.quantities import quantity
@@ -107,12 +109,11 @@ def plant_named(name: str, muscle: str, allow_code: bool) -> Plant:
 
 def muscle_named(name: str, rest_length: Any = None) -> Muscle:
     """A muscle by its name in the catalogue, or from a muscle file."""
-    from ..muscles.catalogue import muscle
     from ..muscles.muscle_file import ENDINGS
     from ..studies.file_kinds import muscle_in
 
     file = name.endswith(ENDINGS) or Path(name).is_file()
-    return muscle_in(name) if file else muscle(name, rest_length=rest_length)
+    return muscle_in(name) if file else pam.muscle(name, rest_length=rest_length)
 
 
 # ---- how files of rigs are read ------------------------------------------------------------------

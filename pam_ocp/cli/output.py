@@ -79,7 +79,7 @@ def picture(draw: Callable[[], Figure], dpi: float = 130) -> Callable[[Path], Pa
     """What writes a figure, which is drawn then."""
 
     def write(path: Path) -> Path:
-        from ..figures.saved import save_figure
+        from ..figures.canvas import save_figure
 
         return save_figure(draw(), path, dpi)
 

@@ -10,6 +10,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pam_ocp as pam
+
 from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.files import read_toml, reading
 from ..core.progress import heard, working
@@ -93,12 +95,7 @@ file, 3 plan not verified (its first line names the criterion; files are written
     epilog=PROBLEM,
 )
 def _plan(options: argparse.Namespace) -> int:
-    from ..export import save_input_table
-    from ..figures.film import animate_plan
-    from ..planning.planner import plan
-    from ..planning.problem.problem_file import load_problem
-
-    plant, arguments = load_problem(options.problem, allow_code=options.allow_code)
+    plant, arguments = pam.planning.load_problem(options.problem, allow_code=options.allow_code)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PlanWarning)  # said below
@@ -109,7 +106,7 @@ def _plan(options: argparse.Namespace) -> int:
                     bar.step(note=f"objective {objective:.4g}, violation {violation:.1e}")
 
                 arguments["progress"] = told if shown else options.progress
-                found = plan(plant, **arguments, time_limit=options.time_limit)
+                found = pam.plan(plant, **arguments, time_limit=options.time_limit)
     except InputError as error:
         raise InputError(f"{options.problem}: {error}") from error
     except PlanError as error:
@@ -126,8 +123,8 @@ def _plan(options: argparse.Namespace) -> int:
         excel=found.to_excel,
         csv=motion.save,
         plot=picture(found.plot),
-        animate=lambda path: animate_plan(found, path),
-        fmu_inputs=lambda path: save_input_table(motion, path),
+        animate=lambda path: pam.figures.animate_plan(found, path),
+        fmu_inputs=lambda path: pam.export.save_input_table(motion, path),
     )
     if not found.verified:
         print(f"pam-ocp plan: {options.problem}: the plan is {found.verdict}", file=sys.stderr)

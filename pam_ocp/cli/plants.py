@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+import pam_ocp as pam
+
 from ..core.errors import InputError, require_count, require_positive
 from ..core.files import MOST_ROWS, make_folder, read_toml, reading, write_json
 from ..core.quantities import known_keys, quantity, table
@@ -74,8 +76,6 @@ if TYPE_CHECKING:
     "and write and draw the motion.",
 )
 def _simulate(options: argparse.Namespace) -> int:
-    from ..simulation.simulator import simulate
-
     require_motion_ending(options.out)
     plant = plant_said(options)
     inputs = _inputs(plant, options)
@@ -89,7 +89,7 @@ def _simulate(options: argparse.Namespace) -> int:
         raise InputError("give --duration, such as --duration '500 ms', or --inputs FILE")
     else:
         times = None
-    motion = simulate(plant, inputs, t=times, start=start, rtol=options.rtol)
+    motion = pam.simulate(plant, inputs, t=times, start=start, rtol=options.rtol)
     tell(options, _last(motion), lambda: {"time": float(motion.t[-1]), **motion.row(-1)})
     deliver(options, out=lambda path: written(motion, path, plant), plot=picture(motion.plot))
     return 0
@@ -176,7 +176,7 @@ def _compare(options: argparse.Namespace) -> int:
 )
 def _linearize(options: argparse.Namespace) -> int:
     from ..figures.trajectory import plot_bode
-    from ..operating.linear import linear_model, modes
+    from ..operating.linear import linear_model
 
     if options.out and options.out.suffix.lower() != ".json":
         raise InputError(f"--out {options.out}: matrices are written as .json")
@@ -195,7 +195,7 @@ def _linearize(options: argparse.Namespace) -> int:
         "point": point.values,
         "stability": point.stability,
         "poles": [[float(p.real), float(p.imag)] for p in point.poles],
-        "modes": [{"hertz": f, "damping_ratio": z} for f, z in modes(system)],
+        "modes": [{"hertz": f, "damping_ratio": z} for f, z in pam.operating.modes(system)],
         "states": system.state_labels,
         "inputs": system.input_labels,
         "outputs": system.output_labels,
@@ -279,8 +279,6 @@ _KEYS = ("components", "connections", "step_size", "stop_time", "fmi", "name", "
     epilog=SYSTEM,
 )
 def _export(options: argparse.Namespace) -> int:
-    from ..export import export_fmu
-
     target: Path | None = options.out
     if is_system(options.plant):
         given = (options.fmi, options.platform, options.allow_code)
@@ -289,7 +287,9 @@ def _export(options: argparse.Namespace) -> int:
     plant = plant_said(options)
     target = target or Path(f"{plant.name}.fmu")
     chosen = {"inputs": options.input, "outputs": options.output}
-    fmu = export_fmu(plant, target, fmi=options.fmi or "2.0", platforms=options.platform, **chosen)
+    fmu = pam.export_fmu(
+        plant, target, fmi=options.fmi or "2.0", platforms=options.platform, **chosen
+    )
     wrote(options, fmu)
     return 0
 
@@ -303,7 +303,6 @@ def write_system(
     file: str, target: Path | None, fmi: str | None, platforms: Any, allow_code: bool
 ) -> Path:
     """Write the SSP that a system file describes, by default beside where we are as NAME.ssp."""
-    from ..export import export_ssp
 
     content = read_toml(file)
     with reading(file, "a system file", "see 'pam-ocp export --help'"):
@@ -317,7 +316,7 @@ def write_system(
         }
         more |= {n: content[n] for n in _SHAPES if n in content}
     name = str(content.get("name", Path(file).stem))
-    return export_ssp(
+    return pam.export_ssp(
         components,
         {str(k): str(v) for k, v in connections.items()},
         target or Path(f"{name}.ssp"),
@@ -330,7 +329,6 @@ def write_system(
 
 
 def _component(name: str, said: Any, folder: Path, allow_code: bool) -> Any:
-    from ..core.trajectory import Trajectory
     from ..plants.plant_file import member_of, plant_of, require_allowed
 
     if isinstance(said, Mapping):
@@ -339,7 +337,7 @@ def _component(name: str, said: Any, folder: Path, allow_code: bool) -> Any:
         raise InputError(f"components.{name} = {said!r}: give a table, or the name of a file")
     file, colon, member = said.rpartition(":")
     if not colon or not file.endswith(".py"):
-        return Trajectory.load(folder / said)
+        return pam.Trajectory.load(folder / said)
     require_allowed(f"{said!r} would run the Python file {file}", allow_code)
     found = member_of(folder / file, member)
     return found() if callable(found) and not hasattr(found, "sample_time") else found
@@ -365,26 +363,23 @@ def _component(name: str, said: Any, folder: Path, allow_code: bool) -> Any:
     about="Validate an FMU and run it by fmpy. Exit code 0 if all is well, 1 otherwise.",
 )
 def _check(options: argparse.Namespace) -> int:
-    from ..export import check_fmu
     from ..studies.file_kinds import require_role
 
     require_role(options.fmu, "FMU")
     reference = _reference(options.against) if options.against else None
-    result = check_fmu(options.fmu, against=reference, time_limit=options.time_limit)
+    result = pam.check_fmu(options.fmu, against=reference, time_limit=options.time_limit)
     tell(options, result, result.to_dict)
     return 0 if result.ok else 1
 
 
 def _reference(path: Path) -> Trajectory:
     """The motion in a file; a plan's inputs played tightly, as its samples are a solver's."""
-    from ..planning.result import Plan
-    from ..simulation.simulator import simulate
     from ..studies.file_kinds import kind_of, motion_in
 
     kind = kind_of(path)
     found = kind.read(path) if kind.read is not None and "plan" in kind.words else None
-    if isinstance(found, Plan):
-        return simulate(found.plant, found.trajectory, t=found.trajectory.t)
+    if isinstance(found, pam.planning.Plan):
+        return pam.simulate(found.plant, found.trajectory, t=found.trajectory.t)
     return motion_in(path)
 
 
@@ -400,11 +395,11 @@ def _reference(path: Path) -> Trajectory:
     "and stiffness.",
 )
 def _muscles(options: argparse.Namespace) -> int:
-    from ..muscles.catalogue import muscle_names, summary, transfer_note
+    from ..muscles.catalogue import summary, transfer_note
 
     if options.show:
         return _show(options)
-    lines = {name: summary(name) for name in muscle_names()}
+    lines = {name: summary(name) for name in pam.muscles.muscle_names()}
     text = "\n".join(lines.values())
     tell(options, f"{text}\n\n{transfer_note()}", {"muscles": lines})
     return 0
@@ -413,11 +408,12 @@ def _muscles(options: argparse.Namespace) -> int:
 def _show(options: argparse.Namespace) -> int:
     if options.name is None:
         raise InputError("muscles show: give the NAME of a muscle; 'pam-ocp muscles' lists them")
-    from ..muscles.catalogue import attribution, muscle_names
 
     muscle = muscle_named(options.name, length_of("--rest-length", options.rest_length))
-    said = f"\n\n{attribution(options.name)}" if options.name in muscle_names() else ""
-    tell(options, f"{muscle_text(muscle)}{said}", lambda: _muscle_data(muscle))
+    text = muscle_text(muscle)
+    if options.name in pam.muscles.muscle_names():
+        text += f"\n\n{pam.muscles.attribution(options.name)}"
+    tell(options, text, lambda: _muscle_data(muscle))
     deliver(options, plot=picture(muscle.plot))
     return 0
 
@@ -438,13 +434,11 @@ def _muscle_data(muscle: Any) -> dict[str, Any]:
 def muscle_text(muscle: Any) -> str:
     """A muscle's source and a table of its force [N] over pressure and contraction."""
 
-    from ..muscles.validity import ValidityWarning
-
     low, high = muscle.contraction_range
     pressures = [muscle.pressure_range[1] * i / 6 for i in range(1, 7)]
     contractions = [max(low, 0.0) + (high - max(low, 0.0)) * i / 5 for i in range(6)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ValidityWarning)
+        warnings.simplefilter("ignore", pam.muscles.ValidityWarning)
         rows = [[float(muscle.force(p, k)) for k in contractions] for p in pressures]
         ends = [float(muscle.max_contraction(p)) for p in pressures]
     lines = [
@@ -491,12 +485,10 @@ def muscle_text(muscle: Any) -> str:
     "hanging load, against load and pressure.",
 )
 def _loads(options: argparse.Namespace) -> int:
-    from ..studies.loads import load_study
-
     folder = make_folder(options.out) if options.out else None
     masses = [_in("--masses", m, "kg") for m in options.masses]
     pressures = [_in("--pressures", p, "bar") for p in options.pressures]
-    study = load_study(muscle_named(options.muscle), masses, pressures)
+    study = pam.load_study(muscle_named(options.muscle), masses, pressures)
     tell(options, study, lambda: {"cases": [asdict(c) for c in study.cases]})
     if folder:
         wrote(options, study.save(folder / "loads.csv"))

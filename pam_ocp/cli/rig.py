@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pam_ocp as pam
+
 from ..core.errors import InputError
 from ..core.files import read_toml
 from ..core.quantities import known_keys, quantity
@@ -74,9 +76,6 @@ plant's file (such as losses), and [sensors.NAME] with noise, delay, resolution,
     epilog=RIG,
 )
 def _rig(options: argparse.Namespace) -> int:
-    from ..rig.guard import RigError
-    from ..rig.rig import load_rig
-
     moves = options.what in ("home", "identify", "run")
     if moves and not options.arm:
         raise InputError(
@@ -88,11 +87,11 @@ def _rig(options: argparse.Namespace) -> int:
         raise InputError("rig identify: give --free NAME ..., the parameters to fit")
     work = {"check": _check, "home": _home, "identify": _identify, "run": _play, "vent": _vent}
     try:
-        with load_rig(options.file, allow_code=options.allow_code) as rig:
+        with pam.rig.load_rig(options.file, allow_code=options.allow_code) as rig:
             if moves:
                 rig.arm()
             return work[options.what](rig, options)
-    except RigError as error:
+    except pam.rig.RigError as error:
         tell(options, f"vented, or not begun: {error}", {"vented": str(error)})
         return 1
 
@@ -139,9 +138,7 @@ def _identify(rig: Rig, options: argparse.Namespace) -> int:
 
 
 def _play(rig: Rig, options: argparse.Namespace) -> int:
-    from ..core.trajectory import Trajectory
-
-    run = rig.run(Trajectory.load(options.motion))
+    run = rig.run(pam.Trajectory.load(options.motion))
     last = {v.name: float(run[v.name][-1]) for v in run.variables}
     lines = [f"{n:<24}{run.variable(n).shown(v)}" for n, v in last.items()]
     tell(options, "\n".join([f"{run.duration:g} s, vented; at the end:", *lines]), {"last": last})
@@ -181,12 +178,9 @@ def _vent(rig: Rig, options: argparse.Namespace) -> int:
     epilog=TWIN,
 )
 def _twin(options: argparse.Namespace) -> int:
-    from ..rig.serving import serve
-    from ..rig.twin import Twin
-
     given = _faults(options.faults)
     plant, channels = _plant(options, given.pop("plant", {}))
-    twin = Twin(
+    twin = pam.rig.Twin(
         plant,
         *channels,
         scale=options.scale,
@@ -199,7 +193,7 @@ def _twin(options: argparse.Namespace) -> int:
         (k for k in ("modbus", "udp", "opcua") if getattr(options, k) is not None), "serial"
     )
     port = getattr(options, kind) if kind != "serial" else 0
-    with serve(twin, kind, port=port, host=options.host) as served:
+    with pam.rig.serve(twin, kind, port=port, host=options.host) as served:
         inside = ", ".join(f"{n} = {_toml(v)}" for n, v in served.address.items())
         tell(options, f"driver = {{ {inside} }}", {"driver": served.address})
         if getattr(options, "json", False):
@@ -247,12 +241,11 @@ def _plant(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[Any, t
 
 
 def _sensors(options: argparse.Namespace, given: Any) -> dict[str, Any]:
-    from ..simulation.instruments import Instrument
     from ..studies.loop_problem import sensors_of
 
     found = sensors_of(given)
     for name, noise in pairs("--noise", options.noise).items():
-        found[name] = replace(found.get(name, Instrument()), noise=noise)
+        found[name] = replace(found.get(name, pam.simulation.Instrument()), noise=noise)
     return found
 
 

@@ -9,6 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pam_ocp as pam
+
 from ..core.errors import FitError, InputError
 from ..core.files import make_folder, require_ending
 from ..core.quantities import quantity
@@ -88,7 +90,7 @@ FIXED = several(
     epilog=LOOK,
 )
 def _look(options: argparse.Namespace) -> int:
-    from ..fitting.tables.preview import Previews, look
+    from ..fitting.tables.preview import Previews
     from ..studies.file_kinds import kind_of
 
     if len(options.files) == 1 and Path(options.files[0]).is_file():
@@ -99,7 +101,7 @@ def _look(options: argparse.Namespace) -> int:
     own = asked(options, "rest_length", "kind", "time", "clock", "max_gap", "sample_time")
     said |= {name: number_in(value) for name, value in own.items()}
     source = options.files[0] if len(options.files) == 1 else options.files
-    seen = look(source, **said)
+    seen = pam.fitting.look(source, **said)
     views = seen if isinstance(seen, Previews) else [seen]
     tell(options, seen, lambda: [view.to_dict() for view in views])
     return 0 if seen.ok else 1
@@ -169,9 +171,7 @@ def _look_at_ours(options: argparse.Namespace, kind: FileKind) -> int:
 def _fit(options: argparse.Namespace) -> int:
     if options.muscles and options.ssv is None:
         raise InputError("--muscles names those of an FMU: give --ssv, the file for it")
-    from ..fitting.static.static import fit_force
-    from ..fitting.tables.force_table import read_table
-    from ..muscles.muscle_file import ending_of, save_muscle
+    from ..muscles.muscle_file import ending_of
     from ..studies.file_kinds import require_role
 
     if options.out:
@@ -181,13 +181,13 @@ def _fit(options: argparse.Namespace) -> int:
     length = length_of("--rest-length", options.rest_length)
     diameter = length_of("--diameter", options.diameter)
     require_role(options.table, "table")
-    table = read_table(options.table, rest_length=length, **reading_options(options))
+    table = pam.read_table(options.table, rest_length=length, **reading_options(options))
     laws = options.law or ["six-parameter"]
     if len(laws) > 1 or laws == ["all"]:
         fitted = _ranked(options, table, laws)
     else:
         fixed = _fixed(options.fixed, laws)
-        fitted = fit_force(table, laws[0], loss=options.loss, fixed=fixed)
+        fitted = pam.fit_force(table, laws[0], loss=options.loss, fixed=fixed)
     branches = _branch_lines(fitted) if options.branches else []
     tell(options, fitted.report(), lambda: fit_data(fitted))
     if branches:
@@ -198,7 +198,7 @@ def _fit(options: argparse.Namespace) -> int:
         if known is None:
             raise InputError("--rest-length is needed to write a muscle file")
         name = options.name or Path(options.table).stem
-        return save_muscle(fitted.muscle(rest_length=known, diameter=diameter, name=name), path)
+        return pam.save_muscle(fitted.muscle(rest_length=known, diameter=diameter, name=name), path)
 
     muscles = options.muscles or ["muscle"]
     deliver(
@@ -232,13 +232,12 @@ def _fixed(texts: Sequence[str], laws: Iterable[str]) -> dict[str, float]:
 
 def _ranked(options: argparse.Namespace, table: ForceTable, laws: Sequence[str]) -> ForceFit:
     """The best of several laws at lengths left out; the ranking is printed."""
-    from ..fitting.static.ranking import compare_laws
     from ..muscles.law import LAWS
 
     if options.loss != "squares":
         raise InputError("--loss: several laws are ranked by least squares; give one --law with it")
     chosen = [*LAWS, "polynomial-1-3"] if laws == ["all"] else laws
-    comparison = compare_laws(table, chosen, fixed=_fixed(options.fixed, chosen))
+    comparison = pam.compare_laws(table, chosen, fixed=_fixed(options.fixed, chosen))
     tell(options, f"{comparison}\n")
     best = comparison.best.fit
     if best is None:
@@ -247,16 +246,13 @@ def _ranked(options: argparse.Namespace, table: ForceTable, laws: Sequence[str])
 
 
 def _branch_lines(fitted: ForceFit) -> list[str]:
-    from ..fitting.static.branches import hysteresis
-    from ..fitting.static.static import fit_branches
-
     table, fixed = fitted.table, {n: float(fitted.law.values[n]) for n in fitted.held}
     lines = []
-    for name, fit in fit_branches(
+    for name, fit in pam.fitting.fit_branches(
         table, type(fitted.law), fixed=fixed, loss=fitted.terms.loss
     ).items():
         lines += ["", f"[[Branch {name}]]", *fit.report().splitlines()]
-    return [*lines, "", str(hysteresis(table))]
+    return [*lines, "", str(pam.fitting.hysteresis(table))]
 
 
 # ---- several muscles -----------------------------------------------------------------------------
@@ -290,12 +286,12 @@ def _branch_lines(fitted: ForceFit) -> list[str]:
     "DMSP-20-300_filling_run2.csv.",
 )
 def _campaign(options: argparse.Namespace) -> int:
-    from ..fitting.static.campaign import CANDIDATES, fit_forces
+    from ..fitting.static.campaign import CANDIDATES
 
     tables: Any = options.tables
     if len(tables) == 1 and Path(tables[0]).is_dir():
         tables = tables[0]
-    result = fit_forces(
+    result = pam.fit_forces(
         tables,
         options.law,
         candidates=CANDIDATES,
@@ -344,10 +340,6 @@ def _campaign(options: argparse.Namespace) -> int:
     fails=FitError,
 )
 def _fit_forces(options: argparse.Namespace) -> int:
-    from ..fitting.static.campaign import fit_forces
-    from ..fitting.tables.force_table import read_table
-    from ..muscles.muscle_file import save_muscle
-
     lengths = _lengths("--rest-length", options.rest_length)
     tables = {}
     for path in options.tables:
@@ -355,8 +347,8 @@ def _fit_forces(options: argparse.Namespace) -> int:
         if name in tables:
             raise InputError(f"{path}: a second table of the name {name}; give each its own")
         length = _of(lengths, name) if isinstance(lengths, dict) else lengths
-        tables[name] = read_table(path, rest_length=length, **reading_options(options))
-    joint = fit_forces(
+        tables[name] = pam.read_table(path, rest_length=length, **reading_options(options))
+    joint = pam.fit_forces(
         tables,
         options.law,
         shared=options.shared or "all",
@@ -371,7 +363,7 @@ def _fit_forces(options: argparse.Namespace) -> int:
     for name in tables:
         if options.out:
             path = make_folder(options.out) / f"{name}.toml"
-            wrote(options, save_muscle(joint[name].muscle(name=name), path))
+            wrote(options, pam.save_muscle(joint[name].muscle(name=name), path))
         if options.plot:
             wrote(options, picture(joint[name].plot)(make_folder(options.plot) / f"{name}.png"))
     return 0
@@ -416,10 +408,8 @@ def _lengths(option: str, texts: Sequence[str] | None) -> Any:
     fails=FitError,
 )
 def _fit_holds(options: argparse.Namespace) -> int:
-    from ..fitting.static.holds import fit_holds
-
     plant = plant_said(options)
-    fit = fit_holds(
+    fit = pam.fitting.fit_holds(
         plant,
         options.holds,
         options.estimate,

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pam_ocp as pam
+
 from .command import choice, command, count, file, flag, option, output, repeated, several
 from .options import ALLOW_CODE, DIAMETER, FLOOR, READING, length_of, reading_options, rest_length
 from .output import tell, wrote
@@ -78,10 +80,8 @@ def _tour(options: argparse.Namespace) -> int:
     epilog=EPILOG,
 )
 def _study(options: argparse.Namespace) -> int:
-    from ..studies.study import run_study
-
     with _executor(options.scheduler) as executor:
-        found = run_study(
+        found = pam.studies.run_study(
             options.study,
             options.out,
             workers=options.workers,
@@ -149,9 +149,7 @@ def _executor(address: str | None) -> Iterator[Any]:
     "changes it.",
 )
 def _quick(options: argparse.Namespace) -> int:
-    from ..studies.from_table import quick
-
-    made = quick(
+    made = pam.studies.quick(
         options.table,
         options.out or Path(Path(options.table).stem),
         rest_length=length_of("--rest-length", options.rest_length),
@@ -194,18 +192,14 @@ def _quick(options: argparse.Namespace) -> int:
     "and records.",
 )
 def _report(options: argparse.Namespace) -> int:
-    from ..figures.crate import save_crate
-    from ..figures.report import write_report
-    from ..studies.file_kinds import load
-
     names = [
         str(f) if len({g.name for g in options.files}) < len(options.files) else f.name
         for f in options.files
     ]
-    things = {n: load(f) for n, f in zip(names, options.files, strict=True)}
+    things = {n: pam.load(f) for n, f in zip(names, options.files, strict=True)}
     made = {"title": options.title, "text": options.text, "sources": options.files}
     if options.crate is not None:  # first, as it may refuse its licence
         own = {"licence": options.licence, "author": options.author}
-        wrote(options, save_crate(options.crate, things, **made, **own))
-    wrote(options, write_report(options.out, things, **made))
+        wrote(options, pam.figures.save_crate(options.crate, things, **made, **own))
+    wrote(options, pam.figures.write_report(options.out, things, **made))
     return 0

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.shown import shown
 from ..core.units import significant
 from ..operating.operating_point import pole_texts
-from .saved import drawn
+from .canvas import drawn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,4 +1,5 @@
-"""Channels: what is read of a rig and what is sent to it, with units, calibration and limits.
+"""Channels: what is read of a rig and what is sent to it, with units, calibration and limits; and
+clocks: time of this host, or simulated, which passes only while somebody waits.
 
 A driver hands over raw numbers by the names of the channels (counts, volts, bar, ...); a channel
 says once what they mean.
@@ -7,9 +8,10 @@ says once what they mean.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -282,3 +284,69 @@ def usual_channels(plant: Plant) -> tuple[dict[str, Reading], dict[str, Command]
         if math.isfinite(v.min) and math.isfinite(v.max)
     ]
     return channels_of(Reading, readings, plant), channels_of(Command, commands, plant)
+
+
+# ---- time ----------------------------------------------------------------------------------------
+SPIN = 3e-4
+"""The last part of a wait [s] is spent looking at the clock: sleeping is no more exact."""
+
+
+class Clock(Protocol):
+    """What tells and passes time. ``real`` : it is that of the world."""
+
+    real: bool
+
+    def now(self) -> float: ...
+    def wait(self, until: float) -> None: ...
+
+
+class RealClock:
+    """``time.monotonic()``.
+
+    Examples
+    --------
+    >>> clock = pam.rig.RealClock()
+    >>> begin = clock.now()
+    >>> clock.wait(begin + 0.001)
+    >>> clock.now() >= begin + 0.001
+    True
+    """
+
+    real = True
+
+    def now(self) -> float:
+        """[s]."""
+        return time.monotonic()
+
+    def wait(self, until: float) -> None:
+        """Come back at a time, or at once where it is over."""
+        left = until - time.monotonic()
+        if left > SPIN:
+            time.sleep(left - SPIN)
+        while time.monotonic() < until:
+            pass
+
+
+class SimulatedClock:
+    """A clock for twins: waiting takes no time, and nothing else passes any.
+
+    Examples
+    --------
+    >>> clock = pam.rig.SimulatedClock()
+    >>> clock.wait(0.25)
+    >>> clock.now()
+    0.25
+    """
+
+    real = False
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        """[s]."""
+        return self._now
+
+    def wait(self, until: float) -> None:
+        """Go on to a time, where it is not over yet."""
+        self._now = max(self._now, until)

@@ -18,8 +18,7 @@ from ..core.quantities import known_keys, quantity, table
 from ..core.variables import Variable
 from ..plants.plant import Given, Plant
 from ..plants.plant_file import plant_of
-from .channels import Command, Reading, channels_of, usual_channels
-from .clock import Clock, RealClock
+from .channels import Clock, Command, Reading, RealClock, channels_of, usual_channels
 from .drift import Monitor
 from .drivers.driver import DRIVERS, Driver
 from .guard import Guard, RigError, Watch, Watchdog
@@ -331,7 +330,7 @@ class Rig:
         return courtesy.home(self, **options)
 
     def identify(self, free: Sequence[Any], **options: Any) -> Identified:
-        """Fit the plant to designed excitations; see :mod:`pam_ocp.rig.identification`."""
+        """Fit the plant to designed excitations; see :func:`pam_ocp.rig.learning.identify`."""
         return courtesy.identify(self, free, **options)
 
     def tune(self, **options: Any) -> Tuned:

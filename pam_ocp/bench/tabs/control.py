@@ -21,7 +21,7 @@ from .. import elements as el
 from .. import look
 from ..elements import Menu, Number, Slide, Text
 from ..jobs import control as jobs
-from ..made import plant_of
+from ..made import made_of_loop, plant_of
 from ..pictures import Plot, Scene, Strip
 from ..script import PUSH, can_be_pushed
 from ..tab import Members
@@ -117,7 +117,7 @@ class Control(Members):
 
     def _made_of(self, said: Said | None) -> Any:
         """All that a loop's figures depend on."""
-        return copy.deepcopy([{k: self.state[k] for k in ("plant", "muscle", "point")}, said])
+        return copy.deepcopy(made_of_loop(self.state, said))
 
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
@@ -273,8 +273,7 @@ class Control(Members):
         if self._keys["run"] == key:
             self._run_said.say(found["words"])
             self._plot.draw(run_figure(found))
-            figures = {"of": key, "values": found["figures"]}
-            self.session.remember("figures", **{said["id"]: figures})
+            self.keep_figures(said["id"], key, found["figures"])
 
     # ---- live -----------------------------------------------------------------------------------
     def _make_live(self) -> None:

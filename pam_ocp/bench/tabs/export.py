@@ -148,8 +148,7 @@ class Export(Tab):
         made = await self.work(function, said)
         self._made[said["id"]] = made
         if "figures" in made:
-            figures = {"of": None, "values": made["figures"]}
-            self.session.remember("figures", **{said["id"]: figures})
+            self.keep_figures(said["id"], None, made["figures"])
         kept = {k: made[k] for k in ("file", "size", "ok")}
         self.session.put(f"export {made['file']}", "exports", {**said, **kept})
 
