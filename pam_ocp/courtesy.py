@@ -33,16 +33,16 @@ if TYPE_CHECKING:
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
     from .figures.sheets import html_of as html_of
-    from .figures.surface import plot_fit_surface as plot_fit_surface
-    from .figures.surface import plot_surface as plot_surface
     from .figures.tables import frame_of as frame_of
     from .figures.tables import plot_table as plot_table
     from .figures.tables import report_of as report_of
     from .figures.tables import save_result as save_result
     from .figures.trajectory import plot_fit as plot_fit
+    from .figures.trajectory import plot_fit_surface as plot_fit_surface
     from .figures.trajectory import plot_muscle as plot_muscle
     from .figures.trajectory import plot_record as plot_record
     from .figures.trajectory import plot_records as plot_records
+    from .figures.trajectory import plot_surface as plot_surface
     from .figures.trajectory import plot_trajectory as plot_trajectory
     from .figures.vibration import plot_amplitude_map as plot_amplitude_map
     from .figures.vibration import plot_backbone as plot_backbone
@@ -75,7 +75,6 @@ if TYPE_CHECKING:
     from .rig.real_time import run_in_c as run_in_c
     from .rig.side import RigSide as RigSide
     from .rig.side import run_on as run_on
-    from .rig.side import side_of_rig as side_of_rig
     from .rig.tuning import Tuned as Tuned
     from .rig.tuning import tune as tune
 
@@ -83,8 +82,8 @@ _HOMES: dict[str, str] = {
     "block": "control.blocks.running",
     "closed_loop": "control.loop",
     "equilibrium": "operating.resting_point",
-    "plot_fit_surface": "figures.surface",
-    "plot_surface": "figures.surface",
+    "plot_fit_surface": "figures.trajectory",
+    "plot_surface": "figures.trajectory",
     "frame_of": "figures.tables",
     "plot_table": "figures.tables",
     "report_of": "figures.tables",
@@ -95,7 +94,7 @@ _HOMES: dict[str, str] = {
     "learn": "rig.learning",
     "run_in_c": "rig.real_time",
     "run_on": "rig.side",
-    "side_of_rig": "rig.side",
+    "RigSide": "rig.side",
     "tune": "rig.tuning",
     "machine_plant": "export.machine",
     "linearize": "operating.linear",

@@ -11,9 +11,7 @@ that run in other processes::
         def build(self) -> None:                    # NiceGUI's elements, within the tab's panel
             with elements.section("Load"):
                 self._form = elements.Form()
-            self.update(frozenset(self.parts))
-
-        def update(self, changed) -> None:          # called after a change of one of ``parts``
+        def update(self, changed) -> None:          # called then, and after a change of ``parts``
             self._form.show([(MASS, self.state["plant"]["mass"], self._moved)])
 
         def _moved(self, mass) -> None:             # an event: one change, one step of undo
@@ -171,7 +169,7 @@ class Tab:
         self.session.remember("figures", **{id: {"of": of, "values": values}})
 
     def build(self) -> None:
-        """Make the tab's elements."""
+        """Make the tab's elements; :meth:`update` with all ``parts`` fills them."""
 
     def update(self, changed: frozenset[str]) -> None:
         """Show what has changed; only called after :meth:`build`."""

@@ -129,7 +129,9 @@ _OWN = ("plant", "muscle", "set", "records", "validate", "free")
     fails=FitError,
 )
 def _fit_plant(options: argparse.Namespace) -> int:
-    study, plant = _study(options)
+    file = options.plant if options.plant.endswith(".toml") else None
+    with reading(file, "a study file", "see its keys") if file else nullcontext():
+        study, plant = _study(options)
     if options.variables:
         tell(
             options, _variables(plant), lambda: {"variables": [asdict(v) for v in plant.variables]}
@@ -178,12 +180,6 @@ def _fit_plant(options: argparse.Namespace) -> int:
 
 def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     """What the file says, and the command line over it; and the plant."""
-    file = options.plant if options.plant.endswith(".toml") else None
-    with reading(file, "a study file", "see its keys") if file else nullcontext():
-        return _told(options)
-
-
-def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     from ..plants.plant_file import muscle_of, plant_of
     from ..studies.file_kinds import plant_called, require_role
 

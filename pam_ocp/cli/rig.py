@@ -194,7 +194,7 @@ def _twin(options: argparse.Namespace) -> int:
     )
     port = getattr(options, kind) if kind != "serial" else 0
     with pam.rig.serve(twin, kind, port=port, host=options.host) as served:
-        inside = ", ".join(f"{n} = {_toml(v)}" for n, v in served.address.items())
+        inside = ", ".join(f"{n} = {json.dumps(v)}" for n, v in served.address.items())
         tell(options, f"driver = {{ {inside} }}", {"driver": served.address})
         if getattr(options, "json", False):
             print(json.dumps(served.address), flush=True)
@@ -202,16 +202,6 @@ def _twin(options: argparse.Namespace) -> int:
         span = None if options.duration is None else quantity("--duration", options.duration, "s")
         served.wait(span)
     return 0
-
-
-def _toml(value: Any) -> str:
-    return (
-        str(value).lower()
-        if isinstance(value, bool)
-        else f'"{value}"'
-        if isinstance(value, str)
-        else str(value)
-    )
 
 
 def _faults(path: Path | None) -> dict[str, Any]:

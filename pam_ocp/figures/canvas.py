@@ -80,7 +80,7 @@ def panels(
     return figure, list(axes.ravel())
 
 
-def caption(ax: Axes, x: str = "", y: str = "", *, title: str = "", names: str = "") -> None:
+def caption(ax: Axes, x: str = "", y: str = "", *, title: str = "", names: Any = "") -> None:
     """What a panel shows: its axes, a title at the left, the names of its curves (``names`` : the
     place, as matplotlib calls it).
     """

@@ -75,7 +75,7 @@ def animate_plan(
 
 def _film(plan: Plan, motion: Trajectory, length: float) -> tuple[Figure, list[Frame]]:
     """The figure, and what draws its parts at a frame."""
-    scene = _scene(plan, motion)
+    scene = sketch_of(plan.plant)
     panels = list(panels_of(plan).items())[: CURVES if scene else 6]
     rows = len(panels)
     figure, axes = new_figure(
@@ -88,7 +88,7 @@ def _film(plan: Plan, motion: Trajectory, length: float) -> tuple[Figure, list[F
         for ax in axes[:, 0]:
             ax.remove()
         stage = figure.add_subplot(grid[:, 0])
-        drawn.append(scene(stage))
+        drawn.append(_drawn(stage, plan, motion, scene))
     for ax, (unit, names) in zip(axes[:, -1], panels, strict=True):
         drawn.append(_curves(ax, motion, unit, names))
     axes[-1, -1].set_xlabel("time [s]")
@@ -146,14 +146,10 @@ STYLES: dict[str, dict[str, Any]] = {
 """How the shapes of a plant's sketch are drawn; those with one colour are lines."""
 
 
-def _scene(plan: Plan, motion: Trajectory) -> Callable[[Axes], Frame] | None:
-    """Who draws the plant; None for one that says nothing of how it looks."""
-    sketch = sketch_of(plan.plant)
-    return None if sketch is None else lambda ax: _drawn(ax, plan, motion, sketch)
-
-
 def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
-    """The sketch on its stage; what moves its shapes."""
+    """The sketch on its stage, with a bar of colours up to the largest pressure; what moves its
+    shapes.
+    """
     from matplotlib import colormaps
 
     plant, colours = plan.plant, colormaps["YlOrRd"]
@@ -161,7 +157,10 @@ def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
     places = Places(plant, x, u)
     shapes = list(shapes_along(plant, sketch, places))
     largest = max([1e4, *(float(p.max()) for _, _, p in shapes if p is not None)])
-    _stage(ax, largest)
+    ax.set_aspect("equal")
+    ax.axis("off")
+    place = {"location": "bottom", "fraction": 0.05, "pad": 0.02, "aspect": 30}
+    colour_scale(ax, (0.0, largest / 1e5), "pressure [bar gauge]", "YlOrRd", **place)
     moved: list[tuple[Any, bool, Array, Array | None]] = []
     for style, points, pressure in shapes:
         line = "color" in STYLES[style]
@@ -208,14 +207,6 @@ def _marked(ax: Axes, plan: Plan, mark: Mark, places: Places) -> None:
                 fontsize="small",
                 color="#555555",
             )
-
-
-def _stage(ax: Axes, largest: float) -> None:
-    """An empty stage with a bar of colours up to the largest pressure [Pa]."""
-    ax.set_aspect("equal")
-    ax.axis("off")
-    place = {"location": "bottom", "fraction": 0.05, "pad": 0.02, "aspect": 30}
-    colour_scale(ax, (0.0, largest / 1e5), "pressure [bar gauge]", "YlOrRd", **place)
 
 
 def _stop_values(plan: Plan, name: str) -> list[float]:

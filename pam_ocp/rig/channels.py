@@ -72,11 +72,9 @@ class Channel:
             raise InputError(f"{self.name}: low = {self.low:g} must lie below high = {self.high:g}")
         if not self.rate > 0:
             raise InputError(f"{self.name}: rate = {self.rate:g} must be > 0, or left out")
-        object.__setattr__(self, "_scale", self._found_scale())
-
-    def _found_scale(self) -> Scale:
-        where = f"scale of {self.name}"
-        return scale_of(where, self.scale or self.unit, unit(self.unit), None, AMBIENT)
+        said, where = self.scale or self.unit, f"scale of {self.name}"
+        scale = scale_of(where, said, unit(self.unit), None, AMBIENT)
+        object.__setattr__(self, "_scale", scale)
 
     def of(self: Kind, variable: Variable | None) -> Kind:
         """The same with what the plant's variable says of it. Raises InputError without a unit."""
@@ -119,9 +117,6 @@ class Channel:
         """As a variable of the rig."""
         if plant is not None and self.name in {v.name for v in plant.variables}:
             return plant.variable(self.name)
-        return self._variable()
-
-    def _variable(self) -> Variable:
         ends = [abs(e) for e in (self.low, self.high) if math.isfinite(e) and e]
         causality: Any = "input" if isinstance(self, Command) else "output"
         bounds: dict[str, Any] = {"min": self.low, "max": self.high} if causality == "input" else {}
@@ -245,7 +240,10 @@ def channels_of(
                     f"{kind.kind} {name} = {said!r}: give a table, as {{ unit = 'm' }}"
                 )
             known_keys(f"{kind.kind} {name}", said, keys)
-            made.append(kind(name, **_texts_first(kind, name, said)))
+            for key in ("unit", "scale", "format", "slope_of", "follows"):
+                if key in said and not isinstance(said[key], str):
+                    raise InputError(f"{kind.kind} {name}.{key} = {said[key]!r}: give a text")
+            made.append(kind(name, **said))
     else:
         made = list(given)
     known = {} if plant is None else {v.name: v for v in plant.variables}
@@ -261,13 +259,6 @@ def channels_of(
             raise InputError(f"the {kind.kind} {whole.name!r} is given twice")
         found[whole.name] = whole
     return found
-
-
-def _texts_first(kind: type[Channel], name: str, said: Mapping[str, Any]) -> dict[str, Any]:
-    for key in ("unit", "scale", "format", "slope_of", "follows"):
-        if key in said and not isinstance(said[key], str):
-            raise InputError(f"{kind.kind} {name}.{key} = {said[key]!r}: give a text")
-    return dict(said)
 
 
 def usual_channels(plant: Plant) -> tuple[dict[str, Reading], dict[str, Command]]:

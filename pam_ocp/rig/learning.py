@@ -129,7 +129,8 @@ def identify(
     begin = {n: (low + high) / 2 for n, (low, high) in ranges.items()} | dict(at or {})
     if noise is None:
         seen = rig.check(1.0)
-        noise = {n: max(seen[n]["deviation"], 1e-4 * _size(rig, n)) for n in measured}
+        sizes = {n: rig.readings[n].variable(rig.plant).nominal for n in measured}
+        noise = {n: max(seen[n]["deviation"], 1e-4 * sizes[n]) for n in measured}
     limits = {
         n: _inner(r.low, r.high, INSIDE)
         for n, r in rig.readings.items()
@@ -174,10 +175,6 @@ def identify(
 def _inner(low: float, high: float, part: float) -> tuple[float, float]:
     middle, half = (low + high) / 2, part * (high - low) / 2
     return middle - half, middle + half
-
-
-def _size(rig: Rig, name: str) -> float:
-    return float(rig.readings[name].variable(rig.plant).nominal)
 
 
 def _thinned(record: Trajectory, every: int) -> Trajectory:

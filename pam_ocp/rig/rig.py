@@ -290,7 +290,7 @@ class Rig:
         """For :func:`pam_ocp.closed_loop`, which calls it. start : inputs to be reached softly
         before the run begins, by name or those of an operating point.
         """
-        return courtesy.side_of_rig(self, sample_time, start)
+        return courtesy.RigSide(self, sample_time, start)
 
     def run(
         self,

@@ -103,7 +103,9 @@ class Running:
             self._cause = str(error)
         self._mark()
         self._write_down()
-        self._beat()
+        dog = rig._watchdog
+        if dog is not None and (words := dog.beat()):
+            raise RigError(words)
         self.deadline += self.sample_time
         rig.clock.wait(self.deadline)
         late = rig.clock.now() - self.deadline
@@ -117,11 +119,6 @@ class Running:
             )
         self._take()
         self._judge()
-
-    def _beat(self) -> None:
-        dog = self.rig._watchdog
-        if dog is not None and (words := dog.beat()):
-            raise RigError(words)
 
     def _take(self) -> None:
         """The newest readings; those before stay where nothing valid comes."""

@@ -157,8 +157,3 @@ def run_on(rig: Rig, inputs: Any, duration: float | None, start: Given | None) -
         raise InputError("duration: give it, where the inputs are a function")
     law, h = player(inputs, rig.sample_time, rig.commands)[0], rig.sample_time
     return closed_loop(law, rig, duration=duration, start=start, sample_time=h).trajectory
-
-
-def side_of_rig(rig: Rig, sample_time: float, start: Given | None) -> RigSide:
-    """See :meth:`Rig.side`."""
-    return RigSide(rig, sample_time, start)

@@ -205,7 +205,7 @@ class _Run:
     def _key(self, entry: Entry) -> str:
         """The digest of all that goes into a step whose parts are there."""
         parts = {key: self._identity(n) for key, n in entry.parts.items()}
-        cases = [key_of(self._result(n)["numbers"]) for n in entry.cases]
+        cases = [key_of(self.found[n]["numbers"]) for n in entry.cases]
         said = {n: v for n, v in entry.said.items() if n not in entry.parts}
         files = [(p.name, self.contents[p]) for p in self.files[entry.name]]
         made_by = [versions(), own_digest(), self._code(entry)]
@@ -229,10 +229,7 @@ class _Run:
         entry = self.study.entries[name]
         if entry.step.whole:
             return self.keys[name]
-        return digest_of_files(self._result(name)["files"], entry.step.offers)
-
-    def _result(self, name: str) -> dict[str, Any]:
-        return self.found[name]
+        return digest_of_files(self.found[name]["files"], entry.step.offers)
 
     # ---- running ------------------------------------------------------------------------------
     def go(self, pool: Executor | None) -> None:
@@ -259,7 +256,8 @@ class _Run:
                         graph.done(name)
                 for future in _first(pending):
                     name, job = pending.pop(future)
-                    lost = _lost(future)
+                    error = future.exception()  # steps themselves end in errors of ours
+                    lost = error is not None and not isinstance(error, PamError)
                     self._ended(name, partial(_alone, job) if lost else future.result)
                     graph.done(name)
         finally:
@@ -289,7 +287,7 @@ class _Run:
         """A step that another stands on, and the files that it is read from."""
         entry = self.study.entries[name]
         kinds = (".toml", ".py", ".npz", ".json", ".fmu")
-        files = self._result(name)["files"]
+        files = self.found[name]["files"]
         return entry, {n: c for n, c in files.items() if Path(n).suffix in kinds}
 
     def _ended(self, name: str, result: Callable[[], dict[str, Any]]) -> None:
@@ -367,24 +365,16 @@ class _Run:
         write_json(place, content)
 
 
-def _lost(future: Any) -> bool:
-    """Whether the worker was lost: steps themselves end in errors of ours."""
-    error = future.exception()
-    return error is not None and not isinstance(error, PamError)
-
-
 def _alone(job: tuple[Any, ...]) -> dict[str, Any]:
     """A step whose worker was lost, once more: nothing is beside it, and nothing it can harm."""
-    (found,) = results_of(_Work(), [job], executor=1, what=job[0].name)
+    (found,) = results_of(_work, [job], executor=1, what=job[0].name)
     made: dict[str, Any] = found
     return made
 
 
-class _Work:
+def _work(job: tuple[Any, ...]) -> dict[str, Any]:
     """``work`` for one argument."""
-
-    def __call__(self, job: tuple[Any, ...]) -> dict[str, Any]:
-        return work(*job)
+    return work(*job)
 
 
 def _first(pending: Mapping[Any, Any]) -> list[Any]:
@@ -447,22 +437,19 @@ def work(
             warnings.simplefilter("always")
             made = entry.step.work(job)
         files = {p.relative_to(out).as_posix(): p.read_bytes() for p in sorted(out.rglob("*.*"))}
-    doubts = dict.fromkeys(str(w.message) for w in heard if _ours(w))
+    ours = __package__.split(".")[0]
+    own = (w for w in heard if w.category.__module__.startswith(ours))
     return {
         "files": files,
         "numbers": {n: (float(v), u) for n, (v, u) in made.numbers.items()},
         "verdict": made.verdict,
         "good": bool(made.good),
-        "sure": [*made.sure, *doubts],
+        "sure": [*made.sure, *dict.fromkeys(str(w.message) for w in own)],
         "text": made.text,
         "html": _html(made),
         "seconds": time.perf_counter() - begin,
         "when": datetime.now(timezone.utc).isoformat(timespec="seconds"),
     }
-
-
-def _ours(heard: warnings.WarningMessage) -> bool:
-    return heard.category.__module__.startswith(__package__.split(".")[0])
 
 
 def _unpacked(folder: Path, files: Mapping[str, bytes]) -> Path:

@@ -302,7 +302,9 @@ class _Live:
         self.sample_time = said["sample_time"]
         self.goal = self.point[self.position]
         start = {n: self.point[n] for n in _shown(self.plant)}
-        file = _fmu(world, self.whole) if said.get("against") == "fmu" else None
+        file = None
+        if said.get("against") == "fmu":  # the real side among the session's exports
+            file = export_fmu(self.whole, world.exported("live.fmu"), platforms=["native"])
         self.side = self._begin(start, file)
         made = controller_of(self.plant, self.point, said)
         self.controller = made
@@ -374,11 +376,6 @@ class _Live:
             for each in (self.whole.states, self.whole.inputs)
         )
         return scene_of(self.whole, np.zeros(1), x, u)
-
-
-def _fmu(world: World, whole: Plant) -> Path:
-    """The real side as an FMU among the session's exports."""
-    return export_fmu(whole, world.exported("live.fmu"), platforms=["native"])
 
 
 _runs: dict[str, tuple[tuple[str, str], _Live]] = {}

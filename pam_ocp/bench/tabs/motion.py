@@ -74,7 +74,6 @@ class Motion(Members):
                         "Curves of the plan over time",
                         empty="Position, pressures, commands and forces of the plan: add a motion",
                     )
-        self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
         self._hand = None

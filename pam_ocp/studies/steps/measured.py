@@ -11,7 +11,6 @@ from ...core.quantities import quantity, table
 from .step import STEPS, Job, Made, Step, doubts, intervals_said, text_of, write_intervals
 
 if TYPE_CHECKING:
-    from ...fitting.static.force_fit import ForceFit
     from ...fitting.tables.force_table import ForceTable
     from ...muscles.pneumatic_muscle import Muscle
 
@@ -155,19 +154,15 @@ class FitStep(Step):
         job.workbook(fit, "fit.xlsx")
         job.save(fit.plot())
         write_intervals(fit, job, "coefficients.csv", "coefficient")
+        numbers = {"rmse": (fit.rmse, "N"), "r2": (fit.r2, "1")}
         return Made(
             fit,
             f"RMSE {fit.rmse:.4g} N over {fit.n} taut cells{doubts(fit.warnings)}",
             True,
-            _numbers(fit),
+            numbers | {c.name: (c.value, c.unit) for c in fit.coefficients.values()},
             (*intervals_said(fit), *fit.warnings),
             text + fit.report(),
         )
-
-
-def _numbers(fit: ForceFit) -> dict[str, tuple[float, str]]:
-    found = {"rmse": (fit.rmse, "N"), "r2": (fit.r2, "1")}
-    return found | {c.name: (c.value, c.unit) for c in fit.coefficients.values()}
 
 
 @STEPS.register("muscle")

@@ -156,18 +156,14 @@ class Step:
     @classmethod
     def read(cls, noun: str, job: Job) -> Any:
         """The noun from the files in ``job.out``, for another step."""
-        return READERS.get(noun, _path)(job.out / cls.offers[noun], job.allow_code)
+        file, read = job.out / cls.offers[noun], READERS.get(noun)
+        return file if read is None else read(file, job.allow_code)
 
 
 STEPS: Registry[type[Step]] = Registry("study step", __package__)
 
 
 # ---- nouns in files of steps ---------------------------------------------------------------------
-def _path(file: Path, allow_code: bool) -> Path:
-    """Of what is a file itself, as an FMU."""
-    return file
-
-
 def _motion(file: Path, allow_code: bool) -> Trajectory:
     from ...core.trajectory import Trajectory
 
@@ -192,7 +188,7 @@ READERS: dict[str, Callable[[Path, bool], Any]] = {
     "muscle": _muscle,
     "plant": plant_in,
 }
-"""{noun: what reads it of a file}."""
+"""{noun: what reads it of a file}; others are files themselves, as an FMU."""
 
 
 # ---- what several kinds need ---------------------------------------------------------------------

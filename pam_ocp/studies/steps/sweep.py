@@ -95,7 +95,10 @@ def _plot(
                 for c, f in zip(cases, found, strict=True)
                 if name in f and all(str(c[o]) == line for o in others)
             ]
-            style = {"marker": MARKS[i % len(MARKS)], "color": COLOURS[i % len(COLOURS)]}
+            style: dict[str, Any] = {
+                "marker": MARKS[i % len(MARKS)],
+                "color": COLOURS[i % len(COLOURS)],
+            }
             if at:
                 ax.plot(*zip(*at, strict=True), STROKES[i % len(STROKES)], label=line, **style)
         caption(ax, y=name + ("" if shown == "1" else f"\n[{shown}]"))
