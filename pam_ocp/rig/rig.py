@@ -24,8 +24,9 @@ from .drivers.driver import DRIVERS, Driver
 from .guard import Guard, RigError, Watch, Watchdog
 
 if TYPE_CHECKING:
+    from ..control.sides import Side
     from ..core.trajectory import Trajectory
-    from ..courtesy import Homing, Identified, Learned, RealTimeRun, RigSide, Tuned
+    from ..courtesy import Homing, Identified, Learned, RealTimeRun, Tuned
 
 PAST = 4000
 """Samples of the past that are kept."""
@@ -286,7 +287,7 @@ class Rig:
         self.close()
 
     # ---- runs -----------------------------------------------------------------------------------
-    def side(self, sample_time: float, start: Given | None = None) -> RigSide:
+    def side(self, sample_time: float, start: Given | None = None) -> Side:
         """For :func:`pam_ocp.closed_loop`, which calls it. start : inputs to be reached softly
         before the run begins, by name or those of an operating point.
         """
