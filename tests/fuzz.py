@@ -44,7 +44,7 @@ from pam_ocp.core.quantities import UnitWarning
 from pam_ocp.fitting import ReadingWarning, fit_plant, look, read_record
 from pam_ocp.fitting.dynamic.plant_fit import load_plant_fit
 from pam_ocp.fitting.static.force_fit import ForceFit
-from pam_ocp.studies.loop_problem import guarded, set_up
+from pam_ocp.studies.problem import guarded, set_up
 
 LONGEST_SENTENCE = 1500
 SLOWEST = 5.0

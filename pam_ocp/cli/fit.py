@@ -19,7 +19,7 @@ from ..core.errors import FitError, InputError
 from ..core.files import read_toml, reading
 from ..core.progress import heard, working
 from ..core.quantities import known_keys, table
-from ..studies.plant_fit_problem import (
+from ..studies.problem import (
     FITTING,
     READING,
     bounds_of,

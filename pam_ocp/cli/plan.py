@@ -244,7 +244,7 @@ Exit code: 0, or 1 if a step had no solution, 2 for an invalid file or option.
     epilog=LOOP,
 )
 def _mpc(options: argparse.Namespace) -> int:
-    from ..studies.loop_problem import loop_text, loop_title, run_loop
+    from ..studies.problem import loop_text, loop_title, run_loop
 
     require_motion_ending(options.out)
     study = _study(options)
@@ -261,7 +261,7 @@ def _mpc(options: argparse.Namespace) -> int:
 
 
 def _loop_data(study: Any, loop: Any) -> dict[str, Any]:
-    from ..studies.loop_problem import window_of
+    from ..studies.problem import window_of
 
     window = window_of(study)
     names = loop.reference.names if loop.reference else ()
@@ -278,7 +278,7 @@ def _loop_data(study: Any, loop: Any) -> dict[str, Any]:
 def _study(options: argparse.Namespace) -> dict[str, Any]:
     """DEFAULTS, what the problem file says over them, and what the command line says over that."""
     from ..studies.file_kinds import require_role
-    from ..studies.loop_problem import guarded, loop_settings, require_spans
+    from ..studies.problem import guarded, loop_settings, require_spans
 
     study = loop_settings("", {})
     if options.problem:

@@ -231,7 +231,7 @@ def _plant(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[Any, t
 
 
 def _sensors(options: argparse.Namespace, given: Any) -> dict[str, Any]:
-    from ..studies.loop_problem import sensors_of
+    from ..studies.problem import sensors_of
 
     found = sensors_of(given)
     for name, noise in pairs("--noise", options.noise).items():

@@ -14,7 +14,7 @@ import pam_ocp as pam
 from ..core.errors import FitError, InputError
 from ..core.files import make_folder, require_ending
 from ..core.quantities import quantity
-from ..studies.plant_fit_problem import values
+from ..studies.problem import values
 from .command import (
     asked,
     choice,

@@ -9,7 +9,7 @@ import tomli_w
 
 from ...core.errors import InputError, PlanError, PlanWarning, UnknownNameError, require_count
 from ...core.quantities import known_keys, quantity, table
-from ..loop_problem import (
+from ..problem import (
     DEFAULTS,
     controller_of,
     loop_settings,

@@ -11,7 +11,7 @@ import tomli_w
 from ...core.errors import InputError
 from ...core.files import read_toml, require_file, write_json
 from ...core.quantities import table
-from ..plant_fit_problem import FITTING, READING, fit_arguments, records_of
+from ..problem import FITTING, READING, fit_arguments, records_of
 from .step import (
     STEPS,
     Job,

@@ -17,7 +17,7 @@ from ...core.exceptions import InputError
 from ...core.files import read_toml
 from ...core.quantities import is_quantity, outside, quantity
 from ...core.registry import Registry
-from ..plant_fit_problem import listed, values
+from ..problem import listed, values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
