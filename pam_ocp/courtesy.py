@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from .export.ssv import write_muscle_ssv as write_muscle_ssv
     from .figures.control import plot_closed_loop as plot_closed_loop
     from .figures.control import plot_durations as plot_durations
+    from .figures.film import animate_limb as animate_limb
+    from .figures.film import plot_limb as plot_limb
     from .figures.fit_book import write_fit_book as write_fit_book
-    from .figures.limb import animate_limb as animate_limb
-    from .figures.limb import plot_limb as plot_limb
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
     from .figures.sheets import html_of as html_of
-    from .figures.surface import plot_fit_surface as plot_fit_surface
-    from .figures.surface import plot_surface as plot_surface
     from .figures.tables import frame_of as frame_of
     from .figures.tables import plot_table as plot_table
     from .figures.tables import report_of as report_of
     from .figures.tables import save_result as save_result
     from .figures.trajectory import plot_fit as plot_fit
+    from .figures.trajectory import plot_fit_surface as plot_fit_surface
     from .figures.trajectory import plot_muscle as plot_muscle
     from .figures.trajectory import plot_record as plot_record
     from .figures.trajectory import plot_records as plot_records
+    from .figures.trajectory import plot_surface as plot_surface
     from .figures.trajectory import plot_trajectory as plot_trajectory
     from .figures.vibration import plot_amplitude_map as plot_amplitude_map
     from .figures.vibration import plot_backbone as plot_backbone
@@ -67,15 +67,14 @@ if TYPE_CHECKING:
     from .planning.saved_plan import save_plan as save_plan
     from .rig.homing import Homing as Homing
     from .rig.homing import home as home
-    from .rig.identification import Identified as Identified
-    from .rig.identification import identify as identify
+    from .rig.learning import Identified as Identified
     from .rig.learning import Learned as Learned
+    from .rig.learning import identify as identify
     from .rig.learning import learn as learn
     from .rig.real_time import RealTimeRun as RealTimeRun
     from .rig.real_time import run_in_c as run_in_c
     from .rig.side import RigSide as RigSide
     from .rig.side import run_on as run_on
-    from .rig.side import side_of_rig as side_of_rig
     from .rig.tuning import Tuned as Tuned
     from .rig.tuning import tune as tune
 
@@ -83,19 +82,19 @@ _HOMES: dict[str, str] = {
     "block": "control.blocks.running",
     "closed_loop": "control.loop",
     "equilibrium": "operating.resting_point",
-    "plot_fit_surface": "figures.surface",
-    "plot_surface": "figures.surface",
+    "plot_fit_surface": "figures.trajectory",
+    "plot_surface": "figures.trajectory",
     "frame_of": "figures.tables",
     "plot_table": "figures.tables",
     "report_of": "figures.tables",
     "save_result": "figures.tables",
     "home": "rig.homing",
     "html_of": "figures.sheets",
-    "identify": "rig.identification",
+    "identify": "rig.learning",
     "learn": "rig.learning",
     "run_in_c": "rig.real_time",
     "run_on": "rig.side",
-    "side_of_rig": "rig.side",
+    "RigSide": "rig.side",
     "tune": "rig.tuning",
     "machine_plant": "export.machine",
     "linearize": "operating.linear",
@@ -120,8 +119,8 @@ _HOMES: dict[str, str] = {
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
     "static_optimisation": "operating.moments",
-    "plot_limb": "figures.limb",
-    "animate_limb": "figures.limb",
+    "plot_limb": "figures.film",
+    "animate_limb": "figures.film",
     "arcs_along": "planning.active",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",

@@ -182,7 +182,7 @@ def scipy_states(
 @pytest.fixture
 def plain_pictures(monkeypatch):
     """For tests that look at no picture: it is some bytes, and takes no time to draw."""
-    monkeypatch.setattr("pam_ocp.figures.saved.drawn", lambda figure, kind, dpi: b"a picture")
+    monkeypatch.setattr("pam_ocp.figures.canvas.drawn", lambda figure, kind, dpi: b"a picture")
 
 
 @pytest.fixture(scope="session")

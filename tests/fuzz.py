@@ -37,14 +37,14 @@ from conftest import benchmark_slide
 from scipy.io import savemat
 
 import pam_ocp as pam
-from pam_ocp.cli import mpc as mpc_command
+from pam_ocp.cli import plan as motion_commands
 from pam_ocp.cli.main import _parser
 from pam_ocp.core.errors import InputError, PlanWarning
 from pam_ocp.core.quantities import UnitWarning
 from pam_ocp.fitting import ReadingWarning, fit_plant, look, read_record
 from pam_ocp.fitting.dynamic.plant_fit import load_plant_fit
 from pam_ocp.fitting.static.force_fit import ForceFit
-from pam_ocp.studies.loop_problem import guarded, set_up
+from pam_ocp.studies.problem import guarded, set_up
 
 LONGEST_SENTENCE = 1500
 SLOWEST = 5.0
@@ -235,7 +235,7 @@ def _study(file: Path) -> None:
 
 
 def _loop(file: Path) -> None:
-    study = mpc_command._study(_parser().parse_args(["mpc", str(file)]))
+    study = motion_commands._study(_parser().parse_args(["mpc", str(file)]))
     with guarded(study):
         set_up(study)
 

@@ -278,6 +278,7 @@ class Bench(Page):
         tab = next(t for t in self.tabs if t.title == title)
         with self._bodies[title], self.shown_errors():
             tab.build()
+            tab.update(frozenset(tab.parts))
 
     def _changed(self, changed: frozenset[str]) -> None:
         with self.client:

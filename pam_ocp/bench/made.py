@@ -181,6 +181,17 @@ def point_of(world: World, plant: Plant) -> OperatingPoint:
     return equilibrium(plant, world.state["point"])
 
 
+def made_of_plan(state: State, motion: Mapping[str, Any]) -> list[Any]:
+    """All that a plan's figures depend on."""
+    said = {k: v for k, v in motion.items() if k != "name"}
+    return [state["muscle"], state["plant"], said]
+
+
+def made_of_loop(state: State, controller: Mapping[str, Any] | None) -> list[Any]:
+    """All that a loop's figures depend on."""
+    return [{k: state[k] for k in ("plant", "muscle", "point")}, controller]
+
+
 def own_plants(folder: Path) -> dict[str, str]:
     """{FILE.py:NAME: words}: what Python files of the session name at their top. None is run.
 

@@ -18,8 +18,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from ..core.errors import PamError
@@ -153,20 +154,19 @@ class Worker:
         if asked.get("at", math.inf) < self._pressed_at:
             return True
         self.doing = asked["do"]
-        work = {"arm": self._arm, "disarm": self._disarm, "home": self._home, "move": self._move}
+        work: dict[str, Callable[[], Any]] = {
+            "arm": self.rig.arm,
+            "disarm": self.rig.disarm,
+            "home": partial(self._home, asked),
+            "move": partial(self._move, asked),
+        }
         if self.doing in work:
             self.say(**self.state)
-            work[self.doing](asked)
+            work[self.doing]()
         going = self.doing != "end"
         self.doing = ""
         self.say(**self.state)
         return going
-
-    def _arm(self, asked: Mapping[str, Any]) -> None:
-        self.rig.arm()
-
-    def _disarm(self, asked: Mapping[str, Any]) -> None:
-        self.rig.disarm()
 
     def _home(self, asked: Mapping[str, Any]) -> None:
         found = self.rig.home(level=asked.get("level"))

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..core.errors import InputError
-from ..core.registry import Registry, registry_of
+from ..core.registry import registry_of
 from ..judge.statement import Stop
 from ..muscles.laws.user_defined import law_named
 from ..planning.transcription.mesh import Collocation, Method, Shooting
@@ -80,7 +80,7 @@ class _Code(str):
         return str(self)
 
 
-def call(function: str, *args: str, **keywords: Any) -> str:
+def call(function: str, /, *args: str, **keywords: Any) -> str:
     """``pam.verb(table, name=value)``; arguments are code, keywords values. None is left out."""
     said = [*args, *(f"{k}={v!r}" for k, v in keywords.items() if v is not None)]
     return f"{function}({', '.join(said)})"
@@ -200,26 +200,22 @@ def plant_code(said: Mapping[str, Any]) -> str:
     name = content.pop("arrangement")
     values = content.pop("set", {})
     content.pop("sensors", None)
-    arguments = {k: _argument(k, v, PLANTS, name) for k, v in content.items()}
-    made = _written(f"pam.{name}", ["muscle"], arguments)
+    arguments = {k: _argument(k, v) for k, v in content.items()}
+    made = call(f"pam.{name}", "muscle", **arguments)
     return f"{made}.with_values({values!r})" if values else made
 
 
-def _written(function: str, first: Sequence[str], said: Mapping[str, str]) -> str:
-    return f"{function}({', '.join([*first, *(f'{k}={v}' for k, v in said.items())])})"
-
-
-def _argument(name: str, value: Any, registry: Registry[Any], owner: str) -> str:
-    """A value of a [plant] table as code."""
+def _argument(name: str, value: Any) -> Any:
+    """A value of a [plant] table, or its code."""
     if isinstance(value, Mapping):
         return _component(name, value)
     if isinstance(value, list) and registry_of(name) is not None:
         inside = ", ".join(_component(name, one) for one in value)
-        return f"({inside}{',' if len(value) == 1 else ''})"
-    return repr(tuple(value) if isinstance(value, list) else value)
+        return _Code(f"({inside}{',' if len(value) == 1 else ''})")
+    return tuple(value) if isinstance(value, list) else value
 
 
-def _component(argument: str, content: Mapping[str, Any]) -> str:
+def _component(argument: str, content: Mapping[str, Any]) -> _Code:
     import pam_ocp as pam
 
     kinds = registry_of(argument)
@@ -227,8 +223,7 @@ def _component(argument: str, content: Mapping[str, Any]) -> str:
     given = dict(content)
     kind = kinds.name(argument, given.pop("kind", kinds.default or next(iter(kinds))))
     room = next(r for r in ROOMS if hasattr(getattr(pam, r), kind))
-    said = {k: _argument(k, v, kinds, kind) for k, v in given.items()}
-    return _written(f"pam.{room}.{kind}", [], said)
+    return _Code(call(f"pam.{room}.{kind}", **{k: _argument(k, v) for k, v in given.items()}))
 
 
 # ---- motions -------------------------------------------------------------------------------------
@@ -251,7 +246,7 @@ def arguments(motion: Mapping[str, Any]) -> dict[str, Any]:
     if not minimise:
         raise InputError("minimise: all weights are 0; give one of them a weight")
     said: dict[str, Any] = {"stops": [_stop(motion, stop) for stop in motion["stops"]]}
-    legs = _legs(motion)
+    legs = len(motion["stops"]) - (0 if motion["cyclic"] else 1)
     durations = [*motion["durations"], *[None] * legs][:legs]
     if any(d is not None for d in durations):
         said["duration"] = durations
@@ -262,10 +257,6 @@ def arguments(motion: Mapping[str, Any]) -> dict[str, Any]:
     if bounds:
         said["bounds"] = bounds
     return said
-
-
-def _legs(motion: Mapping[str, Any]) -> int:
-    return len(motion["stops"]) - (0 if motion["cyclic"] else 1)
 
 
 def _stop(motion: Mapping[str, Any], stop: Mapping[str, Any]) -> dict[str, float] | Stop:
@@ -343,6 +334,19 @@ def law_keywords(
     return {"weights": weights, "effort": gains["effort"], **found}
 
 
+def run_keywords(said: Mapping[str, Any], position: str, wanted: Any) -> dict[str, Any]:
+    """The keywords of closed_loop that a controller's study stands for. wanted : the position that
+    is to be reached; None for "not given".
+    """
+    study = said["study"]
+    return {
+        "duration": study["duration"],
+        "reference": {position: wanted} if is_followed(said) else None,
+        "disturbances": {PUSH: (study["push"], study["push_from"])} if study["push"] else None,
+        "noise": {position: study["noise"]} if study["noise"] else None,
+    }
+
+
 def control_lines(state: Mapping[str, Any]) -> list[str]:
     """Each controller with its run against the plant, which can be pushed."""
     if state["muscle"] is None or not state["point"] or not state["controllers"]:
@@ -357,7 +361,7 @@ def control_lines(state: Mapping[str, Any]) -> list[str]:
 
 
 def _run_lines(said: Mapping[str, Any]) -> list[str]:
-    id, study, position = said["id"], said["study"], _Code("position")
+    id, position = said["id"], _Code("position")
 
     def rate(weight: float) -> _Code:
         return _Code(f"{{v.name: {weight!r} for v in plant.inputs if not v.disturbance}}")
@@ -365,17 +369,10 @@ def _run_lines(said: Mapping[str, Any]) -> list[str]:
     made = {"pid": "pam.control.PointPid", "lqr": "pam.lqr", "mpc": "pam.Mpc"}[said["kind"]]
     given = ("plant",) if said["kind"] == "mpc" else ("plant", "point")
     law = call(made, *given, **law_keywords(said, position, _Code("velocity"), rate))
-    wanted = {position: _Code(f"point[position] + {study['step']!r}")}
-    run = call(
-        "pam.closed_loop",
-        id,
-        "side",
-        repr(wanted if is_followed(said) else None),
-        duration=study["duration"],
-        start=_Code("start"),
-        disturbances={PUSH: (study["push"], study["push_from"])} if study["push"] else None,
-        noise={position: study["noise"]} if study["noise"] else None,
-    )
+    keywords = run_keywords(said, position, _Code(f"point[position] + {said['study']['step']!r}"))
+    duration, reference = keywords.pop("duration"), repr(keywords.pop("reference"))
+    known = {"duration": duration, "start": _Code("start"), **keywords}
+    run = call("pam.closed_loop", id, "side", reference, **known)
     return [
         f"{id} = {law}",
         f"{id}_run = {run}",

@@ -244,8 +244,8 @@ class Session:
 
     def fresh_id(self, part: str) -> str:
         """An id that no member of this list has had since the page began to count: "data3"."""
-        used = [int(m["id"][len(part) :]) for m in self.state[part] if _counted(m["id"], part)]
-        return f"{part}{max(used, default=0) + 1}"
+        ids = (re.fullmatch(rf"{part}(\d+)", str(m["id"])) for m in self.state[part])
+        return f"{part}{max((int(i[1]) for i in ids if i), default=0) + 1}"
 
     # ---- files ---------------------------------------------------------------------------------
     def store(self, name: str, content: bytes) -> str:
@@ -350,7 +350,3 @@ def _state(path: Path, value: Any) -> State:
         if usual is not None and type(there) is not type(usual):
             raise InputError(f"{path}: {name} is damaged; begin a new session")
     return {**copy.deepcopy(EMPTY), **{n: v for n, v in value.items() if n in EMPTY}}
-
-
-def _counted(id: Any, part: str) -> bool:
-    return isinstance(id, str) and id.startswith(part) and id[len(part) :].isdigit()

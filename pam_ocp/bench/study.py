@@ -14,7 +14,7 @@ from ..studies.steps.measured import TableStep
 from .jobs.control import law_arguments
 from .jobs.export import STEPS, TOLERANCE
 from .made import World, muscle_of, plant_of, point_of
-from .script import METHODS, PUSH, arguments, can_be_pushed, is_followed, platforms_of, pushed
+from .script import METHODS, arguments, can_be_pushed, platforms_of, pushed, run_keywords
 
 MUSCLE_FILE = "muscle.toml"
 """Beside the study, where no step makes the muscle."""
@@ -69,16 +69,12 @@ def _controllers(world: World, plant: Plant, muscle: str) -> Steps:
 
 
 def _run(world: World, plant: Plant, said: State, against: str) -> dict[str, Any]:
-    study, position = said["study"], next(iter(plant.positions))
+    position = next(iter(plant.positions))
     step: dict[str, Any] = {"kind": "loop", "plant": "plant", "controller": f"{said['id']}-law"}
-    step |= {"against": against, "start": world.state["point"], "duration": study["duration"]}
-    if is_followed(said):
-        at = point_of(world, plant)[position]
-        step["reference"] = {position: at + study["step"]}
-    if study["push"]:
-        step["disturbances"] = {PUSH: [study["push"], study["push_from"]]}
-    if study["noise"]:
-        step["noise"] = {position: study["noise"]}
+    step |= {"against": against, "start": world.state["point"]}
+    wanted = point_of(world, plant)[position] + said["study"]["step"]
+    keywords = run_keywords(said, position, wanted).items()
+    step |= {name: value for name, value in keywords if value is not None}
     return {**step, "estimator": {"kind": "none"}}
 
 

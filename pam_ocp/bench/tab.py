@@ -11,9 +11,7 @@ that run in other processes::
         def build(self) -> None:                    # NiceGUI's elements, within the tab's panel
             with elements.section("Load"):
                 self._form = elements.Form()
-            self.update(frozenset(self.parts))
-
-        def update(self, changed) -> None:          # called after a change of one of ``parts``
+        def update(self, changed) -> None:          # called then, and after a change of ``parts``
             self._form.show([(MASS, self.state["plant"]["mass"], self._moved)])
 
         def _moved(self, mass) -> None:             # an event: one change, one step of undo
@@ -27,8 +25,9 @@ What an event raises is shown on the page. What the exported script says of a ta
 
 from __future__ import annotations
 
+import copy
 import logging
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from functools import partial
@@ -165,8 +164,12 @@ class Tab:
         """Keep what the tab shows: saved, but no step of undo."""
         self.session.remember(self.title, **values)
 
+    def keep_figures(self, id: str, of: Any, values: Mapping[str, float]) -> None:
+        """Keep what is shown of a member, made of this, for the check of the script."""
+        self.session.remember("figures", **{id: {"of": of, "values": values}})
+
     def build(self) -> None:
-        """Make the tab's elements."""
+        """Make the tab's elements; :meth:`update` with all ``parts`` fills them."""
 
     def update(self, changed: frozenset[str]) -> None:
         """Show what has changed; only called after :meth:`build`."""
@@ -224,6 +227,15 @@ class Members(Tab):
     def change(self, label: str, **values: Any) -> None:
         """One step of undo of the one at hand."""
         self.session.put(label, self.part, {**self.held, **values})
+
+    def change_in(self, label: str, *path: Any) -> None:
+        """The same of one value within it: ``change_in("stop 1", "stops", 0, "at", 0.01)``."""
+        *places, key, value = path
+        changed = inner = copy.deepcopy(self.held)
+        for place in places:
+            inner = inner[place]
+        inner[key] = value
+        self.session.put(label, self.part, changed)
 
     def rename(self, name: str) -> None:
         """Of the one at hand."""

@@ -10,25 +10,18 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from ..core.registry import Argument, Registry
-from .output import add_json, tell
+from .command import choice, command, flag, option
+from .output import tell
 
 
-def add_components(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    components = commands.add_parser(
-        "components",
-        help="list the components of plants and problems",
-        description="Plants, loads, feeds, losses, laws, costs, solvers, ...: their names as "
-        "problem files take them, with arguments, units and defaults.",
-    )
-    components.add_argument("noun", nargs="?", metavar="NOUN", help="only these, such as 'load'")
-    components.add_argument(
-        "--markdown", action="store_true", help="as the page docs/components.md"
-    )
-    add_json(components)
-    components.set_defaults(run=_components)
-
-
+@command(
+    "components",
+    "list the components of plants and problems",
+    option("noun", "NOUN", "only these, such as 'load'", nargs="?"),
+    flag("--markdown", "as the page docs/components.md"),
+    about="Plants, loads, feeds, losses, laws, costs, solvers, ...: their names as "
+    "problem files take them, with arguments, units and defaults.",
+)
 def _components(options: argparse.Namespace) -> int:
     from ..core.errors import UnknownNameError
 
@@ -175,18 +168,14 @@ EPILOG = """\
 """
 
 
-def add_completion(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    completion = commands.add_parser(
-        "completion",
-        help="print a script by which a shell completes commands and options",
-        description="Print a completion script for a shell.",
-        epilog=EPILOG,
-    )
-    completion.add_argument("shell", choices=SHELLS)
-    completion.set_defaults(run=_completion)
-
-
+@command(
+    "completion",
+    "print a script by which a shell completes commands and options",
+    choice("shell", SHELLS),
+    about="Print a completion script for a shell.",
+    epilog=EPILOG,
+    json=False,
+)
 def _completion(options: argparse.Namespace) -> int:
     import shtab
 

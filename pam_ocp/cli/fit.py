@@ -13,11 +13,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pam_ocp as pam
+
 from ..core.errors import FitError, InputError
 from ..core.files import read_toml, reading
 from ..core.progress import heard, working
 from ..core.quantities import known_keys, table
-from ..studies.plant_fit_problem import (
+from ..studies.problem import (
     FITTING,
     READING,
     bounds_of,
@@ -26,13 +28,25 @@ from ..studies.plant_fit_problem import (
     records_of,
     values,
 )
-from .options import add_allow_code, add_pairs, pairs, require_places, whole
-from .output import add_json, coefficients, tell, wrote
+from .command import (
+    PICTURES,
+    asked,
+    choice,
+    command,
+    count,
+    file,
+    flag,
+    named,
+    option,
+    output,
+    pairs,
+    several,
+)
+from .options import ALLOW_CODE
+from .output import coefficients, deliver, picture, tell, wrote
 
 if TYPE_CHECKING:
-    from ..fitting.dynamic.plant_fit import PlantFit
     from ..plants.plant import Plant
-    from ..simulation.compare import RecordComparison
 
 EPILOG = """\
 Records: CSV (also TSV, XLSX, NPZ, MAT, Parquet) with a column for the time, for every input of the
@@ -76,76 +90,48 @@ invalid file or option.
 _OWN = ("plant", "muscle", "set", "records", "validate", "free")
 
 
-def add_fit_plant(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    fit = commands.add_parser(
-        "fit-plant",
-        help="fit parameters of a plant to measured records",
-        description="Fit parameters of a plant (damping, lag, coefficients of its muscles, "
-        "...) to measured time series; print values with intervals, and the "
-        "errors on other records.",
-        epilog=EPILOG,
-    )
-    fit.add_argument("records", nargs="*", type=Path, metavar="RECORD", help="measured time series")
-    fit.add_argument(
+@command(
+    "fit-plant",
+    "fit parameters of a plant to measured records",
+    file("records", "RECORD", "measured time series", nargs="*"),
+    option(
         "--plant",
+        "PLANT",
+        "a study file (.toml, see below), or a plant as in 'export'",
         required=True,
-        metavar="PLANT",
-        help="a study file (.toml, see below), or a plant as in 'export'",
-    )
-    fit.add_argument("--muscle", metavar="MUSCLE", help="name in the catalogue, or a muscle file")
-    words = "known value of a parameter, or where a free one starts, as mass=2kg"
-    add_pairs(fit, "--set", words)
-    fit.add_argument("--free", nargs="+", metavar="NAME", help="parameters to fit")
-    fit.add_argument("--outputs", nargs="+", metavar="NAME", help="what to compare (default: all)")
-    fit.add_argument(
-        "--delay",
-        nargs="+",
-        metavar="T",
-        help="delay of the inputs, or two values: estimate it between them",
-    )
-    fit.add_argument(
-        "--noise", nargs="+", metavar="NAME=VALUE", help="standard deviations, as x=0.02mm"
-    )
-    fit.add_argument("--interpolation", choices=("previous", "linear"), help="of the inputs")
-    fit.add_argument(
-        "--validate",
-        nargs="+",
-        type=Path,
-        metavar="RECORD",
-        help="other records, for validation",
-    )
-    fit.add_argument(
-        "--variables", action="store_true", help="list the plant's variables, and exit"
-    )
-    fit.add_argument(
+    ),
+    option("--muscle", "MUSCLE", "name in the catalogue, or a muscle file"),
+    named("--set", "known value of a parameter, or where a free one starts, as mass=2kg"),
+    several("--free", "NAME", "parameters to fit"),
+    several("--outputs", "NAME", "what to compare (default: all)"),
+    several("--delay", "T", "delay of the inputs, or two values: estimate it between them"),
+    several("--noise", "NAME=VALUE", "standard deviations, as x=0.02mm"),
+    choice("--interpolation", ("previous", "linear"), "of the inputs"),
+    several("--validate", "RECORD", "other records, for validation", type=Path),
+    flag("--variables", "list the plant's variables, and exit"),
+    output(
         "--plot",
-        type=Path,
-        metavar="FILE.png",
-        help="draw records and fit; further ones as FILE-2.png, validation as FILE-validate.png",
-    )
-    fit.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE.json",
-        help="write the fit (pam_ocp.fitting.load_plant_fit reads it)",
-    )
-    fit.add_argument(
+        "FILE.png",
+        "draw records and fit; further ones as FILE-2.png, validation as FILE-validate.png",
+        *PICTURES,
+    ),
+    output("--out", "FILE.json", "write the fit (pam_ocp.fitting.load_plant_fit reads it)"),
+    output(
         "--ssv",
-        type=Path,
-        metavar="FILE.ssv",
-        help="write the fitted parameters as a parameter set of the plant's FMU (SSP 1.0)",
-    )
-    add_allow_code(fit)
-    add_json(fit)
-    fit.set_defaults(run=_fit_plant)
-
-
+        "FILE.ssv",
+        "write the fitted parameters as a parameter set of the plant's FMU (SSP 1.0)",
+    ),
+    ALLOW_CODE,
+    about="Fit parameters of a plant (damping, lag, coefficients of its muscles, "
+    "...) to measured time series; print values with intervals, and the "
+    "errors on other records.",
+    epilog=EPILOG,
+    fails=FitError,
+)
 def _fit_plant(options: argparse.Namespace) -> int:
-    from ..core.errors import FitError
-
-    require_places(options.out, options.plot, options.ssv)
-    study, plant = _study(options)
+    file = options.plant if options.plant.endswith(".toml") else None
+    with reading(file, "a study file", "see its keys") if file else nullcontext():
+        study, plant = _study(options)
     if options.variables:
         tell(
             options, _variables(plant), lambda: {"variables": [asdict(v) for v in plant.variables]}
@@ -158,22 +144,15 @@ def _fit_plant(options: argparse.Namespace) -> int:
         raise InputError(
             "--free is missing: name the parameters to fit; --variables lists the plant's"
         )
-    from ..fitting.dynamic.dynamic import fit_plant
 
     with reading(options.plant, "a study file", "see its keys"):
         arguments = fit_arguments(study, plant)
-    try:
-        if heard():
-            with working("fit") as bar:
-                arguments["progress"] = lambda stage, count, cost: bar.step(
-                    note=f"{stage}, cost {cost:.4g}"
-                )
-                fit = fit_plant(plant, records, study["free"], **arguments)
-        else:
-            fit = fit_plant(plant, records, study["free"], **arguments)
-    except FitError as error:
-        print(f"pam-ocp fit-plant: {error}", file=sys.stderr)
-        return 1
+    with working("fit") if heard() else nullcontext() as bar:
+        if bar is not None:
+            arguments["progress"] = lambda stage, count, cost: bar.step(
+                note=f"{stage}, cost {cost:.4g}"
+            )
+        fit = pam.fit_plant(plant, records, study["free"], **arguments)
     checked = fit.validate(others) if others else []
     tell(
         options,
@@ -190,19 +169,17 @@ def _fit_plant(options: argparse.Namespace) -> int:
     for number, comparison in enumerate(checked, start=1):
         tell(options, f"[[Validation]] record {number}, only its initial state estimated")
         tell(options, "\n".join(f"    {line}" for line in str(comparison).splitlines()[1:]))
-    for path in _written(fit, checked, options):
-        wrote(options, path)
+    deliver(options, out=fit.save, ssv=fit.save_ssv)
+    for comparisons, ending in ((fit.comparisons, ""), (checked, "-validate")):
+        for number, comparison in enumerate(comparisons if options.plot else (), start=1):
+            tail = f"-{number}" if number > 1 else ""
+            target = options.plot.with_stem(f"{options.plot.stem}{ending}{tail}")
+            wrote(options, picture(comparison.plot)(target))
     return 0
 
 
 def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     """What the file says, and the command line over it; and the plant."""
-    file = options.plant if options.plant.endswith(".toml") else None
-    with reading(file, "a study file", "see its keys") if file else nullcontext():
-        return _told(options)
-
-
-def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     from ..plants.plant_file import muscle_of, plant_of
     from ..studies.file_kinds import plant_called, require_role
 
@@ -215,14 +192,12 @@ def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
             study = {"plant": study.get("plant")}
         known_keys(options.plant, study, (*_OWN, *READING, *FITTING))
     study["folder"] = folder
-    for name in ("free", "outputs", "interpolation", "delay"):
-        if getattr(options, name) is not None:
-            study[name] = getattr(options, name)
+    study |= asked(options, "free", "outputs", "interpolation", "delay")
     for name in ("records", "validate"):
         given = getattr(options, name)
         study[name] = given or [(folder or Path()) / n for n in listed(name, study.get(name, []))]
-        for file in study[name]:
-            require_role(file, "motion")
+        for record in study[name]:
+            require_role(record, "motion")
     if options.noise is not None:
         study["noise"] = pairs("--noise", options.noise)
     described = study.get("plant", options.plant)
@@ -268,26 +243,6 @@ def _variables(plant: Plant) -> str:
     return "\n".join(lines)
 
 
-def _written(
-    fit: PlantFit, checked: list[RecordComparison], options: argparse.Namespace
-) -> list[Path]:
-    """Write all files asked for."""
-    done: list[Path] = []
-    if options.out:
-        done.append(fit.save(options.out))
-    if options.ssv:
-        done.append(fit.save_ssv(options.ssv))
-    if options.plot:
-        from ..figures.saved import save_figure
-
-        for comparisons, ending in ((fit.comparisons, ""), (checked, "-validate")):
-            for number, comparison in enumerate(comparisons, start=1):
-                tail = f"-{number}" if number > 1 else ""
-                target = options.plot.with_stem(f"{options.plot.stem}{ending}{tail}")
-                done.append(save_figure(comparison.plot(), target))
-    return done
-
-
 # ---- which model ---------------------------------------------------------------------------------
 LADDER = """\
 The candidates are fitted to all records, and compared by their predictions of parts left out; the
@@ -309,55 +264,9 @@ regulator's start values, without the effects that candidates add (dead time, sl
 Exit code: 0, or 1 if no candidate could be fitted, 2 for an invalid file or option.
 """
 _KEYS = (
-    "plant",
-    "records",
-    "free",
-    "dynamic",
-    "outputs",
-    "bounds",
-    "rungs",
-    "folds",
-    "columns",
-    "units",
-    "time",
-    "interpolation",
-    "max_gap",
-    "split",
+    *("plant", "records", "free", "dynamic", "outputs", "bounds", "rungs", "folds"),
+    *("columns", "units", "time", "interpolation", "max_gap", "split"),
 )
-
-
-def add_ladder(commands: Any) -> None:
-    """Add the command to the parser's commands."""
-    ladder = commands.add_parser(
-        "ladder",
-        help="select a model for records: static, or with lag, friction, hysteresis, creep",
-        description="Compare nested models (static, + lag, + unequal lags, + dead time, "
-        "+ slew limit, + friction, + memory, + memory per pressure, + force law, + creep) by "
-        "their predictions of parts of the records that were left out.",
-        epilog=LADDER,
-    )
-    ladder.add_argument("study", metavar="FILE.toml", help="plant and records; see below")
-    ladder.add_argument(
-        "records", nargs="*", type=Path, metavar="RECORD", help="instead of those in the study file"
-    )
-    ladder.add_argument(
-        "--free", nargs="+", metavar="NAME", help="parameters fitted in every candidate"
-    )
-    ladder.add_argument(
-        "--dynamic",
-        nargs="+",
-        metavar="NAME",
-        help="parameters fitted from the second candidate on",
-    )
-    ladder.add_argument(
-        "--rungs", nargs="+", metavar="RUNG", help="only these, such as 'dead time'"
-    )
-    ladder.add_argument("--outputs", nargs="+", metavar="NAME", help="compare only these")
-    ladder.add_argument("--folds", type=whole, metavar="N", help="of parts left out (default 5)")
-    ladder.add_argument("--jobs", type=whole, default=1, metavar="N", help="processes (default 1)")
-    add_allow_code(ladder)
-    add_json(ladder)
-    ladder.set_defaults(run=_ladder)
 
 
 def _said(text: str) -> None:
@@ -380,8 +289,25 @@ def _ladder_data(found: Any) -> dict[str, Any]:
     }
 
 
+@command(
+    "ladder",
+    "select a model for records: static, or with lag, friction, hysteresis, creep",
+    option("study", "FILE.toml", "plant and records; see below"),
+    file("records", "RECORD", "instead of those in the study file", nargs="*"),
+    several("--free", "NAME", "parameters fitted in every candidate"),
+    several("--dynamic", "NAME", "parameters fitted from the second candidate on"),
+    several("--rungs", "RUNG", "only these, such as 'dead time'"),
+    several("--outputs", "NAME", "compare only these"),
+    count("--folds", "N", "of parts left out (default 5)"),
+    count("--jobs", "N", "processes (default 1)", default=1),
+    ALLOW_CODE,
+    about="Compare nested models (static, + lag, + unequal lags, + dead time, "
+    "+ slew limit, + friction, + memory, + memory per pressure, + force law, + creep) by "
+    "their predictions of parts of the records that were left out.",
+    epilog=LADDER,
+    fails=FitError,
+)
 def _ladder(options: argparse.Namespace) -> int:
-    from ..fitting.dynamic.ladder import fit_ladder
     from ..plants.plant_file import builder_of
 
     study: dict[str, Any] = read_toml(options.study)
@@ -391,9 +317,7 @@ def _ladder(options: argparse.Namespace) -> int:
     if not isinstance(described, Mapping):
         raise InputError(f"{options.study} has no [plant] table: say what the ladder is built on")
     build, feed = builder_of(described, "plant", folder, allow_code=options.allow_code)
-    for name in ("free", "dynamic", "rungs", "outputs", "folds"):
-        if getattr(options, name) is not None:
-            study[name] = getattr(options, name)
+    study |= asked(options, "free", "dynamic", "rungs", "outputs", "folds")
     beside = [folder / n for n in listed("records", study.get("records", []))]
     try:
         plant: Plant = build(feed=feed, losses=())
@@ -412,20 +336,16 @@ def _ladder(options: argparse.Namespace) -> int:
         given["bounds"] = bounds_of(study, plant)
     pool = ProcessPoolExecutor(options.jobs) if options.jobs > 1 else None
     with pool or nullcontext():
-        try:
-            found = fit_ladder(
-                build,
-                records,
-                listed("free", study.get("free", [])),
-                feed=feed,
-                folds=study.get("folds", 5),
-                executor=pool,
-                progress=None if options.quiet else _said,
-                time_limit=options.time_limit,
-                **given,
-            )
-        except FitError as error:
-            print(f"pam-ocp ladder: {error}", file=sys.stderr)
-            return 1
+        found = pam.fitting.fit_ladder(
+            build,
+            records,
+            listed("free", study.get("free", [])),
+            feed=feed,
+            folds=study.get("folds", 5),
+            executor=pool,
+            progress=None if options.quiet else _said,
+            time_limit=options.time_limit,
+            **given,
+        )
     tell(options, found.report(), lambda: _ladder_data(found))
     return 0

@@ -19,20 +19,28 @@ from ..core.exceptions import nearest
 from ..core.interrupts import interruptible
 from ..core.stop import limited
 from ..export.cache import home_folder, usable_folder
-from .bench import add_bench
-from .components import add_completion, add_components
-from .fit import add_fit_plant, add_ladder
-from .fmu import add_check, add_export
-from .mpc import add_mpc
-from .muscles import add_loads, add_muscles
-from .options import require_outputs, seconds
+from . import components, fit, plan, plants, rig, static, study
+from .command import COMMANDS, Option, option, seconds
 from .output import bars, command_of, command_words, escaping, finish, logged
-from .plan import add_plan
-from .reading import add_look
-from .rig import add_rig, add_twin
-from .simulate import add_compare, add_linearize, add_simulate
-from .static import add_campaign, add_fit, add_fit_forces, add_fit_holds
-from .study import add_quick, add_report, add_study, add_tour
+
+assert all((components, fit, plan, plants, rig, static, study))  # they register their commands
+ORDER = (
+    *("tour", "quick", "study", "look", "fit", "campaign", "fit-forces", "fit-holds", "fit-plant"),
+    *("ladder", "export", "check", "loads", "muscles", "components", "simulate", "compare"),
+    *("linearize", "report", "plan", "mpc", "rig", "twin", "completion", "bench"),
+)
+"""Of the commands, in the help."""
+HABITS = (
+    option(
+        "--time-limit", "S", "time limit in seconds, or as '5 min' (default: none)", type=seconds
+    ),
+    Option(("-q", "--quiet"), {"action": "store_true", "help": "print errors only (and --json)"}),
+    Option(
+        ("-v", "--verbose"),
+        {"action": "count", "default": 0, "help": "log to the error stream; -vv: in detail"},
+    ),
+)
+"""Options of all commands."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -72,16 +80,26 @@ def _run(arguments: Sequence[str] | None) -> int:
             interruptible(),
             limited(seconds),
         ):
-            require_outputs(options)
-            code = int(options.run(options) or 0)
-            finish(options)
-            return code
+            return _done(options)
     except PamError as error:
         _tell_error(f"pam-ocp {options.command}: {command_words(str(error), options)}")
         return 2
     except KeyboardInterrupt:
         _tell_error("interrupted")
         return 130
+
+
+def _done(options: argparse.Namespace) -> int:
+    """The command's exit code, once it has come to its end, or found that there is no result."""
+    command = COMMANDS[options.command]
+    command.require_writable(options)
+    try:
+        code = command.run(options)
+    except command.fails as error:
+        _tell_error(f"pam-ocp {options.command}: {error}")
+        return 1
+    finish(options)
+    return code
 
 
 def _refuse(
@@ -170,52 +188,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"pam-ocp {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
 
-    for add in (
-        add_tour,
-        add_quick,
-        add_study,
-        add_look,
-        add_fit,
-        add_campaign,
-        add_fit_forces,
-        add_fit_holds,
-        add_fit_plant,
-        add_ladder,
-        add_export,
-        add_check,
-        add_loads,
-        add_muscles,
-        add_components,
-        add_simulate,
-        add_compare,
-        add_linearize,
-        add_report,
-        add_plan,
-        add_mpc,
-        add_rig,
-        add_twin,
-        add_completion,
-        add_bench,
-    ):
-        add(commands)
-    for name, command in commands.choices.items():
-        if name != "check":  # its own
-            command.add_argument(
-                "--time-limit",
-                type=seconds,
-                metavar="S",
-                help="time limit in seconds, or as '5 min' (default: none)",
-            )
-        command.add_argument(
-            "-q", "--quiet", action="store_true", help="print errors only (and --json)"
-        )
-        command.add_argument(
-            "-v",
-            "--verbose",
-            action="count",
-            default=0,
-            help="log to the error stream; -vv: in detail",
-        )
+    for name in ORDER:
+        COMMANDS[name].add(commands, name, *HABITS)
     return parser
 
 

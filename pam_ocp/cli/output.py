@@ -12,17 +12,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.files import spelled
 from ..core.progress import Bar, listening
 
-
-def add_json(command: argparse.ArgumentParser) -> None:
-    """--json, of every command that has something to tell."""
-    command.add_argument(
-        "--json", action="store_true", help="print one JSON document instead of text; SI"
-    )
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def tell(
@@ -69,6 +65,25 @@ def wrote(options: argparse.Namespace, path: object) -> None:
             options.said = said
     elif not options.quiet:
         print(f"-> {spelled(str(path))}")
+
+
+def deliver(options: argparse.Namespace, **writers: Callable[[Path], object]) -> None:
+    """Write the files that are asked for: {option: what writes one, and returns its path}."""
+    for name, write in writers.items():
+        path = getattr(options, name)
+        if path:
+            wrote(options, write(path))
+
+
+def picture(draw: Callable[[], Figure], dpi: float = 130) -> Callable[[Path], Path]:
+    """What writes a figure, which is drawn then."""
+
+    def write(path: Path) -> Path:
+        from ..figures.canvas import save_figure
+
+        return save_figure(draw(), path, dpi)
+
+    return write
 
 
 def finish(options: argparse.Namespace) -> None:

@@ -1,26 +1,38 @@
-"""``pam-ocp rig`` and ``pam-ocp twin``: rigs on benches, and twins of them."""
+"""``pam-ocp rig`` and ``twin``: rigs on benches, and twins of them; ``bench``: the page."""
 
 from __future__ import annotations
 
 import argparse
+import getpass
+import json
+import os
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pam_ocp as pam
+
 from ..core.errors import InputError
+from ..core.files import read_toml
 from ..core.quantities import known_keys, quantity
-from .options import (
-    PLANT,
-    add_allow_code,
-    add_pairs,
-    add_plant_options,
+from .command import (
+    OneOf,
+    choice,
+    command,
+    count,
+    file,
+    flag,
+    named,
     number,
+    option,
+    output,
     pairs,
-    plant_named,
-    require_places,
-    whole,
-    written,
+    repeated,
+    several,
 )
-from .output import add_json, tell, wrote
+from .options import ALLOW_CODE, PLANT, PLANT_VALUES, plant_named, written
+from .output import tell, wrote
 
 if TYPE_CHECKING:
     from ..rig.rig import Rig
@@ -47,39 +59,23 @@ plant's file (such as losses), and [sensors.NAME] with noise, delay, resolution,
 """
 
 
-def add_rig(commands: Any) -> None:
-    """The command ``rig``."""
-    rig = commands.add_parser(
-        "rig",
-        help="check, home, identify, run or vent a real rig",
-        description="Work with a rig (or its twin) that a file describes.",
-        epilog=RIG,
-    )
-    rig.add_argument("what", choices=("check", "home", "identify", "run", "vent"))
-    rig.add_argument("file", metavar="FILE.toml", help="the rig")
-    rig.add_argument("--arm", action="store_true", help="allow motion (home, identify, run)")
-    rig.add_argument("--level", metavar="P", help="home: highest commands, such as '3 bar'")
-    rig.add_argument("--free", nargs="+", default=[], metavar="NAME", help="identify: parameters")
-    rig.add_argument(
-        "--rounds", type=whole, default=3, metavar="N", help="identify: largest number of rounds"
-    )
-    rig.add_argument("--duration", metavar="S", help="of an excitation, a check, or a run")
-    rig.add_argument(
-        "--motion", type=Path, metavar="FILE", help="run: a trajectory or plan with the inputs"
-    )
-    rig.add_argument(
-        "--out", type=Path, metavar="FILE", help="run, identify: file for the record or the fit"
-    )
-    add_allow_code(rig)
-    add_json(rig)
-    rig.set_defaults(run=_rig)
-
-
+@command(
+    "rig",
+    "check, home, identify, run or vent a real rig",
+    choice("what", ("check", "home", "identify", "run", "vent")),
+    option("file", "FILE.toml", "the rig"),
+    flag("--arm", "allow motion (home, identify, run)"),
+    option("--level", "P", "home: highest commands, such as '3 bar'"),
+    several("--free", "NAME", "identify: parameters", default=[]),
+    count("--rounds", "N", "identify: largest number of rounds", default=3),
+    option("--duration", "S", "of an excitation, a check, or a run"),
+    file("--motion", "FILE", "run: a trajectory or plan with the inputs"),
+    output("--out", "FILE", "run, identify: file for the record or the fit"),
+    ALLOW_CODE,
+    about="Work with a rig (or its twin) that a file describes.",
+    epilog=RIG,
+)
 def _rig(options: argparse.Namespace) -> int:
-    from ..rig.guard import RigError
-    from ..rig.rig import load_rig
-
-    require_places(options.out)
     moves = options.what in ("home", "identify", "run")
     if moves and not options.arm:
         raise InputError(
@@ -91,11 +87,11 @@ def _rig(options: argparse.Namespace) -> int:
         raise InputError("rig identify: give --free NAME ..., the parameters to fit")
     work = {"check": _check, "home": _home, "identify": _identify, "run": _play, "vent": _vent}
     try:
-        with load_rig(options.file, allow_code=options.allow_code) as rig:
+        with pam.rig.load_rig(options.file, allow_code=options.allow_code) as rig:
             if moves:
                 rig.arm()
             return work[options.what](rig, options)
-    except RigError as error:
+    except pam.rig.RigError as error:
         tell(options, f"vented, or not begun: {error}", {"vented": str(error)})
         return 1
 
@@ -142,9 +138,7 @@ def _identify(rig: Rig, options: argparse.Namespace) -> int:
 
 
 def _play(rig: Rig, options: argparse.Namespace) -> int:
-    from ..core.trajectory import Trajectory
-
-    run = rig.run(Trajectory.load(options.motion))
+    run = rig.run(pam.Trajectory.load(options.motion))
     last = {v.name: float(run[v.name][-1]) for v in run.variables}
     lines = [f"{n:<24}{run.variable(n).shown(v)}" for n, v in last.items()]
     tell(options, "\n".join([f"{run.duration:g} s, vented; at the end:", *lines]), {"last": last})
@@ -160,41 +154,33 @@ def _vent(rig: Rig, options: argparse.Namespace) -> int:
     return 0 if done else 1
 
 
-def add_twin(commands: Any) -> None:
-    """The command ``twin``."""
-    twin = commands.add_parser(
-        "twin",
-        help="simulate a rig in real time, behind a transport",
-        description="Serve a plant in real time behind Modbus TCP, a serial line (a "
-        "pseudo-terminal), UDP or OPC UA, with noise, delay and faults, until Ctrl-C.",
-        epilog=TWIN,
-    )
-    twin.add_argument("plant", metavar="PLANT", help=PLANT)
-    add_plant_options(twin)
-    way = twin.add_mutually_exclusive_group(required=True)
-    for kind in ("modbus", "udp", "opcua"):
-        way.add_argument(f"--{kind}", type=whole, metavar="PORT", help="0: any that is free")
-    way.add_argument("--serial", action="store_true", help="a pseudo-terminal (not on Windows)")
-    twin.add_argument("--host", default="127.0.0.1", metavar="HOST")
-    twin.add_argument(
-        "--scale", type=number, default=1.0, metavar="R", help="of the muscles' forces"
-    )
-    add_pairs(twin, "--noise", "of a reading")
-    twin.add_argument("--delay", default="0 s", metavar="S", help="of commands, such as '5 ms'")
-    twin.add_argument("--timeout", metavar="S", help="vent after this time without a command")
-    twin.add_argument("--faults", type=Path, metavar="FILE.toml")
-    twin.add_argument("--duration", metavar="S", help="duration (default: until Ctrl-C)")
-    add_json(twin)
-    twin.set_defaults(run=_twin)
-
-
+# ---- twins ---------------------------------------------------------------------------------------
+@command(
+    "twin",
+    "simulate a rig in real time, behind a transport",
+    option("plant", "PLANT", PLANT),
+    *PLANT_VALUES,
+    OneOf(
+        (
+            *(count(f"--{k}", "PORT", "0: any that is free") for k in ("modbus", "udp", "opcua")),
+            flag("--serial", "a pseudo-terminal (not on Windows)"),
+        )
+    ),
+    option("--host", "HOST", default="127.0.0.1"),
+    option("--scale", "R", "of the muscles' forces", type=number, default=1.0),
+    named("--noise", "of a reading"),
+    option("--delay", "S", "of commands, such as '5 ms'", default="0 s"),
+    option("--timeout", "S", "vent after this time without a command"),
+    file("--faults", "FILE.toml"),
+    option("--duration", "S", "duration (default: until Ctrl-C)"),
+    about="Serve a plant in real time behind Modbus TCP, a serial line (a "
+    "pseudo-terminal), UDP or OPC UA, with noise, delay and faults, until Ctrl-C.",
+    epilog=TWIN,
+)
 def _twin(options: argparse.Namespace) -> int:
-    from ..rig.serving import serve
-    from ..rig.twin import Twin
-
     given = _faults(options.faults)
     plant, channels = _plant(options, given.pop("plant", {}))
-    twin = Twin(
+    twin = pam.rig.Twin(
         plant,
         *channels,
         scale=options.scale,
@@ -207,12 +193,10 @@ def _twin(options: argparse.Namespace) -> int:
         (k for k in ("modbus", "udp", "opcua") if getattr(options, k) is not None), "serial"
     )
     port = getattr(options, kind) if kind != "serial" else 0
-    with serve(twin, kind, port=port, host=options.host) as served:
-        inside = ", ".join(f"{n} = {_toml(v)}" for n, v in served.address.items())
+    with pam.rig.serve(twin, kind, port=port, host=options.host) as served:
+        inside = ", ".join(f"{n} = {json.dumps(v)}" for n, v in served.address.items())
         tell(options, f"driver = {{ {inside} }}", {"driver": served.address})
         if getattr(options, "json", False):
-            import json
-
             print(json.dumps(served.address), flush=True)
             del options.said
         span = None if options.duration is None else quantity("--duration", options.duration, "s")
@@ -220,19 +204,7 @@ def _twin(options: argparse.Namespace) -> int:
     return 0
 
 
-def _toml(value: Any) -> str:
-    return (
-        str(value).lower()
-        if isinstance(value, bool)
-        else f'"{value}"'
-        if isinstance(value, str)
-        else str(value)
-    )
-
-
 def _faults(path: Path | None) -> dict[str, Any]:
-    from ..core.files import read_toml
-
     if path is None:
         return {}
     content = read_toml(path)
@@ -242,7 +214,6 @@ def _faults(path: Path | None) -> dict[str, Any]:
 
 def _plant(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[Any, tuple[Any, Any]]:
     """(plant, (readings, commands)) of a name, a plant's file or a rig's file."""
-    from ..core.files import read_toml
     from ..plants.plant_file import plant_of
 
     content = read_toml(options.plant) if options.plant.endswith(".toml") else {}
@@ -260,12 +231,54 @@ def _plant(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[Any, t
 
 
 def _sensors(options: argparse.Namespace, given: Any) -> dict[str, Any]:
-    from dataclasses import replace
-
-    from ..simulation.instruments import Instrument
-    from ..studies.loop_problem import sensors_of
+    from ..studies.problem import sensors_of
 
     found = sensors_of(given)
     for name, noise in pairs("--noise", options.noise).items():
-        found[name] = replace(found.get(name, Instrument()), noise=noise)
+        found[name] = replace(found.get(name, pam.simulation.Instrument()), noise=noise)
     return found
+
+
+# ---- the page ------------------------------------------------------------------------------------
+PASSWORD = "PAM_OCP_BENCH_PASSWORD"
+
+
+@command(
+    "bench",
+    "the whole chain on a page in the browser",
+    option("--host", None, "to listen at (default: 127.0.0.1)", default="127.0.0.1"),
+    count("--port", None, "default: a free one", default=0),
+    repeated(
+        "--name",
+        "HOST",
+        "further name by which browsers may ask for the page (may be repeated)",
+        default=[],
+    ),
+    file("--folder", "DIR", "of the sessions (default: the user's own)"),
+    file("--rig", "FILE.toml", "a rig's file, for the tab Rig (docs/rig.md)"),
+    flag("--no-browser", "only print the address"),
+    ALLOW_CODE,
+    about="Open an interactive page on this machine: data, muscle, plant, motion, "
+    "control and export. Needs pip install 'pam_ocp[bench]'.",
+    epilog=f"Another host than this machine needs a password: in {PASSWORD}, or asked for.",
+    json=False,
+)
+def _bench(options: argparse.Namespace) -> int:
+    from ..bench.server import require_framework, serve
+
+    require_framework()
+    password = os.environ.pop(PASSWORD, None)  # the processes that it starts need not know it
+    if password is None and options.host not in ("127.0.0.1", "localhost") and sys.stdin.isatty():
+        password = getpass.getpass("password for the page: ")
+    serve(
+        host=options.host,
+        port=options.port,
+        password=password,
+        names=options.name,
+        folder=options.folder,
+        allow_code=options.allow_code,
+        browser=not options.no_browser,
+        rig=options.rig,
+        say=lambda text: print(text, flush=True),
+    )
+    return 0

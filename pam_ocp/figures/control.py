@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..control.analysis import BodeCloud, Margins, ModeMap, Stroke, frequency_response
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
-from .canvas import COLOURS, draw, name_beside, new_figure
+from .canvas import COLOURS, caption, draw, name_beside, panels
 
 if TYPE_CHECKING:
     import control
@@ -40,14 +40,14 @@ def plot_tracking(
         raise InputError("runs is empty: nothing to draw")
     first = next(iter(runs.values()))
     wanted = {first.variable(n).name: f for n, f in (reference or {}).items()}
-    panels = [(first.variable(n).name, False) for n in names]
-    panels += [(n, True) for n, _ in panels if n in wanted]
-    figure, axes = new_figure(len(panels), size=(8.5, 1.0 + 1.8 * len(panels)), sharex=True)
-    for ax, (name, error) in zip(axes[:, 0], panels, strict=True):
+    shown = [(first.variable(n).name, False) for n in names]
+    shown += [(n, True) for n, _ in shown if n in wanted]
+    figure, axes = panels(len(shown), size=(8.5, 1.0 + 1.8 * len(shown)))
+    for ax, (name, error) in zip(axes, shown, strict=True):
         variable = first.variable(name)
-        for i, (label, run) in enumerate(runs.items()):
+        for i, (words, run) in enumerate(runs.items()):
             colour, line = COLOURS[i % len(COLOURS)], "-" if i < 3 else "--"
-            style: dict[str, Any] = {"linewidth": 1.4, "label": label, "linestyle": line}
+            style: dict[str, Any] = {"linewidth": 1.4, "label": words, "linestyle": line}
             if error:
                 goal = np.array([wanted[name](t) for t in run.t])
                 ax.plot(run.t, (run[name] - goal) / variable.display_factor, color=colour, **style)
@@ -58,25 +58,27 @@ def plot_tracking(
             ax.plot(first.t, goal, color="#222222", lw=1.0, ls="--", label="reference")
         unit = "" if variable.display_unit == "1" else f" [{variable.display_unit}]"
         ax.set_ylabel(f"error of {name}{unit}" if error else variable.label)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside upper left", frameon=False, fontsize="small", ncols=3
+        *axes[0].get_legend_handles_labels(),
+        loc="outside upper left",
+        frameon=False,
+        fontsize="small",
+        ncols=3,
     )
-    axes[0, 0].set_title(title, loc="left", fontsize="medium")
-    axes[-1, 0].set_xlabel("time [s]")
+    caption(axes[0], title=title)
+    caption(axes[-1], "time [s]")
     return figure
 
 
 def plot_bode_cloud(cloud: BodeCloud, level: float = 0.95, title: str = "") -> Figure:
     """Every response thinly, the nominal one on top; below, magnitudes over the nominal one, with
     the band that holds ``level`` of them."""
-    figure, axes = new_figure(3, size=(8, 8), sharex=True)
-    magnitude, phase, relative = axes[:, 0]
+    figure, (magnitude, phase, relative) = panels(3, size=(8, 8))
     size = np.abs(cloud.nominal)
     for i, response in enumerate(cloud.responses):
         style: dict[str, Any] = {"color": COLOURS[0], "lw": 0.6, "alpha": 0.3}
-        label = f"{len(cloud.responses)} draws" if i == 0 else None
-        magnitude.loglog(cloud.frequency, np.abs(response), label=label, **style)
+        words = f"{len(cloud.responses)} draws" if i == 0 else None
+        magnitude.loglog(cloud.frequency, np.abs(response), label=words, **style)
         phase.semilogx(cloud.frequency, np.degrees(np.unwrap(np.angle(response))), **style)
         relative.semilogx(cloud.frequency, 100 * (np.abs(response) / size - 1), **style)
     low, high = (100 * (bound / size - 1) for bound in cloud.band(level))
@@ -86,13 +88,10 @@ def plot_bode_cloud(cloud: BodeCloud, level: float = 0.95, title: str = "") -> F
     angle = np.degrees(np.unwrap(np.angle(cloud.nominal)))
     phase.semilogx(cloud.frequency, angle, color=COLOURS[1], lw=1.4)
     relative.axhline(0.0, color=COLOURS[1], lw=1.4)
-    magnitude.set_ylabel(f"|{cloud.output} / {cloud.source}| (SI)")
-    magnitude.set_title(title, loc="left", fontsize="medium")
-    for ax in (magnitude, relative):
-        ax.legend(frameon=False, fontsize="small", loc="upper left")
-    phase.set_ylabel("phase [deg]")
-    relative.set_ylabel("magnitude over\nnominal, less 1 [%]")
-    relative.set_xlabel("frequency [Hz]")
+    gain = f"|{cloud.output} / {cloud.source}| (SI)"
+    caption(magnitude, y=gain, title=title, names="upper left")
+    caption(phase, y="phase [deg]")
+    caption(relative, "frequency [Hz]", "magnitude over\nnominal, less 1 [%]", names="upper left")
     return figure
 
 
@@ -105,30 +104,27 @@ def plot_loop(
 
     loops : {label: loop gain broken at the inputs}, as ``StateFeedback.loop``.
     """
-    figure, axes = new_figure(2, size=(8, 6), sharex=True)
-    upper, lower = axes[:, 0]
+    figure, (upper, lower) = panels(2, size=(8, 6))
     frequency = np.geomspace(*hertz, 600)
-    for label, loop in loops.items():
+    for name, loop in loops.items():
         response = frequency_response(loop, frequency)
         values = np.linalg.svd(np.eye(loop.ninputs) + response, compute_uv=False)
         gain = np.linalg.svd(response, compute_uv=False)[:, 0]
-        text = label
-        if found is not None and label in found:
-            text += f" (phase margins {', '.join(f'{p:.0f}' for p in found[label].phase)} deg)"
+        text = name
+        if found is not None and name in found:
+            text += f" (phase margins {', '.join(f'{p:.0f}' for p in found[name].phase)} deg)"
         upper.loglog(frequency, gain, label=text)
-        lower.loglog(frequency, 1 / values[:, -1], label=label)
-    upper.axhline(1.0, color="#999999", lw=0.8, ls=":")
-    upper.set_ylabel("largest gain of the loop L")
-    upper.legend(frameon=False, fontsize="small")
-    lower.axhline(1.0, color="#999999", lw=0.8, ls=":")
-    lower.set_ylabel("sensitivity of the inputs")
-    lower.set_xlabel("frequency [Hz]")
+        lower.loglog(frequency, 1 / values[:, -1], label=name)
+    for ax in (upper, lower):
+        ax.axhline(1.0, color="#999999", lw=0.8, ls=":")
+    caption(upper, y="largest gain of the loop L", names="best")
+    caption(lower, "frequency [Hz]", "sensitivity of the inputs")
     return figure
 
 
 def plot_stroke(strokes: Mapping[str, Stroke], title: str = "") -> Figure:
     """Reach, weakest direction, visibility and modes along the stroke, for labelled studies."""
-    panels: tuple[tuple[str, str], ...] = (
+    shown = (
         ("reach", "reach of the position\n[nominal]"),
         ("weakest", "reach in the weakest\ndirection [nominal]"),
         ("visible", "visibility of the\nleast visible [nominal]"),
@@ -137,16 +133,16 @@ def plot_stroke(strokes: Mapping[str, Stroke], title: str = "") -> Figure:
     )
     first = next(iter(strokes.values()))
     variable = first.points[0].plant.variable(first.name)
-    figure, axes = new_figure(len(panels), size=(8, 9.5), sharex=True)
-    for ax, (attribute, label) in zip(axes[:, 0], panels, strict=True):
+    figure, axes = panels(len(shown), size=(8, 9.5))
+    for ax, (attribute, words) in zip(axes, shown, strict=True):
         for name, stroke in strokes.items():
             values = getattr(stroke, attribute)
             ax.plot(stroke.values / variable.display_factor, values, label=name)
-        ax.set_ylabel(label, fontsize="small")
+        ax.set_ylabel(words, fontsize="small")
         ax.set_ylim(bottom=0.0)
-    axes[0, 0].set_title(title, loc="left", fontsize="medium")
-    axes[0, 0].legend(frameon=False, fontsize="small", ncols=3)
-    axes[-1, 0].set_xlabel(variable.label)
+    caption(axes[0], title=title)
+    axes[0].legend(frameon=False, fontsize="small", ncols=3)
+    caption(axes[-1], variable.label)
     return figure
 
 
@@ -154,14 +150,11 @@ def plot_mode_map(found: ModeMap, title: str = "") -> Figure:
     """Contours of natural frequency and damping ratio over the two axes;
     blank without equilibrium.
     """
-    figure, axes = new_figure(1, 2, size=(11, 4.6))
+    figure, axes = panels(1, 2, size=(11, 4.6), sharex=False)
     (outer, rows), (inner, columns) = found.axes.items()
     x, y = found.plant.variable(outer), found.plant.variable(inner)
-    panels = (
-        (axes[0, 0], found.frequency, "natural frequency [Hz]"),
-        (axes[0, 1], found.damping, "damping ratio"),
-    )
-    for ax, values, label in panels:
+    maps = (found.frequency, "natural frequency [Hz]"), (found.damping, "damping ratio")
+    for ax, (values, words) in zip(axes, maps, strict=True):
         shown = np.ma.masked_invalid(values.T)
         places = rows / x.display_factor, columns / y.display_factor, shown
         shading: Any = "gouraud" if not shown.mask.any() else "nearest"
@@ -169,11 +162,10 @@ def plot_mode_map(found: ModeMap, title: str = "") -> Figure:
         if shown.count() and float(np.ptp(shown.compressed())) > 1e-6 * float(np.abs(shown).max()):
             lines = ax.contour(*places, levels=8, colors="white", linewidths=0.8)
             ax.clabel(lines, fontsize=8, fmt="%.3g")
-        figure.colorbar(drawn, ax=ax, label=label)
-        ax.set_xlabel(x.label)
+        figure.colorbar(drawn, ax=ax, label=words)
+        caption(ax, x.label)
         ax.grid(False)
-    axes[0, 0].set_ylabel(y.label)
-    axes[0, 0].set_title(title, loc="left", fontsize="medium")
+    caption(axes[0], y=y.label, title=title)
     return figure
 
 
@@ -189,8 +181,8 @@ def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
     controls = [n for n in real.named("input") if not real.variable(n).disturbance]
     unknown = [] if loop.estimate is None else _unknowns(loop.estimate, real)
     rows = len(shown) + (wanted is not None) + 1 + len(unknown) + (loop.statistics is not None)
-    figure, axes = new_figure(rows, size=(8.5, 1.0 + 1.7 * rows))
-    free = iter(axes[:, 0])
+    figure, axes = panels(rows, size=(8.5, 1.0 + 1.7 * rows), sharex=False)
+    free = iter(axes)
     for name in shown:
         ax = next(free)
         draw(ax, real, name, COLOURS[0])
@@ -209,11 +201,11 @@ def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
             _draw_unknown(next(free), loop.estimate, real, name)
     if loop.statistics is not None:
         _draw_times(next(free), loop.statistics, loop.seen.t[:-1])
-    for ax in axes[:, 0]:
+    for ax in axes:
         ax.set_xlim(real.t[0], real.t[-1])
         name_beside(ax)
-    axes[0, 0].set_title(title, loc="left", fontsize="medium")
-    axes[-1, 0].set_xlabel("time [s]")
+    caption(axes[0], title=title)
+    caption(axes[-1], "time [s]")
     return figure
 
 
@@ -261,8 +253,8 @@ def _draw_times(ax: Axes, statistics: MpcStatistics, t: Array) -> None:
 
 def plot_durations(histograms: Mapping[str, tuple[Array, Array]]) -> Figure:
     """Histograms {what: (edges [s] (n + 1), counts (n))} of durations, both axes logarithmic."""
-    figure, axes = new_figure(1, len(histograms), size=(8.5, 3.2))
-    for ax, (what, (edges, counts)) in zip(axes[0], histograms.items(), strict=True):
+    figure, axes = panels(1, len(histograms), size=(8.5, 3.2), sharex=False)
+    for ax, (what, (edges, counts)) in zip(axes, histograms.items(), strict=True):
         micro = 1e6 * np.asarray(edges, dtype=float)
         micro[0] = max(micro[0], micro[1] / 2)
         if not np.isfinite(micro[-1]):

@@ -95,7 +95,9 @@ def save_crate(
     root |= {"hasPart": [{"@id": quote(name)} for name in files], "mentions": {"@id": "#run"}}
     if author is not None:
         root["author"] = {"@id": "#author"}
-    graph = [_descriptor(), root, *(_file(n, c) for n, c in files.items()), licensed]
+    about: Entity = {"conformsTo": {"@id": CRATE}, "about": {"@id": "./"}}
+    descriptor = {"@id": METADATA, "@type": "CreativeWork", **about}
+    graph = [descriptor, root, *(_file(n, c) for n, c in files.items()), licensed]
     graph += [] if author is None else [{"@id": "#author", "@type": "Person", "name": author}]
     graph += _run(given, [n for n in files if n not in given])
     words = {"@context": [f"{CRATE}/context", DIGEST], "@graph": graph}
@@ -115,11 +117,6 @@ def _write(thing: Any, stem: Path) -> None:
         thing.save(stem.with_suffix(".npz" if moves else ".json"))
     csv = stem.with_suffix(".csv")
     motion.save(csv) if moves else save_result(thing, csv)
-
-
-def _descriptor() -> Entity:
-    about = {"conformsTo": {"@id": CRATE}, "about": {"@id": "./"}}
-    return {"@id": METADATA, "@type": "CreativeWork", **about}
 
 
 def _file(name: str, content: bytes) -> Entity:

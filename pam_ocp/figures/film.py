@@ -1,10 +1,10 @@
-"""Plans as moving pictures: the plant drawn by its positions,
-muscles coloured by their pressure.
+"""Moving pictures: plans, the plant drawn by its positions; limbs in space, muscles along their
+paths. Muscles are coloured by pressure or force.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -12,15 +12,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import require_instance, with_kinds
+from ..core.errors import UnknownNameError, require_instance, with_kinds
 from ..core.files import require_place
 from ..core.interrupts import interruptible
 from ..planning.result import Plan
 from ..plants.hanging import hanging_sketch
+from ..plants.limbs import Limb
 from ..plants.sketch import Disc, Mark, Point, Sketch, Spindle
-from .canvas import colour_scale, new_figure
+from .canvas import colour_scale, film_of, new_figure, save_film
 from .plan import GREY, colours_of, panels_of
-from .saved import film_of, save_film
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,7 +75,7 @@ def animate_plan(
 
 def _film(plan: Plan, motion: Trajectory, length: float) -> tuple[Figure, list[Frame]]:
     """The figure, and what draws its parts at a frame."""
-    scene = _scene(plan, motion)
+    scene = sketch_of(plan.plant)
     panels = list(panels_of(plan).items())[: CURVES if scene else 6]
     rows = len(panels)
     figure, axes = new_figure(
@@ -88,7 +88,7 @@ def _film(plan: Plan, motion: Trajectory, length: float) -> tuple[Figure, list[F
         for ax in axes[:, 0]:
             ax.remove()
         stage = figure.add_subplot(grid[:, 0])
-        drawn.append(scene(stage))
+        drawn.append(_drawn(stage, plan, motion, scene))
     for ax, (unit, names) in zip(axes[:, -1], panels, strict=True):
         drawn.append(_curves(ax, motion, unit, names))
     axes[-1, -1].set_xlabel("time [s]")
@@ -146,14 +146,10 @@ STYLES: dict[str, dict[str, Any]] = {
 """How the shapes of a plant's sketch are drawn; those with one colour are lines."""
 
 
-def _scene(plan: Plan, motion: Trajectory) -> Callable[[Axes], Frame] | None:
-    """Who draws the plant; None for one that says nothing of how it looks."""
-    sketch = sketch_of(plan.plant)
-    return None if sketch is None else lambda ax: _drawn(ax, plan, motion, sketch)
-
-
 def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
-    """The sketch on its stage; what moves its shapes."""
+    """The sketch on its stage, with a bar of colours up to the largest pressure; what moves its
+    shapes.
+    """
     from matplotlib import colormaps
 
     plant, colours = plan.plant, colormaps["YlOrRd"]
@@ -161,7 +157,10 @@ def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
     places = Places(plant, x, u)
     shapes = list(shapes_along(plant, sketch, places))
     largest = max([1e4, *(float(p.max()) for _, _, p in shapes if p is not None)])
-    _stage(ax, largest)
+    ax.set_aspect("equal")
+    ax.axis("off")
+    place = {"location": "bottom", "fraction": 0.05, "pad": 0.02, "aspect": 30}
+    colour_scale(ax, (0.0, largest / 1e5), "pressure [bar gauge]", "YlOrRd", **place)
     moved: list[tuple[Any, bool, Array, Array | None]] = []
     for style, points, pressure in shapes:
         line = "color" in STYLES[style]
@@ -208,14 +207,6 @@ def _marked(ax: Axes, plan: Plan, mark: Mark, places: Places) -> None:
                 fontsize="small",
                 color="#555555",
             )
-
-
-def _stage(ax: Axes, largest: float) -> None:
-    """An empty stage with a bar of colours up to the largest pressure [Pa]."""
-    ax.set_aspect("equal")
-    ax.axis("off")
-    place = {"location": "bottom", "fraction": 0.05, "pad": 0.02, "aspect": 30}
-    colour_scale(ax, (0.0, largest / 1e5), "pressure [bar gauge]", "YlOrRd", **place)
 
 
 def _stop_values(plan: Plan, name: str) -> list[float]:
@@ -343,3 +334,99 @@ def _frames(points: Array) -> dict[str, Any]:
     still = bool(np.all(np.ptp(points, axis=0) < 1e-9))
     shown = points[:1] if still else points
     return {"frames": (1e3 * shown).round(2).tolist()}
+
+
+# ---- limbs in space: bones grey, muscles along their paths ---------------------------------------
+COLOURED = {"force": (1.0, "force [N]"), "pressure": (1e-5, "pressure [bar]")}
+
+
+@with_kinds
+@interruptible()
+def plot_limb(
+    limb: Limb,
+    values: Mapping[str, float] | None = None,
+    *,
+    colour: str = "force",
+    view: tuple[float, float] = (15.0, -60.0),
+) -> Figure:
+    """The limb in space at states and inputs, by default the start values.
+
+    values : {name: value}, or an operating point. colour : of the muscles, "force" or "pressure".
+    view : elevation and azimuth [degrees].
+
+    Examples
+    --------
+    >>> arm.plot({"elbow": 0.5}).savefig("arm.png")  # doctest: +SKIP
+    """
+    placed: Any = limb if values is None else limb.with_values(values)
+    x, u = (placed.vector(kind)[:, None] for kind in ("state", "input"))
+    figure: Figure = _posed(placed, x, u, colour, view)[0]
+    return figure
+
+
+@with_kinds
+@interruptible()
+def animate_limb(
+    limb: Limb,
+    motion: Trajectory,
+    path: str | Path,
+    *,
+    colour: str = "force",
+    view: tuple[float, float] = (15.0, -60.0),
+    seconds: float = 4.0,
+    fps: int = 15,
+) -> Path:
+    """Write a motion of the limb as an animated GIF of ``seconds``; returns the path.
+
+    Examples
+    --------
+    >>> arm.animate(motion, "arm.gif", colour="pressure")  # doctest: +SKIP
+    """
+    target, count = film_of(path, seconds, fps)
+    shown = motion.at(np.linspace(motion.t[0], motion.t[-1], count))
+    x, u = (
+        np.array([shown[v.name] for v in part]).reshape(len(part), -1)
+        for part in (limb.states, limb.inputs)
+    )
+    figure, draw = _posed(limb, x, u, colour, view)
+    return save_film(figure, draw, count, target, fps)
+
+
+def _posed(limb: Limb, x: Array, u: Array, colour: str, view: tuple[float, float]) -> Any:
+    """(figure, what draws a moment into it)."""
+    if colour not in COLOURED:
+        raise UnknownNameError("colour", colour, COLOURED)
+    from .picture import Picture
+
+    factor, label = COLOURED[colour]
+    shown = [limb.expression(f"{m.name}.{colour}") for m in limb.muscles]
+    function = ca.Function("shown", [limb.x, limb.u, limb.p], [ca.densify(ca.vertcat(*shown))])
+    values = factor * np.array(
+        function(x, u, np.tile(limb.vector("parameter")[:, None], x.shape[1]))
+    )
+    paths, bones = limb.drawing(x)
+    figure = Picture(figsize=(6.4, 6.4), layout="constrained")
+    axes: Any = figure.add_subplot(projection="3d")
+    ends = 0.0, max(float(values.max()), 1e-9)
+    scale = colour_scale(axes, ends, label, "plasma_r", shrink=0.6, pad=0.1)
+    skeleton = [axes.plot([], [], [], "-o", color="#999999", lw=5, ms=7)[0] for _ in bones[::2]]
+    cords = [axes.plot([], [], [], lw=2.5, solid_capstyle="round")[0] for _ in paths]
+    everything = np.concatenate([*paths, bones]).transpose(1, 0, 2).reshape(3, -1)
+    low, high = everything.min(axis=1), everything.max(axis=1)
+    half = 0.5 * float((high - low).max()) + 0.02
+    for setter, middle in zip("xyz", (low + high) / 2, strict=True):
+        getattr(axes, f"set_{setter}lim")(middle - half, middle + half)
+        getattr(axes, f"set_{setter}label")(f"{setter} [m]")
+    axes.set_box_aspect((1, 1, 1))
+    axes.view_init(*view)
+
+    def draw(k: int) -> list[Any]:
+        for i, line in enumerate(skeleton):
+            line.set_data_3d(*bones[2 * i : 2 * i + 2, :, k].T)
+        for line, points, row in zip(cords, paths, values, strict=True):
+            line.set_data_3d(*points[:, :, k].T)
+            line.set_color(scale.to_rgba(row[k]))
+        return []
+
+    draw(0)
+    return figure, draw

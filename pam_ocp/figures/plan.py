@@ -16,7 +16,7 @@ from ..core.stop import turns
 from ..core.units import significant
 from ..core.variables import Variable
 from ..planning.result import Plan
-from .canvas import COLOURS, axis_label, legible, name_beside, new_figure, over_time
+from .canvas import COLOURS, axis_label, caption, legible, name_beside, over_time, panels
 from .paper import paper_width
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def panels_of(plan: Plan) -> dict[str, list[str]]:
     asked = {n for stop in stops for n in stop}
     if plan._problem:
         asked |= {c.label for leg in plan._problem.legs for c in leg.path}
-    panels: dict[str, list[str]] = {}
+    found: dict[str, list[str]] = {}
     for v in motion.variables:
         shown = v.causality != "output" or v.unit in _EFFORTS or v.name in asked
         if (
@@ -65,8 +65,8 @@ def panels_of(plan: Plan) -> dict[str, list[str]]:
             and not v.name.endswith(".contraction")
             and not _COPY.search(v.name)
         ):
-            panels.setdefault(v.display_unit, []).append(v.name)
-    return panels
+            found.setdefault(v.display_unit, []).append(v.name)
+    return found
 
 
 def plot_plan(plan: Plan) -> Figure:
@@ -78,25 +78,21 @@ def plot_plan(plan: Plan) -> Figure:
     """
     from ..planning.active import limits_along
 
-    panels = [part for names in panels_of(plan).values() for part in legible(names)]
+    parts = [part for names in panels_of(plan).values() for part in legible(names)]
     limits = limits_along(plan)
     touched = _touched(limits)
     chart = 0.45 + (0.17 if paper_width() is None else 0.3) * len(touched) if touched else 0.0
-    figure, axes = over_time(len(panels), chart)
-    for ax, names in zip(axes, panels, strict=False):
+    figure, axes = over_time(len(parts), chart)
+    for ax, names in zip(axes, parts, strict=False):
         _panel(ax, plan, names, limits)
-        ax.set_ylabel(axis_label(*map(plan.trajectory.variable, names)))
+        caption(ax, y=axis_label(*map(plan.trajectory.variable, names)))
     if touched:
         _chart(axes[-1], touched, plan.duration)
     for ax in axes:
         _phases(ax, plan)
-    axes[0].set_title(
-        ("" if plan.verified else "NOT VERIFIED: ")
-        + f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error {plan.replay_error:.1e} "
-        "scaled by nominal values",
-        loc="left",
-        fontsize="medium",
-    )
+    words = "" if plan.verified else "NOT VERIFIED: "
+    words += f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error "
+    caption(axes[0], title=f"{words}{plan.replay_error:.1e} scaled by nominal values")
     axes[-1].set_xlim(0.0, plan.duration)
     return figure
 
@@ -237,8 +233,8 @@ def plot_costates(plan: Plan) -> Figure:
     for v in plan.plant.states:
         if not _COPY.search(v.name):
             groups.setdefault(v.display_unit, []).append(v)
-    figure, axes = new_figure(len(groups), size=(9, 1.0 + 1.7 * len(groups)), sharex=True)
-    for ax, (unit, variables) in zip(axes[:, 0], groups.items(), strict=True):
+    figure, axes = panels(len(groups), size=(9, 1.0 + 1.7 * len(groups)))
+    for ax, (unit, variables) in zip(axes, groups.items(), strict=True):
         colours = colours_of([v.name for v in variables])
         for v in variables:
             values = costates[v.name] * v.display_factor
@@ -247,13 +243,10 @@ def plot_costates(plan: Plan) -> Figure:
         ax.set_ylabel("per unit" if unit == "1" else f"objective\nper {unit}")
         name_beside(ax)
         _phases(ax, plan)
-    axes[0, 0].set_title(
-        f"{plan.plant.name}: costates, objective {significant(plan.objective)}",
-        loc="left",
-        fontsize="medium",
-    )
-    axes[-1, 0].set_xlabel("time [s]")
-    axes[-1, 0].set_xlim(0.0, plan.duration)
+    title = f"{plan.plant.name}: costates, objective {significant(plan.objective)}"
+    caption(axes[0], title=title)
+    caption(axes[-1], "time [s]")
+    axes[-1].set_xlim(0.0, plan.duration)
     return figure
 
 
@@ -261,8 +254,7 @@ def plot_pareto(front: Pareto) -> Figure:
     """The second objective over the first, with the knee;
     plans that are not verified crossed out.
     """
-    figure, axes = new_figure(1, size=(6.5, 4.5))
-    ax = axes[0, 0]
+    figure, (ax,) = panels(1, size=(6.5, 4.5))
     x, y = (
         front.values[:, i] / v.display_factor for i, v in enumerate((front.first, front.second))
     )
@@ -276,9 +268,8 @@ def plot_pareto(front: Pareto) -> Figure:
         ax.legend(frameon=False)
     if y.min() > 0 and y.max() > 30 * y.min():
         ax.set_yscale("log")
-    ax.set_xlabel(front.first.label)
-    ax.set_ylabel(front.second.label)
-    ax.set_title(f"{front.plans[0].plant.name}: {len(front)} plans", loc="left", fontsize="medium")
+    title = f"{front.plans[0].plant.name}: {len(front)} plans"
+    caption(ax, front.first.label, front.second.label, title=title)
     return figure
 
 
@@ -289,8 +280,9 @@ def plot_robust(robust: RobustPlan) -> Figure:
         ("nominal plan", robust.nominal_members, robust.nominal_unseen),
         ("robust plan", robust.members, robust.unseen),
     )
-    figure, axes = new_figure(len(widths), 2, size=(10, 1.0 + 2.6 * len(widths)), sharex=False)
-    for row, name in zip(axes, widths, strict=True):
+    figure, axes = panels(len(widths), 2, size=(10, 1.0 + 2.6 * len(widths)), sharex=False)
+    for i, name in enumerate(widths):
+        row = axes[2 * i : 2 * i + 2]
         variable = robust.members.plant.variable(name)
         factor = variable.display_factor
         top = 0.0
@@ -306,17 +298,17 @@ def plot_robust(robust: RobustPlan) -> Figure:
                     bar: dict[str, Any] = {"color": COLOURS[1], "lw": 4, "alpha": 0.8, "zorder": 5}
                     ax.plot([t[at]] * 2, ends, **bar, solid_capstyle="butt", clip_on=False)
             worst = variable.shown(spread.worst(name), 3)
-            ax.set_title(f"{title}: {worst} at the stops", loc="left", fontsize="medium")
+            caption(ax, title=f"{title}: {worst} at the stops")
         for ax in row:
             ax.set_ylim(-1.05 * top, 1.05 * top)
             ax.axhline(0.0, color=GREY, lw=0.8)
         row[0].set_ylabel(f"{name} - nominal [{variable.display_unit}]")
-    ax = axes[0, 1]
+    ax = axes[1]
     ax.plot([], [], color=COLOURS[0], label=f"{len(robust.members.draws)} plants planned for")
     if robust.unseen:
         ax.plot([], [], color=GREY, label=f"{len(robust.unseen.draws)} unseen plants")
     ax.plot([], [], color=COLOURS[1], lw=4, label="allowed at the stop")
-    ax.legend(frameon=False, fontsize="small")
-    for ax in axes[-1]:
-        ax.set_xlabel("time [s]")
+    caption(ax, names="best")
+    for ax in axes[-2:]:
+        caption(ax, "time [s]")
     return figure

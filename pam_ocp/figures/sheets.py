@@ -15,7 +15,7 @@ import numpy as np
 from ..core.shown import shown
 from ..core.units import significant
 from ..operating.operating_point import pole_texts
-from .saved import drawn
+from .canvas import drawn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,13 +105,10 @@ class Sheet:
         if self.text:
             parts.append(f'<pre style="line-height:1.25">{escape(self.text)}</pre>')
         if self.picture is not None and dpi:
-            parts.append(_embedded(self.picture, dpi))
+            data = base64.b64encode(drawn(self.picture(), "png", dpi)).decode("ascii")
+            source = f"data:image/png;base64,{data}"
+            parts.append(f'<img alt="plot" style="max-width:100%" src="{source}"/>')
         return f'<div class="pam_ocp">{"".join(parts)}</div>'
-
-
-def _embedded(picture: Callable[[], Figure], dpi: int) -> str:
-    data = base64.b64encode(drawn(picture(), "png", dpi)).decode("ascii")
-    return f'<img alt="plot" style="max-width:100%" src="data:image/png;base64,{data}"/>'
 
 
 # ---- of each class ------------------------------------------------------------------------------

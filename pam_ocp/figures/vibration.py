@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
-from ..core.variables import Variable
 from ..numerics.newton import Array
 from ..plants.plant import Plant
-from .canvas import COLOURS, colour_scale, new_figure
+from .canvas import COLOURS, caption, colour_scale, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,8 +48,7 @@ def plot_phase(
             f"state: {position.name} has no velocity among the states; name a position"
         )
     velocity = plant.variable(rate)
-    figure, axes = new_figure(1, size=(6.4, 5.2))
-    ax = axes[0, 0]
+    figure, (ax,) = panels(1, size=(6.4, 5.2))
     if values is None:
         colours: list[Any] = [COLOURS[i % len(COLOURS)] for i in range(len(trajectories))]
     else:
@@ -64,10 +62,7 @@ def plot_phase(
             lw=1.1,
             label=labels[i] if i < len(labels) else None,
         )
-    if labels:
-        ax.legend(frameon=False, fontsize="small", loc="upper right")
-    ax.set_xlabel(position.label)
-    ax.set_ylabel(velocity.label)
+    caption(ax, position.label, velocity.label, names="upper right" if labels else "")
     return figure
 
 
@@ -77,8 +72,7 @@ def plot_envelope(motion: FreeVibration) -> Figure:
     """
     variable = motion.point.plant.variable(motion.state)
     factor = variable.display_factor
-    figure, axes = new_figure(2, size=(8, 5.5), sharex=True)
-    upper, lower = axes[:, 0]
+    figure, (upper, lower) = panels(2, size=(8, 5.5))
     t = motion.trajectory.t
     upper.plot(
         t, (motion.trajectory[motion.state] - motion.rest) / factor, color=COLOURS[0], lw=1.2
@@ -89,13 +83,11 @@ def plot_envelope(motion: FreeVibration) -> Figure:
         style: dict[str, Any] = {"color": COLOURS[1], "ms": 3, "lw": 1.0}
         style["label"] = "envelope" if above else None
         upper.plot(times[side], deviations[side] / factor, "o--", **style)
-    upper.set_ylabel(f"{variable.name} - rest [{variable.display_unit}]")
-    upper.legend(frameon=False, fontsize="small", loc="upper right")
+    caption(upper, y=f"{variable.name} - rest [{variable.display_unit}]", names="upper right")
     middles = (motion.crossings[:-1] + motion.crossings[1:]) / 2
     lower.plot(middles, motion.frequencies, "o-", color=COLOURS[0], ms=3, lw=1.0)
     _readable(lower, motion.frequencies)
-    lower.set_ylabel("frequency [Hz]")
-    lower.set_xlabel("time [s]")
+    caption(lower, "time [s]", "frequency [Hz]")
     return figure
 
 
@@ -109,35 +101,29 @@ def _readable(ax: Axes, values: Array) -> None:
 
 def plot_backbone(curves: Mapping[str, Backbone]) -> Figure:
     """Frequency over amplitude, one line for each named backbone."""
-    figure, axes = new_figure(1, size=(7, 4.2))
-    ax = axes[0, 0]
+    figure, (ax,) = panels(1, size=(7, 4.2))
     for name, curve in curves.items():
         variable = curve.point.plant.variable(curve.state)
         order = np.argsort(curve.amplitudes)
         amplitudes = curve.amplitudes[order] / variable.display_factor
         ax.plot(amplitudes, curve.frequencies[order], "o-", ms=3.5, lw=1.3, label=name or None)
-        ax.set_xlabel(f"amplitude of {variable.name} [{variable.display_unit}]")
-    if any(curves):
-        ax.legend(frameon=False, fontsize="small")
+        caption(ax, f"amplitude of {variable.name} [{variable.display_unit}]")
+    caption(ax, y="frequency [Hz]", names="best" if any(curves) else "")
     ax.ticklabel_format(axis="y", useOffset=False)
-    ax.set_ylabel("frequency [Hz]")
     return figure
 
 
 def plot_energy(energy: Energy) -> Figure:
     """Energies over time; below, the power that the resistance takes."""
-    figure, axes = new_figure(2, size=(8, 5.5), sharex=True)
-    upper, lower = axes[:, 0]
+    figure, (upper, lower) = panels(2, size=(8, 5.5))
     # the zero of the potential is arbitrary: here its smallest value
     shift = energy.potential.min()
     upper.plot(energy.t, energy.kinetic, color=COLOURS[0], lw=1.0, label="kinetic")
     upper.plot(energy.t, energy.potential - shift, color=COLOURS[2], lw=1.0, label="potential")
     upper.plot(energy.t, energy.total - shift, color=COLOURS[1], lw=1.8, label="total")
-    upper.set_ylabel("energy [J]")
-    upper.legend(frameon=False, fontsize="small", loc="upper right")
     lower.plot(energy.t, energy.rate, color=COLOURS[1], lw=1.2)
-    lower.set_ylabel("dE/dt [W]")
-    lower.set_xlabel("time [s]")
+    caption(upper, y="energy [J]", names="upper right")
+    caption(lower, "time [s]", "dE/dt [W]")
     return figure
 
 
@@ -145,18 +131,15 @@ def plot_stability(path: StabilityPath) -> Figure:
     """Eigenvalues in the complex plane along the path, and the growth rate over the parameter."""
     variable = path.plant.variable(path.parameter)
     values = path.values / variable.display_factor
-    figure, axes = new_figure(1, 2, size=(10, 4.4))
-    plane, growth = axes[0]
+    figure, (plane, growth) = panels(1, 2, size=(10, 4.4), sharex=False)
     scale = colour_scale(plane, (values.min(), values.max()), variable.label)
     for column in path.eigenvalues.T:
         plane.scatter(column.real, column.imag, c=scale.to_rgba(values), s=12)
     plane.axvline(0.0, color="#555555", lw=0.8)
-    plane.set_xlabel("real part [1/s]")
-    plane.set_ylabel("imaginary part [rad/s]")
     growth.plot(values, path.growth, color=COLOURS[0], lw=1.5)
     growth.axhline(0.0, color="#555555", lw=0.8)
-    growth.set_xlabel(variable.label)
-    growth.set_ylabel("largest real part [1/s]")
+    caption(plane, "real part [1/s]", "imaginary part [rad/s]")
+    caption(growth, variable.label, "largest real part [1/s]")
     return figure
 
 
@@ -164,8 +147,7 @@ def plot_border(border: HopfBorder) -> Figure:
     """The border over the two parameters, coloured by what is born there; frequency below."""
     point = next(p for p in border.points if p is not None)
     first, second = (point.plant.variable(n) for n in (border.parameter, border.over))
-    figure, axes = new_figure(2, size=(7.5, 6.5), sharex=True)
-    upper, lower = axes[:, 0]
+    figure, (upper, lower) = panels(2, size=(7.5, 6.5))
     x = border.values / second.display_factor
     y = border.border / first.display_factor
     upper.plot(x, y, color="#555555", lw=1.0)
@@ -180,11 +162,9 @@ def plot_border(border: HopfBorder) -> Figure:
         x, y, top if up else 0.0, color=COLOURS[1], alpha=0.08, lw=0, label="rest is unstable"
     )
     upper.set_ylim(0.0 if np.nanmin(y) > 0 else None, top)
-    upper.set_ylabel(first.label)
-    upper.legend(frameon=False, fontsize="small")
     lower.plot(x, border.frequencies, "o-", color=COLOURS[2], ms=3.5, lw=1.0)
-    lower.set_ylabel("frequency [Hz]")
-    lower.set_xlabel(second.label)
+    caption(upper, y=first.label, names="best")
+    caption(lower, second.label, "frequency [Hz]")
     if np.nanmin(x) > 0 and np.nanmax(x) > 20 * np.nanmin(x):
         lower.set_xscale("log")
     return figure
@@ -192,8 +172,7 @@ def plot_border(border: HopfBorder) -> Figure:
 
 def plot_multipliers(cycle: LimitCycle) -> Figure:
     """Floquet multipliers in the complex plane, with the unit circle."""
-    figure, axes = new_figure(1, size=(5, 5))
-    ax = axes[0, 0]
+    figure, (ax,) = panels(1, size=(5, 5))
     angle = np.linspace(0, 2 * np.pi, 200)
     ax.plot(np.cos(angle), np.sin(angle), color="#888888", lw=1.0)
     first, *others = cycle.multipliers
@@ -202,9 +181,7 @@ def plot_multipliers(cycle: LimitCycle) -> Figure:
         np.real(others), np.imag(others), "x", color=COLOURS[1], ms=8, mew=2, label="the others"
     )
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("real part")
-    ax.set_ylabel("imaginary part")
-    ax.legend(frameon=False, fontsize="small", loc="upper left")
+    caption(ax, "real part", "imaginary part", names="upper left")
     return figure
 
 
@@ -212,15 +189,14 @@ def plot_branch(branch: CycleBranch, state: str) -> Figure:
     """Amplitude and frequency over the parameter; stable parts solid, unstable ones dashed."""
     plant = branch.cycles[0].plant
     variable, swings = plant.variable(branch.parameter), plant.variable(state)
-    figure, axes = new_figure(2, size=(7.5, 6.5), sharex=True)
+    figure, (upper, lower) = panels(2, size=(7.5, 6.5))
     x = branch.values / variable.display_factor
     rows = (branch.amplitudes(state) / swings.display_factor, 1 / branch.periods)
-    for ax, y in zip(axes[:, 0], rows, strict=True):
+    for ax, y in zip((upper, lower), rows, strict=True):
         _by_stability(ax, x, y, branch.stable)
-    axes[0, 0].set_ylabel(f"amplitude of {swings.name} [{swings.display_unit}]")
-    axes[0, 0].legend(frameon=False, fontsize="small")
-    axes[1, 0].set_ylabel("frequency [Hz]")
-    axes[1, 0].set_xlabel(_spelt(variable))
+    caption(upper, y=f"amplitude of {swings.name} [{swings.display_unit}]", names="best")
+    words = f": {variable.description}" if variable.description else ""
+    caption(lower, f"{variable.label}{words}", "frequency [Hz]")
     return figure
 
 
@@ -234,17 +210,12 @@ def _by_stability(ax: Axes, x: Array, y: Array, stable: NDArray[np.bool_]) -> No
             ax.plot(x[chosen], y[chosen], "o", color=COLOURS[not wanted], ms=3.5, label=name)
 
 
-def _spelt(variable: Variable) -> str:
-    return f"{variable.label}: {variable.description}" if variable.description else variable.label
-
-
 # ---- maps over two values ------------------------------------------------------------------------
 def plot_hopf_map(found: HopfMap) -> Figure:
     """The border and its frequency as maps; crosses where vibration begins with a jump."""
     plant = next(p for row in found.points for p in row if p is not None).plant
     parameter = plant.variable(found.parameter)
-    figure, axes = new_figure(1, 2, size=(10.5, 4.2))
-    left, right = axes[0]
+    figure, (left, right) = panels(1, 2, size=(10.5, 4.2), sharex=False)
     border = found.border / parameter.display_factor
     _field(left, plant, found.axes, border, f"border: {parameter.label}")
     _field(right, plant, found.axes, found.frequencies, "frequency at the border [Hz]")
@@ -256,8 +227,7 @@ def plot_hopf_map(found: HopfMap) -> Figure:
 def plot_amplitude_map(found: AmplitudeMap) -> Figure:
     """Amplitude and frequency as maps, with the border of stability of the rest."""
     variable = found.plant.variable(found.state)
-    figure, axes = new_figure(1, 2, size=(10.5, 4.2))
-    left, right = axes[0]
+    figure, (left, right) = panels(1, 2, size=(10.5, 4.2), sharex=False)
     swing = found.amplitude / variable.display_factor
     _field(left, found.plant, found.axes, swing, f"amplitude of {variable.label}")
     _field(right, found.plant, found.axes, found.frequency, "frequency [Hz]")
@@ -279,16 +249,14 @@ def _scaled(plant: Plant, axes: Mapping[str, Array]) -> tuple[Array, Array]:
     return np.asarray(first), np.asarray(second)
 
 
-def _field(ax: Axes, plant: Plant, axes: Mapping[str, Array], values: Array, label: str) -> None:
+def _field(ax: Axes, plant: Plant, axes: Mapping[str, Array], values: Array, words: str) -> None:
     """Values (n, m) as colours of cells around the points; unknown ones hatched."""
     x, y = _scaled(plant, axes)
     ax.set_facecolor("#eeeeee")
     mesh = ax.pcolormesh(x, y, np.ma.masked_invalid(values.T), shading="nearest", cmap="cividis")
-    ax.figure.colorbar(mesh, ax=ax, label=label)
+    ax.figure.colorbar(mesh, ax=ax, label=words)
     ax.grid(False)
-    names: list[Variable] = [plant.variable(n) for n in axes]
-    ax.set_xlabel(names[0].label)
-    ax.set_ylabel(names[1].label)
+    caption(ax, *(plant.variable(n).label for n in axes))
 
 
 def _marks(

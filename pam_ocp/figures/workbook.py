@@ -281,17 +281,14 @@ def _motion(book: Book, motion: Trajectory) -> None:
 def _variables(book: Book, variables: Any) -> None:
     page = book.sheet("Variables")
     head = ("name", "kind", "unit (SI)", "unit here", "lowest", "highest", "description")
-    rows = [
-        (v.name, v.causality, v.unit, v.display_unit, *_ends(v), v.description) for v in variables
-    ]
+    rows = []
+    for v in variables:
+        ends = (end / v.display_factor for end in (v.min, v.max))
+        rows.append((v.name, v.causality, v.unit, v.display_unit, *ends, v.description))
     book.table(page, 0, head, rows)
     page.set_column(0, 0, 26)
     page.set_column(1, 5, 12)
     page.set_column(6, 6, 60)
-
-
-def _ends(variable: Variable) -> tuple[float, float]:
-    return variable.min / variable.display_factor, variable.max / variable.display_factor
 
 
 def _record(

@@ -348,11 +348,11 @@ class Limb(Plant):
         return courtesy.static_optimisation(self, *motion, **more)
 
     def plot(self, values: Mapping[str, float] | None = None, **options: Any) -> Figure:
-        """The limb in space; see :func:`pam_ocp.figures.limb.plot_limb`."""
+        """The limb in space; see :func:`pam_ocp.figures.film.plot_limb`."""
         return courtesy.plot_limb(self, values, **options)
 
     def animate(self, motion: Trajectory, path: str | Path, **options: Any) -> Path:
-        """A film (GIF) of a motion; see :func:`pam_ocp.figures.limb.animate_limb`."""
+        """A film (GIF) of a motion; see :func:`pam_ocp.figures.film.animate_limb`."""
         return courtesy.animate_limb(self, motion, path, **options)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 # Names of pam_ocp.rig, loaded at their first use.
 from .channels import Command as Command
 from .channels import Reading as Reading
-from .clock import RealClock as RealClock
-from .clock import SimulatedClock as SimulatedClock
+from .channels import RealClock as RealClock
+from .channels import SimulatedClock as SimulatedClock
 from .drift import Alarm as Alarm
 from .drift import Monitor as Monitor
 from .drivers.driver import Driver as Driver
@@ -10,7 +10,7 @@ from .drivers.driver import DriverError as DriverError
 from .guard import Guard as Guard
 from .guard import RigError as RigError
 from .homing import Homing as Homing
-from .identification import Identified as Identified
+from .learning import Identified as Identified
 from .learning import Learned as Learned
 from .real_time import Histogram as Histogram
 from .real_time import RealTimeError as RealTimeError

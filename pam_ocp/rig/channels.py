@@ -1,4 +1,5 @@
-"""Channels: what is read of a rig and what is sent to it, with units, calibration and limits.
+"""Channels: what is read of a rig and what is sent to it, with units, calibration and limits; and
+clocks: time of this host, or simulated, which passes only while somebody waits.
 
 A driver hands over raw numbers by the names of the channels (counts, volts, bar, ...); a channel
 says once what they mean.
@@ -7,9 +8,10 @@ says once what they mean.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -70,11 +72,9 @@ class Channel:
             raise InputError(f"{self.name}: low = {self.low:g} must lie below high = {self.high:g}")
         if not self.rate > 0:
             raise InputError(f"{self.name}: rate = {self.rate:g} must be > 0, or left out")
-        object.__setattr__(self, "_scale", self._found_scale())
-
-    def _found_scale(self) -> Scale:
-        where = f"scale of {self.name}"
-        return scale_of(where, self.scale or self.unit, unit(self.unit), None, AMBIENT)
+        said, where = self.scale or self.unit, f"scale of {self.name}"
+        scale = scale_of(where, said, unit(self.unit), None, AMBIENT)
+        object.__setattr__(self, "_scale", scale)
 
     def of(self: Kind, variable: Variable | None) -> Kind:
         """The same with what the plant's variable says of it. Raises InputError without a unit."""
@@ -117,9 +117,6 @@ class Channel:
         """As a variable of the rig."""
         if plant is not None and self.name in {v.name for v in plant.variables}:
             return plant.variable(self.name)
-        return self._variable()
-
-    def _variable(self) -> Variable:
         ends = [abs(e) for e in (self.low, self.high) if math.isfinite(e) and e]
         causality: Any = "input" if isinstance(self, Command) else "output"
         bounds: dict[str, Any] = {"min": self.low, "max": self.high} if causality == "input" else {}
@@ -243,7 +240,10 @@ def channels_of(
                     f"{kind.kind} {name} = {said!r}: give a table, as {{ unit = 'm' }}"
                 )
             known_keys(f"{kind.kind} {name}", said, keys)
-            made.append(kind(name, **_texts_first(kind, name, said)))
+            for key in ("unit", "scale", "format", "slope_of", "follows"):
+                if key in said and not isinstance(said[key], str):
+                    raise InputError(f"{kind.kind} {name}.{key} = {said[key]!r}: give a text")
+            made.append(kind(name, **said))
     else:
         made = list(given)
     known = {} if plant is None else {v.name: v for v in plant.variables}
@@ -261,13 +261,6 @@ def channels_of(
     return found
 
 
-def _texts_first(kind: type[Channel], name: str, said: Mapping[str, Any]) -> dict[str, Any]:
-    for key in ("unit", "scale", "format", "slope_of", "follows"):
-        if key in said and not isinstance(said[key], str):
-            raise InputError(f"{kind.kind} {name}.{key} = {said[key]!r}: give a text")
-    return dict(said)
-
-
 def usual_channels(plant: Plant) -> tuple[dict[str, Reading], dict[str, Command]]:
     """What a rig of this plant usually has: positions and pressures are read, controls are sent."""
     pressures = [v.name for v in plant.states if v.name.endswith(".pressure")]
@@ -282,3 +275,69 @@ def usual_channels(plant: Plant) -> tuple[dict[str, Reading], dict[str, Command]
         if math.isfinite(v.min) and math.isfinite(v.max)
     ]
     return channels_of(Reading, readings, plant), channels_of(Command, commands, plant)
+
+
+# ---- time ----------------------------------------------------------------------------------------
+SPIN = 3e-4
+"""The last part of a wait [s] is spent looking at the clock: sleeping is no more exact."""
+
+
+class Clock(Protocol):
+    """What tells and passes time. ``real`` : it is that of the world."""
+
+    real: bool
+
+    def now(self) -> float: ...
+    def wait(self, until: float) -> None: ...
+
+
+class RealClock:
+    """``time.monotonic()``.
+
+    Examples
+    --------
+    >>> clock = pam.rig.RealClock()
+    >>> begin = clock.now()
+    >>> clock.wait(begin + 0.001)
+    >>> clock.now() >= begin + 0.001
+    True
+    """
+
+    real = True
+
+    def now(self) -> float:
+        """[s]."""
+        return time.monotonic()
+
+    def wait(self, until: float) -> None:
+        """Come back at a time, or at once where it is over."""
+        left = until - time.monotonic()
+        if left > SPIN:
+            time.sleep(left - SPIN)
+        while time.monotonic() < until:
+            pass
+
+
+class SimulatedClock:
+    """A clock for twins: waiting takes no time, and nothing else passes any.
+
+    Examples
+    --------
+    >>> clock = pam.rig.SimulatedClock()
+    >>> clock.wait(0.25)
+    >>> clock.now()
+    0.25
+    """
+
+    real = False
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        """[s]."""
+        return self._now
+
+    def wait(self, until: float) -> None:
+        """Go on to a time, where it is not over yet."""
+        self._now = max(self._now, until)

@@ -161,7 +161,8 @@ class Watchdog:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._told, self._heard = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self.told, self._heard = self._process.stdin.fileno(), self._process.stdout.fileno()
+        """The pipe by which it is told letters, also by a loop in another process."""
         self.tripped = False
         self._say(json.dumps(how).encode("ascii") + b"\n")
         if self._answer(PATIENCE) != b"R":
@@ -178,7 +179,7 @@ class Watchdog:
 
     def _say(self, letter: bytes) -> bool:
         try:
-            os.write(self._told, letter)
+            os.write(self.told, letter)
         except OSError:
             return False
         return True
@@ -188,11 +189,6 @@ class Watchdog:
         if not self._say(b"H"):
             return "the watchdog's process has ended"
         return TRIPPED if self.heard_trip() else ""
-
-    @property
-    def told(self) -> int:
-        """The pipe by which it is told letters, for a loop in another process."""
-        return self._told
 
     def heard_trip(self) -> bool:
         """Whether it has said that it vented."""

@@ -14,7 +14,7 @@ from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from .guard import RigError
-from .running import Running, noise_of
+from .running import Running, noise_of, recorded
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -84,8 +84,7 @@ class Homing:
         lines += [f"warning: {words}" for words in self.doubts] or ["no warnings"]
         return "\n".join(lines)
 
-    def __str__(self) -> str:
-        return self.report()
+    __str__ = report
 
 
 @verb
@@ -214,20 +213,17 @@ def _near(rig: Rig, values: Mapping[str, float]) -> bool:
 class _Rows:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.t: list[float] = []
-        self.rows: list[list[float]] = []
+        self.rows: list[tuple[float, list[float]]] = []
 
     def add(self, run: Running) -> None:
-        if not self.t or run.time > self.t[-1]:
-            self.t.append(run.time)
-            self.rows.append([*run.values.values(), *(run.sent[n] for n in self.rig.commands)])
+        if not self.rows or run.time > self.rows[-1][0]:
+            row = [*run.values.values(), *(run.sent[n] for n in self.rig.commands)]
+            self.rows.append((run.time, row))
 
     def trajectory(self) -> Trajectory:
         if not self.rows:
             raise RigError(f"{self.rig.name}: nothing was read")
-        data, variables = np.array(self.rows), self.rig.variables
-        columns = {v.name: data[:, i] for i, v in enumerate(variables)}
-        return Trajectory(np.array(self.t) - self.t[0], columns, variables, "previous")
+        return recorded(self.rows, self.rig.variables)
 
 
 def _moved(

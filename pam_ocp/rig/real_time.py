@@ -456,28 +456,16 @@ def run_in_c(
     rig.require_armed()
     loop = _Loop(rig, law, table, columns)
     try:
-        _tell(loop.shared, rig, driver, count, require_count("priority", priority, 0, 99), cpu)
-        loop.shared.bumpless = bumpless
-        dog = rig._watchdog
+        shared, dog = loop.shared, rig._watchdog
+        shared.fd, shared.datagrams = driver.fileno(), driver.datagrams
+        shared.dog = -1 if dog is None else dog.told
+        shared.steps, shared.priority = count, require_count("priority", priority, 0, 99)
+        shared.cpu, shared.standby = _processors(cpu)
+        shared.bumpless = bumpless
         loop.start((driver.fileno(), *(() if dog is None else (dog.told,))))
         return _run(rig, loop, driver, start, seen)
     finally:
         loop.close()
-
-
-def _tell(
-    shared: Any,
-    rig: Rig,
-    driver: LineDriver,
-    count: int,
-    priority: int,
-    cpu: int | Sequence[int] | None,
-) -> None:
-    dog = rig._watchdog
-    shared.fd, shared.datagrams = driver.fileno(), driver.datagrams
-    shared.dog = -1 if dog is None else dog.told
-    shared.steps, shared.priority = count, priority
-    shared.cpu, shared.standby = _processors(cpu)
 
 
 def _processors(cpu: int | Sequence[int] | None) -> tuple[int, int]:
@@ -587,13 +575,10 @@ def _result(rig: Rig, loop: _Loop, rows: Array, zero: float) -> RealTimeRun:
 
 def _surrounding(shared: Any) -> str:
     """Kernel, scheduler and memory, in words."""
+    kernel = "not a real-time kernel: nothing is guaranteed"
     with suppress(OSError):
         if Path("/sys/kernel/realtime").read_text().strip() == "1":
-            return _allowed(shared, "a real-time kernel")
-    return _allowed(shared, "not a real-time kernel: nothing is guaranteed")
-
-
-def _allowed(shared: Any, kernel: str) -> str:
+            kernel = "a real-time kernel"
     scheduler = f"SCHED_FIFO {shared.priority}" if shared.priority else "the usual scheduler"
     if shared.scheduler:
         scheduler = f"SCHED_FIFO is not allowed ({os.strerror(shared.scheduler)})"

@@ -18,15 +18,15 @@ from ..core.quantities import known_keys, quantity, table
 from ..core.variables import Variable
 from ..plants.plant import Given, Plant
 from ..plants.plant_file import plant_of
-from .channels import Command, Reading, channels_of, usual_channels
-from .clock import Clock, RealClock
+from .channels import Clock, Command, Reading, RealClock, channels_of, usual_channels
 from .drift import Monitor
 from .drivers.driver import DRIVERS, Driver
 from .guard import Guard, RigError, Watch, Watchdog
 
 if TYPE_CHECKING:
+    from ..control.sides import Side
     from ..core.trajectory import Trajectory
-    from ..courtesy import Homing, Identified, Learned, RealTimeRun, RigSide, Tuned
+    from ..courtesy import Homing, Identified, Learned, RealTimeRun, Tuned
 
 PAST = 4000
 """Samples of the past that are kept."""
@@ -287,11 +287,11 @@ class Rig:
         self.close()
 
     # ---- runs -----------------------------------------------------------------------------------
-    def side(self, sample_time: float, start: Given | None = None) -> RigSide:
+    def side(self, sample_time: float, start: Given | None = None) -> Side:
         """For :func:`pam_ocp.closed_loop`, which calls it. start : inputs to be reached softly
         before the run begins, by name or those of an operating point.
         """
-        return courtesy.side_of_rig(self, sample_time, start)
+        return courtesy.RigSide(self, sample_time, start)
 
     def run(
         self,
@@ -331,7 +331,7 @@ class Rig:
         return courtesy.home(self, **options)
 
     def identify(self, free: Sequence[Any], **options: Any) -> Identified:
-        """Fit the plant to designed excitations; see :mod:`pam_ocp.rig.identification`."""
+        """Fit the plant to designed excitations; see :func:`pam_ocp.rig.learning.identify`."""
         return courtesy.identify(self, free, **options)
 
     def tune(self, **options: Any) -> Tuned:

@@ -55,6 +55,8 @@ class Running:
         self.samples = self.missed = self.lost = 0
         self.latest: list[float] = []
         """By how much each sample was late [s]."""
+        self.rows: list[tuple[float, list[float]]] = []
+        """(time, readings and commands) of each sample, as a record has them."""
         self._slopes: dict[str, tuple[float, float, float]] = {}
         self._cause = ""
         self._record: RecordWriter | None = None
@@ -101,7 +103,9 @@ class Running:
             self._cause = str(error)
         self._mark()
         self._write_down()
-        self._beat()
+        dog = rig._watchdog
+        if dog is not None and (words := dog.beat()):
+            raise RigError(words)
         self.deadline += self.sample_time
         rig.clock.wait(self.deadline)
         late = rig.clock.now() - self.deadline
@@ -115,11 +119,6 @@ class Running:
             )
         self._take()
         self._judge()
-
-    def _beat(self) -> None:
-        dog = self.rig._watchdog
-        if dog is not None and (words := dog.beat()):
-            raise RigError(words)
 
     def _take(self) -> None:
         """The newest readings; those before stay where nothing valid comes."""
@@ -153,8 +152,9 @@ class Running:
             raise RigError(words + (f" ({self._cause})" if "age" in words and self._cause else ""))
 
     def _write_down(self) -> None:
+        row = [*self.values.values(), *(self.sent[n] for n in self.rig.commands)]
+        self.rows.append((self.at, row))
         if self._record is not None:
-            row = [*self.values.values(), *(self.sent[n] for n in self.rig.commands)]
             self._record.row(self.at, row)
         if self.rig.monitor is not None:
             self.rig.monitor.sample(self.at, self.values, self.sent)
@@ -233,6 +233,15 @@ class Running:
             "late_worst": late[-1],
             "vented_for": reason,
         }
+
+
+def recorded(
+    rows: Sequence[tuple[float, Sequence[float]]], variables: Sequence[Variable]
+) -> Trajectory:
+    """Rows of (time, values of the variables) as a motion that begins at 0."""
+    t, data = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    columns = {v.name: data[:, i] for i, v in enumerate(variables)}
+    return Trajectory(t - t[0], columns, variables, "previous")
 
 
 def _still(seen: NDArray[np.float64], ranges: NDArray[np.float64]) -> bool:

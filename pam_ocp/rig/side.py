@@ -15,7 +15,7 @@ from ..core.trajectory import Trajectory
 from ..plants.plant import Given, by_name
 from .channels import Command
 from .guard import RigError
-from .running import STEP, Running
+from .running import STEP, Running, recorded
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -34,7 +34,6 @@ class RigSide(Side):
     def __init__(self, rig: Rig, sample_time: float, start: Given | None) -> None:
         super().__init__()
         self.rig, self.name, self.variables = rig, rig.name, rig.variables
-        self._rows: list[tuple[float, list[float]]] = []
         target = {n: float(v) for n, v in by_name("start", start).items() if n in rig.commands}
         self._run = self._held_open.enter_context(Running(rig, sample_time))
         try:
@@ -48,6 +47,7 @@ class RigSide(Side):
         self._offset: dict[str, float] | None = None
         self.bumpless = True
         self._steps, self._sample_time = 0, sample_time
+        self._first = len(self._run.rows)
 
     def values(self) -> dict[str, float]:
         """See :class:`Side`: readings, and commands as they act."""
@@ -64,22 +64,18 @@ class RigSide(Side):
         if fade and self.bumpless:
             left = math.exp(-self._steps * self._sample_time / fade)
         self._steps += 1
-        seen = list(run.values.values())
         run.step({n: v + left * self._offset[n] for n, v in asked.items()})
         self.inputs = dict(run.sent)
-        self._add(run.at, seen)
-
-    def _add(self, at: float, seen: list[float]) -> None:
-        """A row: readings, and the commands sent on them."""
-        self._rows.append((at, [*seen, *(self.inputs[n] for n in self.rig.commands)]))
 
     def trajectory(self) -> Trajectory:
         """See :class:`Side`: at the times at which the readings were taken."""
-        self._add(max(self._run.time, self._run.at + STEP), list(self._run.values.values()))
-        t = np.array([row[0] for row in self._rows])
-        data = np.array([row[1] for row in self._rows])
-        columns = {v.name: data[:, i] for i, v in enumerate(self.variables)}
-        return Trajectory(t - t[0], columns, self.variables, "previous")
+        run = self._run
+        last = [*run.values.values(), *(self.inputs[n] for n in self.rig.commands)]
+        rows = [
+            *run.rows[self._first : self._first + self._steps],
+            (max(run.time, run.at + STEP), last),
+        ]
+        return recorded(rows, self.variables)
 
 
 def player(
@@ -161,8 +157,3 @@ def run_on(rig: Rig, inputs: Any, duration: float | None, start: Given | None) -
         raise InputError("duration: give it, where the inputs are a function")
     law, h = player(inputs, rig.sample_time, rig.commands)[0], rig.sample_time
     return closed_loop(law, rig, duration=duration, start=start, sample_time=h).trajectory
-
-
-def side_of_rig(rig: Rig, sample_time: float, start: Given | None) -> RigSide:
-    """See :meth:`Rig.side`."""
-    return RigSide(rig, sample_time, start)

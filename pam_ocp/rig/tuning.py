@@ -19,9 +19,18 @@ from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from .feedback import BLOCK, Answer, lines, placed_by
 from .guard import RigError
-from .tracking import PACE, LearnedInverse, LearnedTracking, Memory, Residual
+from .tracking import (
+    BLOCK,
+    PACE,
+    Answer,
+    LearnedInverse,
+    LearnedTracking,
+    Memory,
+    Residual,
+    lines,
+    placed_by,
+)
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -101,8 +110,7 @@ class Tuned:
             rows.append(f"training motion {k + 1}: RMS {e:.3g}, {part:.2f} % of the range")
         return "\n".join(rows)
 
-    def __str__(self) -> str:
-        return self.report()
+    __str__ = report
 
 
 @verb

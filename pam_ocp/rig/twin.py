@@ -25,8 +25,7 @@ from ..numerics.solvers import Buffered
 from ..plants.plant import Given, Plant, by_name, require_plant
 from ..simulation.instruments import Instrument, readers_of
 from ..simulation.sampled import stepped
-from .channels import Command, Reading, channels_of, usual_channels
-from .clock import Clock, RealClock
+from .channels import Clock, Command, Reading, RealClock, channels_of, usual_channels
 
 Array: TypeAlias = NDArray[np.float64]
 KEPT = 500_000

@@ -113,20 +113,16 @@ def _facts(path: Path) -> Any:
     return SavedFacts(title, {n: v for n, v in content.items() if n not in hidden})
 
 
-def _record(path: Path) -> Trajectory:
-    from ..fitting.tables.records import read_record
-
-    return read_record(path)
-
-
 def _motion(path: Path) -> Trajectory:
     """Of a file of ours, or measured."""
+    from ..fitting.tables.records import read_record
+
     try:
         return Trajectory.load(path)
     except InputError:
         if path.suffix.lower() == ".npz":
             raise
-        return _record(path)
+        return read_record(path)
 
 
 def _fmu(path: Path) -> Any:

@@ -118,13 +118,13 @@ class LoadStudy:
         from ..figures.trajectory import plot_load_study
 
         lines = {
-            f"{mass:g} kg": {f.name: self._column(f.name, mass) for f in fields(LoadCase)}
+            f"{mass:g} kg": {
+                f.name: [getattr(c, f.name) for c in self.cases if c.mass == mass]
+                for f in fields(LoadCase)
+            }
             for mass in sorted({c.mass for c in self.cases})
         }
         return plot_load_study(f"{self.muscle}, hanging loads", lines)
-
-    def _column(self, name: str, mass: float) -> list[float]:
-        return [getattr(c, name) for c in self.cases if c.mass == mass]
 
 
 @verb

@@ -1,13 +1,17 @@
-"""A whole study out of one file: only what changed is run, into one folder with one report."""
+"""A whole study out of one file: only what changed is run, into one folder with one report; and a
+step at work, in whichever process.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import logging
 import os
+import tempfile
+import time
 import uuid
 import warnings
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -17,6 +21,8 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime, timezone
 from functools import partial
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -25,18 +31,17 @@ from typing import Any
 from ..core.atomic import in_use
 from ..core.cases import results_of
 from ..core.digest import file_digest, own_digest
-from ..core.errors import InputError, PamError, require_count, with_kinds
+from ..core.errors import InputError, PamError, UnknownNameError, require_count, with_kinds
 from ..core.executors import Place, end_pool, placed
 from ..core.files import atomic_path, make_folder, read_json, reading, write_json
 from ..core.interrupts import interruptible
-from ..core.own_code import content_digest
+from ..core.own_code import as_written, content_digest
 from ..core.progress import Bar, working
 from ..core.stop import check, limited
-from .kept_results import Kept, key_of, versions
 from .shards import ShardRecord, merged_cache, shard_of
+from .steps.step import Job, Made
 from .study_file import HELP, Entry, Study, read_study
-from .study_result import StudyResult, StudyStep
-from .working import digest_of_files, rehearse, work
+from .study_result import Kept, StudyResult, StudyStep, key_of, study_report, summary, versions
 
 LOG = logging.getLogger(__name__)
 MANIFEST = "study.json"
@@ -122,10 +127,9 @@ def run_study(
         _pool(where, workers) as pool,
         working("study", len(study.entries)) as bar,
     ):
-        run = _Run(study, target, kept, allow_code, fresh, progress, bar)
-        if share is not None:
-            run.share, run.record = share.share(study.entries), record
-            run.checked = study.entries if share.number == 1 else run.share
+        own = frozenset(study.entries if share is None else share.share(study.entries))
+        checked = study.entries if share is None or share.number == 1 else own
+        run = _Run(study, target, kept, allow_code, fresh, progress, bar, own, checked, record)
         run.prepare()
         run.go(pool)
         return run.finish()
@@ -148,27 +152,27 @@ def _pool(executor: Executor | None, workers: int) -> Iterator[Executor | None]:
     pool.shutdown()
 
 
+@dataclass
 class _Run:
-    """A study on its way: which steps ended, with what."""
+    """A study on its way: which steps ended, with what.
 
-    def __init__(
-        self,
-        study: Study,
-        out: Path,
-        kept: Kept,
-        allow_code: bool,
-        fresh: bool,
-        progress: Callable[[StudyStep, int, int], None] | None,
-        bar: Bar,
-    ) -> None:
-        self.bar = bar
-        self.study, self.out, self.kept, self.fresh = study, out, kept, fresh
-        self.allow_code, self.progress = allow_code, progress
-        self.share: frozenset[str] = frozenset(study.entries)
-        """The steps that are run here: all, or those of a shard."""
-        self.checked: Container[str] = study.entries
-        """Those that are looked at before: what they are, for all shards but the first."""
-        self.record: ShardRecord | None = None
+    share : the steps that are run here, all or those of a shard. checked : those that are looked
+    at before: what they are, for all shards but the first.
+    """
+
+    study: Study
+    out: Path
+    kept: Kept
+    allow_code: bool
+    fresh: bool
+    progress: Callable[[StudyStep, int, int], None] | None
+    bar: Bar
+    share: frozenset[str]
+    checked: Container[str]
+    record: ShardRecord | None
+
+    def __post_init__(self) -> None:
+        study = self.study
         self.steps: dict[str, StudyStep] = {}
         self.keys: dict[str, str] = {}
         self.found: dict[str, dict[str, Any]] = {}
@@ -201,7 +205,7 @@ class _Run:
     def _key(self, entry: Entry) -> str:
         """The digest of all that goes into a step whose parts are there."""
         parts = {key: self._identity(n) for key, n in entry.parts.items()}
-        cases = [key_of(self._result(n)["numbers"]) for n in entry.cases]
+        cases = [key_of(self.found[n]["numbers"]) for n in entry.cases]
         said = {n: v for n, v in entry.said.items() if n not in entry.parts}
         files = [(p.name, self.contents[p]) for p in self.files[entry.name]]
         made_by = [versions(), own_digest(), self._code(entry)]
@@ -225,10 +229,7 @@ class _Run:
         entry = self.study.entries[name]
         if entry.step.whole:
             return self.keys[name]
-        return digest_of_files(self._result(name)["files"], entry.step.offers)
-
-    def _result(self, name: str) -> dict[str, Any]:
-        return self.found[name]
+        return digest_of_files(self.found[name]["files"], entry.step.offers)
 
     # ---- running ------------------------------------------------------------------------------
     def go(self, pool: Executor | None) -> None:
@@ -255,7 +256,8 @@ class _Run:
                         graph.done(name)
                 for future in _first(pending):
                     name, job = pending.pop(future)
-                    lost = _lost(future)
+                    error = future.exception()  # steps themselves end in errors of ours
+                    lost = error is not None and not isinstance(error, PamError)
                     self._ended(name, partial(_alone, job) if lost else future.result)
                     graph.done(name)
         finally:
@@ -285,7 +287,7 @@ class _Run:
         """A step that another stands on, and the files that it is read from."""
         entry = self.study.entries[name]
         kinds = (".toml", ".py", ".npz", ".json", ".fmu")
-        files = self._result(name)["files"]
+        files = self.found[name]["files"]
         return entry, {n: c for n, c in files.items() if Path(n).suffix in kinds}
 
     def _ended(self, name: str, result: Callable[[], dict[str, Any]]) -> None:
@@ -320,8 +322,6 @@ class _Run:
     # ---- behind the last ----------------------------------------------------------------------
     def finish(self) -> StudyResult:
         """Summary, report, and the list of all that was written."""
-        from .study_result import study_report, summary
-
         steps = {n: self.steps[n] for n in self.study.entries if n in self.share}
         if self.record is not None:  # what it made is kept; the merge writes the folder
             return StudyResult(self.study.title, self.out, steps, self.out / REPORT)
@@ -365,24 +365,16 @@ class _Run:
         write_json(place, content)
 
 
-def _lost(future: Any) -> bool:
-    """Whether the worker was lost: steps themselves end in errors of ours."""
-    error = future.exception()
-    return error is not None and not isinstance(error, PamError)
-
-
 def _alone(job: tuple[Any, ...]) -> dict[str, Any]:
     """A step whose worker was lost, once more: nothing is beside it, and nothing it can harm."""
-    (found,) = results_of(_Work(), [job], executor=1, what=job[0].name)
+    (found,) = results_of(_work, [job], executor=1, what=job[0].name)
     made: dict[str, Any] = found
     return made
 
 
-class _Work:
+def _work(job: tuple[Any, ...]) -> dict[str, Any]:
     """``work`` for one argument."""
-
-    def __call__(self, job: tuple[Any, ...]) -> dict[str, Any]:
-        return work(*job)
+    return work(*job)
 
 
 def _first(pending: Mapping[Any, Any]) -> list[Any]:
@@ -415,3 +407,101 @@ def _remove_empty(folder: Path, top: Path) -> None:
     while folder != top and not any(folder.iterdir()):
         folder.rmdir()
         folder = folder.parent
+
+
+# ---- a step at work, in whichever process; the look at all of them beforehand --------------------
+def work(
+    entry: Entry,
+    parts: Mapping[str, tuple[Entry, Mapping[str, bytes]]],
+    cases: Sequence[Mapping[str, Any]],
+    folder: Path,
+    allow_code: bool,
+) -> dict[str, Any]:
+    """Do a step: {files, numbers, verdict, good, sure, text, html, seconds, when}: plain data.
+
+    parts : {key: the step that it names, and that step's files}. cases : numbers of a sweep's
+    cases. folder : of the study.
+    """
+    begin = time.perf_counter()
+    with as_written(), tempfile.TemporaryDirectory(prefix="pam_ocp_") as place:
+        nouns: dict[str, Any] = {"cases": cases} if cases else {}
+        sources = {}
+        for key, (named, files) in parts.items():
+            source = sources[key] = _unpacked(Path(place) / f"of-{key}", files)
+            job = Job(named.name, named.said, {}, folder, source, allow_code)
+            nouns[key] = named.step.read(entry.step.parts[key], job)
+        out = Path(place) / "out"
+        out.mkdir()
+        job = Job(entry.name, entry.said, nouns, folder, out, allow_code, sources)
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            made = entry.step.work(job)
+        files = {p.relative_to(out).as_posix(): p.read_bytes() for p in sorted(out.rglob("*.*"))}
+    ours = __package__.split(".")[0]
+    own = (w for w in heard if w.category.__module__.startswith(ours))
+    return {
+        "files": files,
+        "numbers": {n: (float(v), u) for n, (v, u) in made.numbers.items()},
+        "verdict": made.verdict,
+        "good": bool(made.good),
+        "sure": [*made.sure, *dict.fromkeys(str(w.message) for w in own)],
+        "text": made.text,
+        "html": _html(made),
+        "seconds": time.perf_counter() - begin,
+        "when": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    }
+
+
+def _unpacked(folder: Path, files: Mapping[str, bytes]) -> Path:
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return folder
+
+
+def _html(made: Made) -> str:
+    """As in a notebook, without the picture, which is a file of its own."""
+    from ..figures.sheets import html_of
+
+    return "" if made.thing is None else html_of(made.thing, dpi=0)
+
+
+def digest_of_files(files: Mapping[str, bytes], offers: Mapping[str, str]) -> str:
+    """Of the files that other steps read: what is offered, and what lies beside it for that."""
+    found = hashlib.sha256()
+    kinds = {Path(n).suffix for n in offers.values()} | {".py", ".toml"}
+    for name in sorted(files):
+        if name in offers.values() or Path(name).suffix in kinds:
+            found.update(f"{name}\0{len(files[name])}\0".encode())
+            found.update(files[name])
+    return found.hexdigest()
+
+
+def rehearse(study: Study, allow_code: bool, steps: Container[str]) -> None:
+    """All that can be said against steps of a study before anything runs. Raises InputError.
+
+    steps : each with those that it stands on. Where a noun is not made yet (a muscle that a fit
+    will give), another of its kind stands in.
+    """
+    nouns: dict[str, dict[str, Any]] = {}
+    for name, entry in study.entries.items():
+        if name not in steps:
+            continue
+        parts = {k: nouns[n].get(entry.step.parts[k]) for k, n in entry.parts.items()}
+        job = Job(name, entry.said, parts, study.path.parent, Path(), allow_code)
+        try:
+            with as_written(), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the work itself will warn
+                nouns[name] = entry.step.check(job)
+        except PamError as error:
+            raise InputError(f"steps.{name}: {error}{_steps(study, entry, error)}") from error
+
+
+def _steps(study: Study, entry: Entry, error: PamError) -> str:
+    """The steps that could have been meant where a name is not known."""
+    nouns = {entry.step.parts[k] for k in entry.step.loose if k not in entry.parts}
+    if not isinstance(error, UnknownNameError) or not any(f" {n} '" in str(error) for n in nouns):
+        return ""
+    able = [n for n, e in study.entries.items() if nouns & set(e.step.offers) and "[" not in n]
+    return f"; or a step: {', '.join(able)}" if able else ""

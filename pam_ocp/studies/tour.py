@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.files import atomic_path, make_folder
-from ..figures.saved import save_figure
+from ..figures.canvas import save_figure
 
 TABLE = "DMSP-20-300_static.csv"
 REST_LENGTH, DIAMETER = 0.300, 0.020

@@ -347,10 +347,10 @@ def test_a_time_limit_is_a_positive_number(wrong):
 # ---- processes -----------------------------------------------------------------------------------
 @posix
 def test_sigterm_ends_the_command_with_143(tmp_path):
-    run = "import sys; from pam_ocp.cli.main import main; from pam_ocp.cli import study as m\n"
+    run = "import sys; from pam_ocp.cli.main import main; from pam_ocp.studies import tour as m\n"
     run += "import time\n"
-    run += "def wait(o):\n    print('go', flush=True)\n    time.sleep(60)\n"
-    run += "m._tour = wait\nsys.exit(main(['tour']))"
+    run += "def wait(*o, **k):\n    print('go', flush=True)\n    time.sleep(60)\n"
+    run += "m.tour = wait\nsys.exit(main(['tour']))"
     command = [sys.executable, "-c", run]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         assert process.stdout.readline() == "go\n"

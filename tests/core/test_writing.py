@@ -21,7 +21,7 @@ import pam_ocp as pam
 from pam_ocp.core.errors import WriteError
 from pam_ocp.core.files import atomic_path, make_folder, write_json
 from pam_ocp.export import export_motion, export_ssp, save_input_table
-from pam_ocp.figures.saved import save_figure
+from pam_ocp.figures.canvas import save_figure
 from pam_ocp.fitting.static.static import fit_force
 from pam_ocp.studies.loads import LoadStudy
 

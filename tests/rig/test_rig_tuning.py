@@ -11,8 +11,16 @@ import pam_ocp as pam
 from pam_ocp.control import PID
 from pam_ocp.control.references import sine
 from pam_ocp.core.errors import InputError
-from pam_ocp.rig.feedback import Answer, lines, placed_by
-from pam_ocp.rig.tracking import CREEPS, YIELDS, Memory, Residual, bent
+from pam_ocp.rig.tracking import (
+    CREEPS,
+    YIELDS,
+    Answer,
+    Memory,
+    Residual,
+    bent,
+    lines,
+    placed_by,
+)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -18,7 +18,8 @@ from fmpy.ssp.simulation import simulate_ssp
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
-from pam_ocp.studies import run_study, working
+from pam_ocp.studies import run_study
+from pam_ocp.studies.study import work
 from pam_ocp.studies.study_file import read_study
 
 STUDY = """
@@ -197,7 +198,7 @@ def once_lethal(*job):
     if job[0].name == "lifted" and not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return working.work(*job)
+    return work(*job)
 
 
 @pytest.mark.usefixtures("plain_pictures")

@@ -32,7 +32,7 @@ from ...operating.resting_point import OperatingPoint
 from ...plants.plant import Plant
 from ..look import numbers
 from ..made import World, kept, plant_of, point_of
-from ..script import PUSH, is_followed, law_keywords, pushed
+from ..script import PUSH, law_keywords, pushed, run_keywords
 from ..work import Say, job
 
 FRESH = 4000
@@ -242,26 +242,13 @@ def _loop(world: World, said: Mapping[str, Any]) -> ClosedLoop:
     point = point_of(world, plant)
     made = controller_of(plant, point, said)
     position = next(iter(plant.positions))
-    study = said["study"]
+    keywords = run_keywords(said, position, point[position] + said["study"]["step"])
+    if keywords["disturbances"] and PUSH not in {v.name for v in side.inputs}:
+        raise InputError(f"{side.name} takes no force from outside; set the push to 0")
+    start = {n: point[n] for n in _shown(plant)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return closed_loop(
-            made,
-            side,
-            {position: point[position] + study["step"]} if is_followed(said) else None,
-            duration=study["duration"],
-            start={n: point[n] for n in _shown(plant)},
-            disturbances=_disturbances(side, study),
-            noise={position: study["noise"]} if study["noise"] else None,
-        )
-
-
-def _disturbances(side: Plant, study: Mapping[str, Any]) -> dict[str, Any] | None:
-    if not study["push"]:
-        return None
-    if PUSH not in {v.name for v in side.inputs}:
-        raise InputError(f"{side.name} takes no force from outside; set the push to 0")
-    return {PUSH: (study["push"], study["push_from"])}
+        return closed_loop(made, side, start=start, **keywords)
 
 
 @job("Run {}", warm="control", latest="run", time_limit=120.0)
@@ -315,7 +302,9 @@ class _Live:
         self.sample_time = said["sample_time"]
         self.goal = self.point[self.position]
         start = {n: self.point[n] for n in _shown(self.plant)}
-        file = _fmu(world, self.whole) if said.get("against") == "fmu" else None
+        file = None
+        if said.get("against") == "fmu":  # the real side among the session's exports
+            file = export_fmu(self.whole, world.exported("live.fmu"), platforms=["native"])
         self.side = self._begin(start, file)
         made = controller_of(self.plant, self.point, said)
         self.controller = made
@@ -387,11 +376,6 @@ class _Live:
             for each in (self.whole.states, self.whole.inputs)
         )
         return scene_of(self.whole, np.zeros(1), x, u)
-
-
-def _fmu(world: World, whole: Plant) -> Path:
-    """The real side as an FMU among the session's exports."""
-    return export_fmu(whole, world.exported("live.fmu"), platforms=["native"])
 
 
 _runs: dict[str, tuple[tuple[str, str], _Live]] = {}

@@ -28,7 +28,16 @@ from ...export.ssp import export_ssp
 from ...figures.report import write_report
 from ...simulation.simulator import simulate
 from ...studies.from_table import quick
-from ..made import World, muscle_of, plant_of, point_of, source_of, table_of
+from ..made import (
+    World,
+    made_of_loop,
+    made_of_plan,
+    muscle_of,
+    plant_of,
+    point_of,
+    source_of,
+    table_of,
+)
 from ..script import figures_said, platforms_of
 from ..session import safe_name
 from ..work import Say, job
@@ -179,12 +188,9 @@ def fresh_figures(state: State) -> dict[str, float]:
     kept = state["views"].get("figures", {})
     found: dict[str, float] = {}
     for motion in state["motions"]:
-        said = {k: v for k, v in motion.items() if k != "name"}
-        key = [state["muscle"], state["plant"], said]
-        found |= _kept(kept, motion["id"], key)
+        found |= _kept(kept, motion["id"], made_of_plan(state, motion))
     for said in state["controllers"]:
-        key = [{k: state[k] for k in ("plant", "muscle", "point")}, said]
-        found |= _kept(kept, said["id"], key)
+        found |= _kept(kept, said["id"], made_of_loop(state, said))
     for said in state["exports"]:
         found |= _kept(kept, said["id"], None)
     return found

@@ -21,7 +21,7 @@ from .. import elements as el
 from .. import look
 from ..elements import Menu, Number, Slide, Text
 from ..jobs import control as jobs
-from ..made import plant_of
+from ..made import made_of_loop, plant_of
 from ..pictures import Plot, Scene, Strip
 from ..script import PUSH, can_be_pushed
 from ..tab import Members
@@ -84,7 +84,6 @@ class Control(Members):
                         "The closed loop over time",
                         empty="The run against the plant: make a controller",
                     )
-        self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
         if changed & {"muscle", "plant", "point"}:
@@ -117,7 +116,7 @@ class Control(Members):
 
     def _made_of(self, said: Said | None) -> Any:
         """All that a loop's figures depend on."""
-        return copy.deepcopy([{k: self.state[k] for k in ("plant", "muscle", "point")}, said])
+        return copy.deepcopy(made_of_loop(self.state, said))
 
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
@@ -138,19 +137,17 @@ class Control(Members):
     def _point_rows(self, plant: Plant) -> list[el.Row]:
         point = self.state["point"]
         if not point:
+            middle = {"Centre position": lambda: self._set_point(**jobs.first_point(plant))}
             return [
                 el.words("None yet: click on the map in the tab Plant, or begin in mid stroke."),
-                el.buttons({"Centre position": self._middle}, main="Centre position"),
+                el.buttons(middle, main="Centre position"),
             ]
         variables = [plant.variable(name) for name in point]
         known = {v.name: Number(v.name, v.unit, v.min, v.max) for v in variables}
-        return el.fields(known, point, self._set_point)
+        return el.fields(known, point, lambda name, value: self._set_point(**{name: value}))
 
-    def _middle(self) -> None:
-        self.session.change("operating point", point=jobs.first_point(plant_of(self.world)))
-
-    def _set_point(self, name: str, value: Any) -> None:
-        self.session.change("operating point", point={**self.state["point"], name: value})
+    def _set_point(self, **values: float) -> None:
+        self.session.change("operating point", point={**self.state["point"], **values})
 
     def _rows(self, said: Said | None) -> list[el.Row]:
         acts: dict[str, Any] = {f"New {kind.upper()}": partial(self._new, kind) for kind in KINDS}
@@ -273,8 +270,7 @@ class Control(Members):
         if self._keys["run"] == key:
             self._run_said.say(found["words"])
             self._plot.draw(run_figure(found))
-            figures = {"of": key, "values": found["figures"]}
-            self.session.remember("figures", **{said["id"]: figures})
+            self.keep_figures(said["id"], key, found["figures"])
 
     # ---- live -----------------------------------------------------------------------------------
     def _make_live(self) -> None:
@@ -313,7 +309,7 @@ class Control(Members):
     def _show_push(self) -> None:
         if can_be_pushed(self.state["plant"]):
             push = Number("Push, until changed", self._push_of)
-            self._push_form.show([(push, self._push, self._set_push)])
+            self._push_form.show([(push, self._push, lambda v: setattr(self, "_push", v))])
         else:
             self._push = 0.0
             self._push_form.show([el.words("This arrangement takes no push.")])
@@ -321,9 +317,6 @@ class Control(Members):
     def _set_goal(self, shown: float) -> None:
         if np.isfinite(shown):
             self._goal = shown * self._factor
-
-    def _set_push(self, value: float) -> None:
-        self._push = value
 
     def _pulled(self, by: Said) -> None:
         """Towards the positive side of the picture: right, or up where it hangs."""

@@ -91,7 +91,6 @@ class Data(Tab):
                     )
                 self._columns = el.box("Columns", wide=True)
                 self._said = el.box("What was understood", wide=True)
-        self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
         self._show_list()
@@ -144,7 +143,7 @@ class Data(Tab):
             if not data:
                 el.note("Nothing yet: drop a file above, or take a bundled table.")
                 return
-            rows = [[d["name"], d.get("is", ""), _count(len(d.get("off", ())))] for d in data]
+            rows = [[d["name"], d.get("is", ""), str(len(d.get("off", ())) or "")] for d in data]
             ids = [d["id"] for d in data]
             chosen = ids.index(self.state["chosen"]) if self.state["chosen"] in ids else None
             el.table(
@@ -443,10 +442,6 @@ def _shown(name: str) -> str:
     """A file's name as a browser sent it: its last part, printable, not long."""
     last = re.split(r"[/\\]", name)[-1]
     return "".join(c if c.isprintable() else "_" for c in last)[-80:] or "file"
-
-
-def _count(number: int) -> str:
-    return str(number) if number else ""
 
 
 def _ranges(off: Sequence[int]) -> str:

@@ -48,7 +48,7 @@ class Export(Tab):
                 self._list = el.box("Exported", wide=True)
                 with el.section("Python script", "repeats all that was done here", wide=True):
                     with el.row():
-                        el.button("Download script", self._download_script)
+                        el.button("Download script", lambda: self._download("session.py"))
                         el.button("Run it and compare", self._check, main=True)
                     self._verdict = el.Verdict()
                     self._rows = ui.element("div")
@@ -56,10 +56,9 @@ class Export(Tab):
                     self._script._props["aria-label"] = "the script"
                 with el.section("Study", "for pam-ocp study", wide=True):
                     with el.row():
-                        el.button("Download study", self._download_study)
+                        el.button("Download study", lambda: self._download("session.toml"))
                     self._study = el.tag("pre", "", "bench-pre bench-code", tabindex="0")
                     self._study._props["aria-label"] = "the study file"
-        self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
         self._checked = None
@@ -67,8 +66,9 @@ class Export(Tab):
 
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
-        self._script.set_text(script.script_of(self.state))
-        self._study.set_text(self._study_text())
+        texts = self._texts
+        self._script.set_text(texts["session.py"])
+        self._study.set_text(texts["session.toml"])
         ready = self.state["muscle"] is not None
         self._fmu_form.show(self._fmu_rows() if ready else [NO_MUSCLE])
         self._c_form.show(self._c_rows())
@@ -136,7 +136,8 @@ class Export(Tab):
                     el.tag("span", words, "bench-good" if ok else "bench-bad")
                 if path.is_file():
                     el.button(f"Download {said['file']}", partial(self.bench.deliver, path))
-                el.button("Remove", partial(self._remove, said["id"]))
+                drop = partial(self.session.drop, f"remove {said['id']}", "exports", said["id"])
+                el.button("Remove", drop)
             if made is not None and said["kind"] == "fmu":
                 el.tag("pre", made["words"], "bench-pre bench-code")
 
@@ -148,27 +149,23 @@ class Export(Tab):
         made = await self.work(function, said)
         self._made[said["id"]] = made
         if "figures" in made:
-            figures = {"of": None, "values": made["figures"]}
-            self.session.remember("figures", **{said["id"]: figures})
+            self.keep_figures(said["id"], None, made["figures"])
         kept = {k: made[k] for k in ("file", "size", "ok")}
         self.session.put(f"export {made['file']}", "exports", {**said, **kept})
-
-    def _remove(self, id: str) -> None:
-        self.session.drop(f"remove {id}", "exports", id)
 
     async def _report(self) -> None:
         made = await self.work(jobs.report, self.session.title)
         self.bench.deliver(self.world.exported(made["file"]))
 
     # ---- script and study -----------------------------------------------------------------------
-    def _study_text(self) -> str:
-        return study.study_of(self.world, self.session.title)
+    @property
+    def _texts(self) -> dict[str, str]:
+        """{file: what stands in it}: the script and the study of all that the session holds."""
+        study_file = study.study_of(self.world, self.session.title)
+        return {"session.py": script.script_of(self.state), "session.toml": study_file}
 
-    def _download_script(self) -> None:
-        self.bench.download(script.script_of(self.state), "session.py")
-
-    def _download_study(self) -> None:
-        self.bench.download(self._study_text(), "session.toml")
+    def _download(self, name: str) -> None:
+        self.bench.download(self._texts[name], name)
 
     def _download_all(self) -> None:
         """The folder, with script and study as they are now."""
@@ -178,8 +175,8 @@ class Export(Tab):
                 for file in sorted((folder / part).glob("*")):
                     archive.write(file, f"{part}/{file.name}")
             archive.write(folder / "session.json", "session.json")
-            archive.writestr("session.py", script.script_of(self.state))
-            archive.writestr("session.toml", self._study_text())
+            for name, text in self._texts.items():
+                archive.writestr(name, text)
             if study.needs_muscle_file(self.state):
                 muscle = study.save_muscle_file(self.world)
                 archive.write(muscle, muscle.name)

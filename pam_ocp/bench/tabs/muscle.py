@@ -106,7 +106,6 @@ class MuscleTab(Tab):
                 self._intervals = el.box("Intervals, 95 %")
                 with el.section("Report", wide=True):
                     self._report = el.tag("pre", "", "bench-pre")
-        self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
         said = self._said

@@ -73,7 +73,6 @@ class PlantTab(Tab):
                     self._loads_box()
                 self._values = el.box("At rest")
                 self._variables = el.box("Variables")
-        self.update(frozenset(self.parts))
 
     def update(self, changed: frozenset[str]) -> None:
         state = self.state

@@ -4,6 +4,7 @@ page of another process (rig/vent_server.py) in a frame.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -141,10 +142,11 @@ class RigTab(Tab):
             self._home_form.show(hint)
             return
         commands = [c for c in self._room.about["channels"] if c["is"] == "input"]
-        rows: list[el.Row] = [
-            (Number(c["name"], c["unit"], c["low"], c["high"]), self._target(c), self._aim(c))
-            for c in commands
-        ]
+        rows: list[el.Row] = []
+        for c in commands:
+            target = self._targets.setdefault(c["name"], max(0.0, c["low"]))
+            command = Number(c["name"], c["unit"], c["low"], c["high"])
+            rows.append((command, target, partial(self._aim, c["name"])))
         moves = {"Stop and vent": lambda: self._room.ask("rest")}
         if not busy:
             moves = {"Move": self._move}
@@ -152,7 +154,7 @@ class RigTab(Tab):
         self._home_form.show(
             [
                 (LEVEL, self._level, lambda v: setattr(self, "_level", v)),
-                el.buttons({"Home": self._home}),
+                el.buttons({"Home": lambda: self._room.ask("home", level=self._level)}),
             ]
         )
 
@@ -164,21 +166,11 @@ class RigTab(Tab):
         self._near = False  # to be said each time
         self._room.ask("arm")
 
-    def _target(self, channel: dict[str, Any]) -> float:
-        low = max(0.0, channel["low"])
-        return self._targets.setdefault(channel["name"], low)
-
-    def _aim(self, channel: dict[str, Any]) -> Any:
-        def aim(value: float) -> None:
-            self._targets[channel["name"]] = value
-            if self._room.state["doing"] == "move":
-                self._move()
-            self._forms()
-
-        return aim
+    def _aim(self, name: str, value: float) -> None:
+        self._targets[name] = value
+        if self._room.state["doing"] == "move":
+            self._move()
+        self._forms()
 
     def _move(self) -> None:
         self._room.ask("move", targets=self._targets)
-
-    def _home(self) -> None:
-        self._room.ask("home", level=self._level)

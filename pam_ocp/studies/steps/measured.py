@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from ...core.errors import InputError, UnknownNameError
 from ...core.quantities import quantity, table
-from .step import (
-    STEPS,
-    Job,
-    Made,
-    Step,
-    csv_text,
-    doubts,
-    intervals_said,
-    text_of,
-    write_intervals,
-)
+from .step import STEPS, Job, Made, Step, doubts, intervals_said, text_of, write_intervals
 
 if TYPE_CHECKING:
-    from ...fitting.static.force_fit import ForceFit
     from ...fitting.tables.force_table import ForceTable
     from ...muscles.pneumatic_muscle import Muscle
 
@@ -69,7 +58,7 @@ class TableStep(Step):
         }
         labels = {n: getattr(found, n) for n in ("branch", "run") if getattr(found, n)}
         rows = zip(*columns.values(), *labels.values(), strict=True)
-        (job.out / "table.csv").write_text(csv_text([*columns, *labels], rows), "utf-8")
+        job.table("table.csv", [*columns, *labels], rows)
         numbers = {"cells": (float(len(found)), "1")}
         return Made(found, f"{len(found)} cells read", numbers=numbers, sure=found.notes)
 
@@ -163,26 +152,16 @@ class FitStep(Step):
         fit.to_json(job.out / "fit.json")
         job.workbook(fit, "fit.xlsx")
         job.save(fit.plot())
-        write_intervals(fit, job.out / "coefficients.csv", "coefficient")
+        write_intervals(fit, job, "coefficients.csv", "coefficient")
+        numbers = {"rmse": (fit.rmse, "N"), "r2": (fit.r2, "1")}
         return Made(
             fit,
             f"RMSE {fit.rmse:.4g} N over {fit.n} taut cells{doubts(fit.warnings)}",
             True,
-            _numbers(fit),
+            numbers | {c.name: (c.value, c.unit) for c in fit.coefficients.values()},
             (*intervals_said(fit), *fit.warnings),
             text + fit.report(),
         )
-
-    @classmethod
-    def read(cls, noun: str, job: Job) -> Muscle:
-        from ...muscles.muscle_file import load_muscle
-
-        return load_muscle(job.out / cls.offers[noun])
-
-
-def _numbers(fit: ForceFit) -> dict[str, tuple[float, str]]:
-    found = {"rmse": (fit.rmse, "N"), "r2": (fit.r2, "1")}
-    return found | {c.name: (c.value, c.unit) for c in fit.coefficients.values()}
 
 
 @STEPS.register("muscle")
@@ -216,9 +195,3 @@ class MuscleStep(Step):
         save_muscle(muscle, job.out / "muscle.toml")
         job.save(muscle.plot())
         return Made(muscle, f"{muscle.obtained}: {muscle.law.title}")
-
-    @classmethod
-    def read(cls, noun: str, job: Job) -> Muscle:
-        from ...muscles.muscle_file import load_muscle
-
-        return load_muscle(job.out / cls.offers[noun])

@@ -9,7 +9,7 @@ import tomli_w
 
 from ...core.errors import InputError, PlanError, PlanWarning, UnknownNameError, require_count
 from ...core.quantities import known_keys, quantity, table
-from ..loop_problem import (
+from ..problem import (
     DEFAULTS,
     controller_of,
     loop_settings,
@@ -18,8 +18,9 @@ from ..loop_problem import (
     run_loop,
     window_of,
 )
-from .plants import copy_plant, plant_in
-from .step import STEPS, Job, Made, Step, csv_text, ends, seconds, values
+from .plants import FILE as PLANT
+from .plants import copy_plant
+from .step import STEPS, Job, Made, Step, ends, plant_in, seconds, values
 
 if TYPE_CHECKING:
     from ...core.trajectory import Trajectory
@@ -29,26 +30,19 @@ _PLANNING = (
     *("constraints", "track", "budgets", "design", "integrand", "final", "method", "tolerance"),
     *("starts", "solver", "compiled", "options"),
 )
-MOTION = "motion.npz"
 
 
 class Moves(Step):
     """What offers a motion."""
 
-    offers: ClassVar[Mapping[str, str]] = {"motion": MOTION}
+    offers: ClassVar[Mapping[str, str]] = {"motion": "motion.npz"}
     parts: ClassVar[Mapping[str, str]] = {"plant": "plant"}
-
-    @classmethod
-    def read(cls, noun: str, job: Job) -> Trajectory:
-        from ...core.trajectory import Trajectory
-
-        return Trajectory.load(job.out / MOTION)
 
 
 def write_motion(motion: Trajectory, job: Job) -> None:
-    """Where :class:`Moves` reads it, and as a table."""
-    motion.save(job.out / MOTION)
-    motion.save(job.out / "motion.csv")
+    """Where it is read, and as a table."""
+    for ending in ("npz", "csv"):
+        motion.save(job.out / f"motion.{ending}")
 
 
 @STEPS.register("plan")
@@ -176,8 +170,7 @@ class CompareStep(Step):
         rows = [
             (d.variable.name, d.largest, d.rms, d.time, d.variable.unit) for d in found.deviations
         ]
-        head = ("variable", "largest", "rms", "at t [s]", "unit")
-        (job.out / "differences.csv").write_text(csv_text(head, rows), "utf-8")
+        job.table("differences.csv", ("variable", "largest", "rms", "at t [s]", "unit"), rows)
         names = [d.variable.name for d in found.deviations][:8]
         labels = str(job.said["reference"]), str(job.said["other"])
         job.save(plot_comparison(one, other, names, labels))
@@ -246,7 +239,7 @@ class ControllerStep(Step):
 
     @classmethod
     def read(cls, noun: str, job: Job) -> Any:
-        return cls._made(job, plant_in(job))
+        return cls._made(job, plant_in(job.out / PLANT, job.allow_code))
 
 
 @STEPS.register("loop")

@@ -11,13 +11,12 @@ import tomli_w
 from ...core.errors import InputError
 from ...core.files import read_toml, require_file, write_json
 from ...core.quantities import table
-from ..plant_fit_problem import FITTING, READING, fit_arguments, records_of
+from ..problem import FITTING, READING, fit_arguments, records_of
 from .step import (
     STEPS,
     Job,
     Made,
     Step,
-    csv_text,
     doubts,
     in_si,
     intervals_said,
@@ -74,18 +73,6 @@ class PlantStep(Step):
         (job.out / FILE).write_text(tomli_w.dumps({"plant": content}), "utf-8")
         return Made(plant, plant.description)
 
-    @classmethod
-    def read(cls, noun: str, job: Job) -> Plant:
-        return plant_in(job)
-
-
-def plant_in(job: Job) -> Plant:
-    """The plant of a step's own file."""
-    from ...plants.plant_file import plant_of
-
-    path = job.out / FILE
-    return plant_of(read_toml(path)["plant"], "plant", path.parent, allow_code=job.allow_code)
-
 
 @STEPS.register("fit-plant")
 class FitPlantStep(Step):
@@ -126,7 +113,7 @@ class FitPlantStep(Step):
         checked = fit.validate(others) if others else []
         for number, comparison in enumerate(checked, start=1):
             job.save(comparison.plot(), f"validation{number}.png")
-        write_intervals(fit, job.out / "values.csv")
+        write_intervals(fit, job, "values.csv")
         _write_plant(fit, job)
         text = "\n".join([fit.report(), *(f"[[Validation]]\n{c}" for c in checked)])
         numbers = {f"rmse.{n}": (e, plant.variable(n).unit) for n, e in fit.rmse.items()}
@@ -134,10 +121,6 @@ class FitPlantStep(Step):
         said = ", ".join(f"{n} {p:.1f} %" for n, p in fit.fit_percent.items())
         said += doubts(fit.warnings)
         return Made(fit, f"fit {said}", True, numbers, _sure(fit, checked), text)
-
-    @classmethod
-    def read(cls, noun: str, job: Job) -> Plant:
-        return plant_in(job)
 
 
 def _write_plant(fit: PlantFit, job: Job) -> None:
@@ -199,8 +182,7 @@ class LinearizeStep(Step):
         labels = {n: getattr(system, f"{n}_labels") for n in ("state", "input", "output")}
         write_json(job.out / "linear.json", {**labels, "units": dict(system.units), **matrices})
         poles = [(float(p.real), float(p.imag)) for p in point.poles]
-        head = ("real [1/s]", "imaginary [1/s]")
-        (job.out / "poles.csv").write_text(csv_text(head, poles), "utf-8")
+        job.table("poles.csv", ("real [1/s]", "imaginary [1/s]"), poles)
         output, source = system.output_labels[0], system.input_labels[0]
         shown = system.units[output], system.units[source]
         job.save(plot_bode({plant.name: system}, output, source, units=shown))

@@ -14,14 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from ...core.exceptions import InputError
+from ...core.files import read_toml
 from ...core.quantities import is_quantity, outside, quantity
 from ...core.registry import Registry
-from ..plant_fit_problem import listed, values
+from ..problem import listed, values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ...core.trajectory import Trajectory
+    from ...muscles.pneumatic_muscle import Muscle
+    from ...plants.plant import Plant
 
 __all__ = [
     "STAGES",
@@ -34,6 +37,7 @@ __all__ = [
     "ends",
     "in_si",
     "intervals_said",
+    "plant_in",
     "seconds",
     "text_of",
     "values",
@@ -83,9 +87,13 @@ class Job:
 
     def save(self, figure: Figure, name: str = "plot.png") -> Path:
         """Write a figure of this step."""
-        from ...figures.saved import save_figure
+        from ...figures.canvas import save_figure
 
         return save_figure(figure, self.out / name)
+
+    def table(self, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Write a table of this step (CSV)."""
+        (self.out / name).write_text(csv_text(head, rows), "utf-8")
 
     def workbook(self, thing: Any, name: str) -> None:
         """Write a result as a workbook; a warning says where the extra [excel] is missing."""
@@ -148,10 +156,39 @@ class Step:
     @classmethod
     def read(cls, noun: str, job: Job) -> Any:
         """The noun from the files in ``job.out``, for another step."""
-        return job.out / cls.offers[noun]
+        file, read = job.out / cls.offers[noun], READERS.get(noun)
+        return file if read is None else read(file, job.allow_code)
 
 
 STEPS: Registry[type[Step]] = Registry("study step", __package__)
+
+
+# ---- nouns in files of steps ---------------------------------------------------------------------
+def _motion(file: Path, allow_code: bool) -> Trajectory:
+    from ...core.trajectory import Trajectory
+
+    return Trajectory.load(file)
+
+
+def _muscle(file: Path, allow_code: bool) -> Muscle:
+    from ...muscles.muscle_file import load_muscle
+
+    return load_muscle(file)
+
+
+def plant_in(file: Path, allow_code: bool) -> Plant:
+    """The plant of a step's own file."""
+    from ...plants.plant_file import plant_of
+
+    return plant_of(read_toml(file)["plant"], "plant", file.parent, allow_code=allow_code)
+
+
+READERS: dict[str, Callable[[Path, bool], Any]] = {
+    "motion": _motion,
+    "muscle": _muscle,
+    "plant": plant_in,
+}
+"""{noun: what reads it of a file}; others are files themselves, as an FMU."""
 
 
 # ---- what several kinds need ---------------------------------------------------------------------
@@ -199,14 +236,14 @@ def ends(motion: Trajectory) -> dict[str, tuple[float, str]]:
     return found
 
 
-def write_intervals(fit: Any, path: Path, first: str = "name") -> None:
+def write_intervals(fit: Any, job: Job, name: str, first: str = "name") -> None:
     """The fitted values of a fit with their intervals as a table; first : heading of the names."""
     intervals = fit.intervals()
     rows = [
         (c.name, c.value, c.stderr, *intervals.get(c.name, (c.value, c.value)), c.unit)
         for c in fit.coefficients.values()
     ]
-    path.write_text(csv_text((first, "value", "stderr", "low", "high", "unit"), rows), "utf-8")
+    job.table(name, (first, "value", "stderr", "low", "high", "unit"), rows)
 
 
 def intervals_said(fit: Any) -> list[str]:

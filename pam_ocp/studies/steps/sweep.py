@@ -7,7 +7,7 @@ from typing import Any
 
 from ...core.errors import InputError, UnknownNameError
 from ...core.units import display_unit, significant, unit
-from .step import STEPS, Job, Made, Step, csv_text
+from .step import STEPS, Job, Made, Step
 
 MOST_CASES = 10_000
 MOST_PANELS = 6
@@ -56,7 +56,7 @@ class SweepStep(Step):
             for case, numbers in zip(cases, found, strict=True)
         ]
         head = [*cases[0], *(f"{n} [{units[n]}]" for n in chosen)]
-        (job.out / "sweep.csv").write_text(csv_text(head, rows), "utf-8")
+        job.table("sweep.csv", head, rows)
         if len(cases[0]) <= 2 and chosen:
             _plot(job, cases, found, chosen[:MOST_PANELS], units)
         failed = sum(not numbers for numbers in found)
@@ -80,13 +80,13 @@ def _plot(
     units: Mapping[str, str],
 ) -> None:
     """The numbers over the first that is varied, a line for each value of the second."""
-    from ...figures.canvas import COLOURS, MARKS, STROKES, new_figure
+    from ...figures.canvas import COLOURS, MARKS, STROKES, caption, panels
 
-    figure, axes = new_figure(len(chosen), size=(8, 1.0 + 2.2 * len(chosen)), sharex=True)
+    figure, axes = panels(len(chosen), size=(8, 1.0 + 2.2 * len(chosen)))
     first, *others = cases[0]
     ticks = list(dict.fromkeys(str(c[first]) for c in cases))
     lines = list(dict.fromkeys(str(c[o]) for c in cases for o in others)) or [""]
-    for ax, name in zip(axes[:, 0], chosen, strict=True):
+    for ax, name in zip(axes, chosen, strict=True):
         shown = display_unit(units[name])
         factor = unit(shown).factor
         for i, line in enumerate(lines):
@@ -95,13 +95,15 @@ def _plot(
                 for c, f in zip(cases, found, strict=True)
                 if name in f and all(str(c[o]) == line for o in others)
             ]
-            style = {"marker": MARKS[i % len(MARKS)], "color": COLOURS[i % len(COLOURS)]}
-            ax.plot(
-                *zip(*at, strict=True), STROKES[i % len(STROKES)], label=line, **style
-            ) if at else None
-        ax.set_ylabel(name + ("" if shown == "1" else f"\n[{shown}]"))
+            style: dict[str, Any] = {
+                "marker": MARKS[i % len(MARKS)],
+                "color": COLOURS[i % len(COLOURS)],
+            }
+            if at:
+                ax.plot(*zip(*at, strict=True), STROKES[i % len(STROKES)], label=line, **style)
+        caption(ax, y=name + ("" if shown == "1" else f"\n[{shown}]"))
     if others:
-        axes[0, 0].legend(title=others[0], frameon=False, fontsize="small")
-    axes[-1, 0].set_xticks(range(len(ticks)), ticks)
-    axes[-1, 0].set_xlabel(first)
+        axes[0].legend(title=others[0], frameon=False, fontsize="small")
+    axes[-1].set_xticks(range(len(ticks)), ticks)
+    caption(axes[-1], first)
     job.save(figure)

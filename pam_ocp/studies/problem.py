@@ -1,9 +1,11 @@
-"""A closed loop in words: what a problem file says becomes a controller, an estimator and a run."""
+"""Problems in words: what files say of a fit to records becomes records and arguments of fit_plant;
+what they say of a closed loop becomes a controller, an estimator and a run.
+"""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
 from pathlib import Path
@@ -11,15 +13,103 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, require_positive
 from ..core.files import reading
-from ..core.quantities import known_keys, quantity, table
+from ..core.quantities import known_keys, pair, quantity, table
 from ..plants.plant import Plant
-from .plant_fit_problem import values
 
 if TYPE_CHECKING:
     from ..control.estimators.extended_kalman import Estimator
     from ..control.loop import ClosedLoop
+    from ..core.trajectory import Trajectory
     from ..operating.resting_point import OperatingPoint
 
+
+def values(where: str, plant: Plant, said: Any) -> dict[str, float]:
+    """Values of a plant's variables in SI, as a table of a file or of options names them."""
+    return {
+        plant.variable(n).name: quantity(f"{where}.{n}", v, plant.variable(n).unit)
+        for n, v in table(where, said).items()
+    }
+
+
+def listed(where: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{where} = {value!r}: give a list, as [{value!r}]")
+    return value
+
+
+# ---- a fit to records ----------------------------------------------------------------------------
+READING = (
+    *("columns", "units", "time", "interpolation", "max_gap", "split", "clock", "sample_time"),
+    *("ambient_pressure", "sheet", "skip", "pick", "delimiter", "decimal", "empty"),
+    *("encoding", "bad_lines", "constants", "pattern"),
+)
+FITTING = (
+    "outputs",
+    "delay",
+    "offsets",
+    "gains",
+    "noise",
+    "input_noise",
+    "process_noise",
+    "bounds",
+    "inputs",
+    "method",
+    "degree",
+    "step",
+)
+"""Keys of a study file that read_record, and fit_plant, take."""
+
+
+def records_of(
+    study: Mapping[str, Any], plant: Plant, paths: Iterable[str | Path]
+) -> list[Trajectory]:
+    """The records in files, read as the study says."""
+    from ..fitting.tables.records import read_records
+
+    reading = {n: study[n] for n in READING if n in study and n != "split"}
+    found: list[Trajectory] = []
+    for path in paths:
+        found += read_records(path, plant, split=study.get("split"), **reading)
+    return found
+
+
+def fit_arguments(study: Mapping[str, Any], plant: Plant) -> dict[str, Any]:
+    """Arguments of fit_plant, in SI."""
+    found: dict[str, Any] = {n: study[n] for n in ("method", "degree") if n in study}
+    for name in ("outputs", "offsets", "gains"):
+        if name in study:
+            found[name] = listed(name, study[name])
+    for name in ("noise", "inputs", "input_noise"):
+        if name in study:
+            found[name] = values(name, plant, study[name])
+    if "process_noise" in study:  # of the plant [unit/sqrt(s)]
+        said = table("process_noise", study["process_noise"])
+        found["process_noise"] = {n: quantity(f"process_noise.{n}", v) for n, v in said.items()}
+    if "bounds" in study:
+        found["bounds"] = bounds_of(study, plant)
+    if "step" in study:
+        found["step"] = quantity("step", study["step"], "s")
+    if "delay" in study:
+        given = study["delay"] if isinstance(study["delay"], list) else [study["delay"]]
+        ends = [quantity("delay", v, "s") for v in given]
+        if len(ends) > 2:
+            raise InputError(f"delay: {len(ends)} values; give one, or two to find it between")
+        found["delay"] = ends[0] if len(ends) == 1 else (ends[0], ends[1])
+    return found
+
+
+def bounds_of(study: Mapping[str, Any], plant: Plant) -> dict[str, tuple[float, float]]:
+    ends = {
+        n: pair(f"bounds.{n}", v, plant.variable(n.replace("*", "1")).unit)
+        for n, v in table("bounds", study["bounds"]).items()
+    }
+    return {
+        n: (-float("inf") if low is None else low, float("inf") if high is None else high)
+        for n, (low, high) in ends.items()
+    }
+
+
+# ---- a closed loop -------------------------------------------------------------------------------
 DEFAULTS: dict[str, Any] = {
     "plant": "antagonistic_slide",
     "muscle": "DMSP-20-200N",
