@@ -163,6 +163,7 @@ def test_a_branch_goes_round_its_fold():
     assert branch.values[-1] == K + 0.2
     (fold,) = branch.folds
     assert branch.values[fold] == pytest.approx(K - 0.25, abs=0.02)
+    assert fold == np.argmin(branch.values)
     assert branch.stable.tolist() == (square > 0.5).tolist()
     two = branch.at(K - 0.2)
     expected = np.sqrt((1 + np.array([-1, 1]) * np.sqrt(0.2)) / 2)
@@ -246,6 +247,11 @@ def test_a_free_vibration_is_that_of_the_linear_oscillator(offset):
     assert motion.amplitudes[0] == pytest.approx((tops[0] + tops[1]) / 2, rel=1e-8)
     assert motion.log_decrement == pytest.approx(decrement, rel=1e-8)
     assert motion.damping_ratio == pytest.approx(RATIO, rel=1e-8)
+    for cycles, expected in ((2, np.nan), (3, decrement)):  # the first passage is a cycle's begin
+        short = vibration.free_vibration(
+            oscillator(), {"u": REST}, offset, state="q", cycles=cycles
+        )
+        assert short.log_decrement == pytest.approx(expected, nan_ok=True)
     assert motion.rest == pytest.approx(REST)
     times, deviations = motion.peaks
     assert np.diff(times) * damped == pytest.approx(np.full(len(times) - 1, np.pi), rel=1e-8)
