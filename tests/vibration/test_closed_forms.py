@@ -12,6 +12,7 @@ import pam_ocp as pam
 from pam_ocp import InputError, vibration
 from pam_ocp.numerics.periodic_collocation import Periodic
 from pam_ocp.vibration.cycle import Settings, converged, pin
+from pam_ocp.vibration.free import Smooth
 from pam_ocp.vibration.hopf_bifurcation import _between
 from pam_ocp.vibration.maps import _passages
 
@@ -256,6 +257,11 @@ def test_a_free_vibration_is_that_of_the_linear_oscillator(offset):
     times, deviations = motion.peaks
     assert np.diff(times) * damped == pytest.approx(np.full(len(times) - 1, np.pi), rel=1e-8)
     assert deviations[1:] / deviations[:-1] == pytest.approx(-np.exp(-decrement / 2), rel=1e-8)
+
+
+def test_a_passage_at_a_sample_counts_once():
+    line = Smooth(np.arange(3.0), np.array([[-1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]))
+    assert [e.tolist() for e in line.zeros()] == [[1.0], [0.0], [1.0]]
 
 
 def test_the_energy_of_the_linear_oscillator():
