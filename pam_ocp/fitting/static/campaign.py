@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.cases import results_of
-from ...core.errors import FitError, InputError, PamError, kind_of, require_positive
+from ...core.errors import RAW, FitError, InputError, PamError, blamed, kind_of, require_positive
 from ...core.executors import Place, placed
 from ...core.files import require_local
 from ...core.quantities import outside
@@ -27,7 +27,7 @@ from ...core.units import unit
 from ...muscles.law import ForceLaw
 from ..statistics import Array, f_test
 from ..tables.cells import branch_of, is_unit, parse_header
-from ..tables.force_table import ForceTable, TableArguments, joined_tables, table_of
+from ..tables.force_table import ForceTable, TableArguments, joined_tables, read_table, table_of
 from ..tables.raw import RawTable, say
 from ..tables.sources import ENDINGS, is_readable, load, naming
 from .campaign_result import Campaign, LengthLaw, LengthStudy, MuscleStudy, RunStudy
@@ -449,8 +449,12 @@ def _read(
     """The tables of one file, one for each muscle that a column names."""
     muscle, branch, run = _named(name if isinstance(source, (str, Path)) else f"{name}.table")
     found = []
+    try:
+        words = TableArguments(**reading)
+    except RAW as error:  # said as read_table would
+        raise blamed(read_table, (source,), reading, error) from error
     with naming(source):
-        for own, part, told in _parts(load(source, TableArguments(**reading)), muscle):
+        for own, part, told in _parts(load(source, words), muscle):
             length = _said(rest_length, own) or told.get("rest_length") or _sizes(own)[0]
             width = _said(diameter, own) or told.get("diameter") or _sizes(own)[1]
             table = table_of(part, TableArguments(rest_length=length, **reading))

@@ -351,7 +351,6 @@ def read_table(
     return whole
 
 
-@with_kinds
 @dataclass(frozen=True)
 class TableArguments(Reading):
     """What the user says of a force table; see :func:`read_table`."""
