@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
 from pam_ocp import InputError, vibration
@@ -31,6 +32,24 @@ def resting_pressure(muscle: pam.Muscle, mass: float, x: float) -> float:
 
 
 # ---- where it begins --------------------------------------------------------------------------
+
+
+def test_a_map_of_the_border_is_that_of_routh_and_hurwitz() -> None:
+    muscle, c, lag = pam.muscle(MUSCLE), 40.0, 0.1
+    plant = RegulatedLoad(muscle, lag=lag, damping=c)
+    masses, places = [8.0, 20.0, 45.0], [0.03, 0.05]
+    axes = {"mass": masses, "x": places}
+    resting = {"muscle.reference": 0.04}
+    found = vibration.hopf_map(plant, "muscle.gain", (1e3, 1e7), axes, resting)
+    for i, m in enumerate(masses):
+        for j, x in enumerate(places):
+            k, slope = force_slopes(muscle, resting_pressure(muscle, m, x), x)
+            gain = ((m + c * lag) * (c + k * lag) / (m * lag) - k) / slope
+            assert found.border[i, j] == pytest.approx(gain, rel=1e-5)
+            hertz = np.sqrt((c + k * lag) / (m * lag)) / (2 * np.pi)
+            assert found.frequencies[i, j] == pytest.approx(hertz, rel=1e-5)
+    assert not found.reasons
+    assert "border of vibration over mass and x" in str(found)
 
 
 def test_a_position_servo_of_a_leaking_muscle_begins_to_vibrate_where_theory_says() -> None:
@@ -93,6 +112,48 @@ def test_a_border_is_found_where_a_pair_is_born_and_crosses_between_two_points()
 # ---- how large it becomes ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
+def test_the_amplitude_in_a_map_is_that_of_scipy() -> None:
+    muscle, c, lag, m = pam.muscle(MUSCLE), 40.0, 0.1, 20.0
+    plant = RegulatedLoad(muscle, m, lag=lag, damping=c, gain=8.4e5)
+    found = vibration.amplitude_map(
+        plant, {"mass": [m], "x": [0.04]}, {"muscle.reference": 0.04}, push={"x": 0.01}
+    )
+    middle = resting_pressure(muscle, m, 0.04)
+    top, width = muscle.pressure_range[1], 2e4
+
+    def clamp(z: float) -> float:
+        if abs(z) >= width:
+            return max(z, 0.0)
+        s = (z / width + 1) / 2
+        return width * s**4 * (2 * s**2 - 6 * s + 5)
+
+    def rates(_t: float, y: np.ndarray) -> list[float]:
+        x, v, p = y
+        tension = float(muscle.law.tension(p, x / muscle.rest_length))
+        assert tension > 20  # never near slack: the clamp at zero force is not needed here
+        wanted = middle + 8.4e5 * (0.04 - x)
+        return [v, (tension - m * G - c * v) / m, (clamp(wanted) - clamp(wanted - top) - p) / lag]
+
+    run = solve_ivp(
+        rates, (0, 100), [0.05, 0.0, middle], "LSODA", rtol=1e-9, atol=1e-9, dense_output=True
+    )
+    tail = run.sol(np.linspace(90, 100, 20001))[0]
+    assert found.closed[0, 0]
+    assert found.amplitude[0, 0] == pytest.approx(np.ptp(tail) / 2, rel=2e-4)
+    assert found.growth[0, 0] > 0
+
+
+def test_where_rest_is_stable_a_push_dies_out() -> None:
+    plant = RegulatedLoad(pam.muscle(MUSCLE), 20.0, gain=2e5)
+    found = vibration.amplitude_map(
+        plant, {"mass": [20.0], "x": [0.04]}, {"muscle.reference": 0.04}
+    )
+    assert found.amplitude[0, 0] == 0
+    assert found.growth[0, 0] < 0
+    assert "0 of 1 points vibrate" in str(found)
+
+
 def test_points_that_have_no_rest_say_why() -> None:
     plant = RegulatedLoad(pam.muscle(MUSCLE), 20.0, gain=2e5)
     found = vibration.amplitude_map(
@@ -100,6 +161,20 @@ def test_points_that_have_no_rest_say_why() -> None:
     )
     assert "no equilibrium" in found.reasons[500.0, 0.09]
     assert np.isnan(found.amplitude[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [
+        ({"mass": [20.0]}, "give two"),
+        ({"mass": [20.0], "x": [0.04], "muscle.lag": [0.1]}, "give two"),
+        ({"mass": [20.0], "muscle.reference": [0.04]}, "among the conditions"),
+    ],
+)
+def test_axes_that_cannot_be_meant_are_refused(axes: dict, said: str) -> None:
+    plant = RegulatedLoad(pam.muscle(MUSCLE), 20.0)
+    with pytest.raises(InputError, match=said):
+        vibration.amplitude_map(plant, axes, {"muscle.reference": 0.04})
 
 
 def test_a_servo_without_gains_is_refused() -> None:

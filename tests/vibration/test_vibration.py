@@ -6,13 +6,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import BAR, flat
+from conftest import BAR, flat, scipy_states
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 import pam_ocp as pam
 from pam_ocp import InputError, UnknownNameError, vibration
+from pam_ocp.operating import EquilibriumError
 from pam_ocp.plants.regulated import RegulatedLoad
 from pam_ocp.vibration import VibrationError
 
@@ -56,8 +57,13 @@ def beyond(factor: float) -> pam.Plant:
 
 
 @cache
-def low_cycle() -> vibration.LimitCycle:
-    return vibration.limit_cycle(low_hopf().plant, low_hopf())
+def low_cycle() -> tuple[vibration.LimitCycle, pam.Trajectory]:
+    """The limit cycle 10 % beyond the border, and the last second of a long simulation."""
+    plant = beyond(1.10)
+    times = np.append(np.linspace(0, 99, 200), np.linspace(99.005, 101, 400))
+    motion = pam.simulate(plant, t=times, start={"x": 0.06}, rtol=1e-11)
+    tail = motion.at(motion.t[motion.t >= 99])
+    return vibration.limit_cycle(plant, tail), tail
 
 
 # ---- free vibration --------------------------------------------------------------------------
@@ -101,6 +107,16 @@ def test_free_vibration_has_the_frequency_of_the_period_integral(clamp, offset, 
     assert motion.log_decrement == pytest.approx(0.0, abs=1e-8)
 
 
+def test_small_damped_vibration_decays_as_the_linear_oscillator():
+    motion = vibration.free_vibration(
+        load(pam.losses.StiffnessDamping(0.1)), FOUR_BAR, 1e-4, cycles=8
+    )
+    ((natural, ratio),) = pam.operating.modes(motion.point.plant.linearize(motion.point))
+    assert motion.damping_ratio == pytest.approx(ratio, rel=1e-4)
+    assert motion.frequency == pytest.approx(natural * np.sqrt(1 - ratio**2), rel=1e-6)
+    assert motion.rest * 1e3 == pytest.approx(80.8, abs=0.05)
+
+
 def test_frequency_falls_with_amplitude_once_the_muscle_goes_slack():
     plant = load(pam.losses.ConstantDamping(0.0))
     curve = vibration.backbone(plant, FOUR_BAR, [0.002, 0.015, 0.025, 0.030])
@@ -112,6 +128,8 @@ def test_frequency_falls_with_amplitude_once_the_muscle_goes_slack():
 def test_without_oscillation_there_is_nothing_to_measure():
     with pytest.raises(VibrationError, match="does not oscillate about this point"):
         vibration.free_vibration(load(pam.losses.ConstantDamping(5e3)), FOUR_BAR, 0.01)
+    with pytest.raises(InputError, match="offset = 0"):
+        vibration.free_vibration(load(pam.losses.ConstantDamping(0.0)), FOUR_BAR, 0.0)
 
 
 # ---- energy: no self-excited vibration at constant pressure ----------------------------------
@@ -145,8 +163,15 @@ def test_energy_is_the_one_of_the_reference():
     assert slope == pytest.approx(-30 * v**2, abs=2e-2 * np.max(30 * v**2))
 
 
+def test_undamped_energy_is_conserved():
+    plant = load(pam.losses.ConstantDamping(0.0))
+    motion = vibration.free_vibration(plant, FOUR_BAR, 0.03, cycles=20)
+    found = vibration.energy(plant, motion.trajectory)
+    assert np.ptp(found.total) < 1e-8 * found.kinetic.max()
+
+
 def test_energy_refuses_a_moving_pressure():
-    cycle = low_cycle()
+    cycle, _ = low_cycle()
     with pytest.raises(InputError, match=r"muscle\.pressure moves between"):
         vibration.energy(cycle.plant, cycle.trajectory)
 
@@ -180,7 +205,121 @@ def test_the_hopf_point_is_that_of_routh_and_hurwitz():
     assert np.sort(np.abs(poles.real))[:2] == pytest.approx([0, 0], abs=1e-11)
 
 
+def test_the_crossing_rate_is_the_slope_of_the_growth_rate():
+    found, step = low_hopf(), 1e3
+    path = vibration.stability_path(
+        regulated(), "muscle.gain", found.value + step * np.array([-1, 0, 1]), LOW
+    )
+    assert found.crossing == pytest.approx((path.growth[2] - path.growth[0]) / (2 * step), rel=1e-5)
+    assert path.stable.tolist()[::2] == [True, False]
+
+
+def test_the_border_over_gain_and_lag_is_that_of_routh_and_hurwitz():
+    lags = np.geomspace(0.01, 0.5, 8)
+    border = vibration.hopf_border(regulated(), "muscle.gain", (1e5, 3e7), "muscle.lag", lags, LOW)
+    expected = np.array([routh_hurwitz(LOW, lag) for lag in lags])
+    assert border.border == pytest.approx(expected[:, 0], rel=1e-6)
+    assert border.frequencies == pytest.approx(expected[:, 1], rel=1e-6)
+    assert not border.reasons
+
+
+def test_beside_the_border_simulations_decay_and_grow():
+    t = np.linspace(0, 8, 2001)
+    swings = []
+    for factor in (0.95, 1.05):
+        x = pam.simulate(beyond(factor), t=t, start={"x": 0.041})["x"]
+        swings.append(np.ptp(x[t > 7]) / np.ptp(x[t < 1]))
+    assert swings[0] < 0.8
+    assert swings[1] > 1.3
+
+
+def test_a_path_of_rest_finds_the_equilibria_of_each_pressure():
+    """The input itself varies; every point agrees with pam_ocp.equilibrium."""
+    path = vibration.stability_path(
+        load(pam.losses.StiffnessDamping(0.1)), "muscle.pressure", np.array([2, 4, 6]) * BAR
+    )
+    assert path.column("x") * 1e3 == pytest.approx([34.6, 80.8, 97.3], abs=0.05)  # REFERENCE
+    frequency = np.abs(path.eigenvalues).max(axis=1) / (2 * np.pi)
+    assert frequency == pytest.approx([2.74, 3.43, 4.20], abs=0.005)
+
+
 # ---- limit cycles ----------------------------------------------------------------------------
+
+
+def test_the_limit_cycle_is_what_a_long_simulation_ends_in():
+    cycle, tail = low_cycle()
+    x = tail["x"]
+    fine = np.linspace(tail.t[0], tail.t[-1], 200_001)
+    from scipy.interpolate import CubicHermiteSpline
+
+    curve = CubicHermiteSpline(tail.t, x, tail["v"])
+    y = curve(fine) - 0.04
+    rises = fine[1:][(y[:-1] < 0) & (y[1:] >= 0)]
+    assert cycle.period == pytest.approx(np.diff(rises).mean(), rel=1e-4)
+    assert cycle.amplitude("x") == pytest.approx(np.ptp(y) / 2, rel=1e-4)
+    assert cycle.closing_error < 1e-9
+
+
+def test_floquet_multipliers_of_the_cycle():
+    """One is 1; the others agree with the variational equation, integrated by SciPy."""
+    cycle, _ = low_cycle()
+    assert cycle.multipliers[0] == pytest.approx(1.0, abs=1e-6)
+    assert cycle.stable
+    assert np.all(np.abs(cycle.multipliers[1:]) < 1)
+    plant = cycle.plant
+    start = np.array([cycle.trajectory[v.name][0] for v in plant.states])
+    nominal, u = plant.vector("state", attribute="nominal"), plant.vector("input")
+    columns = []
+    for i in range(3):
+        shift = np.eye(3)[i] * 1e-4 * nominal
+        ends = [
+            scipy_states(plant, lambda _: u, [0.0, cycle.period], start + sign * shift)[-1]
+            for sign in (1, -1)
+        ]
+        columns.append((ends[0] - ends[1]) / (2e-4 * nominal))
+    others = np.sort(np.abs(np.linalg.eigvals(np.array(columns).T)))
+    assert np.sort(np.abs(cycle.multipliers)) == pytest.approx(others, abs=2e-6)
+
+
+def test_near_the_hopf_point_the_cycle_is_the_linear_mode():
+    point = low_hopf()
+    cycle = vibration.limit_cycle(point.plant, point, amplitude={"x": 1e-3})
+    assert cycle.amplitude("x") == pytest.approx(1e-3, rel=1e-3)
+    assert cycle.frequency == pytest.approx(point.frequency, rel=1e-3)
+    # supercritical and unstable above: the cycle is stable and lies above
+    assert point.supercritical
+    assert cycle.stable
+    assert cycle.plant.variable("muscle.gain").start > point.value
+
+
+def test_the_lyapunov_coefficient_tells_how_the_parameter_moves_with_amplitude():
+    """Normal form r' = growth r + omega l1 r^3: growth r = -omega l1 r^2 on the cycle."""
+    point = low_hopf()
+    nominal = point.plant.vector("state", attribute="nominal")
+    mode = point.mode / nominal
+    size = 5e-4
+    cycle = vibration.limit_cycle(point.plant, point, amplitude={"x": size})
+    offset = cycle.plant.variable("muscle.gain").start - point.value
+    # z = 2 r Re(q e^(i phi)) with |q| = 1, so a state swings by 2 r |q_i|
+    r = size / (2 * abs(mode[0]) / np.linalg.norm(mode)) / nominal[0]
+    omega = 2 * np.pi * point.frequency
+    assert point.crossing * offset == pytest.approx(-omega * point.lyapunov * r**2, rel=1e-2)
+
+
+def test_a_branch_reaches_the_cycle_found_by_simulation():
+    point = low_hopf()
+    small = vibration.limit_cycle(point.plant, point)
+    branch = vibration.continue_cycle(
+        small, "muscle.gain", (0.5 * point.value, 1.13 * point.value), step=1.0
+    )
+    assert branch.ended == f"muscle.gain reaches {_gain(1.13 * point.value)}"
+    assert branch.values[-1] == pytest.approx(1.13 * point.value, rel=1e-12)
+    assert np.all(np.diff(branch.amplitudes("x")) > 0)
+    assert branch.stable.all()
+    (there,) = branch.at(1.10 * point.value)
+    cycle, _ = low_cycle()
+    assert there.period == pytest.approx(cycle.period, rel=1e-8)
+    assert there.amplitude("x") == pytest.approx(cycle.amplitude("x"), rel=1e-8)
 
 
 @pytest.mark.slow
@@ -216,6 +355,10 @@ def test_slack_makes_the_onset_a_jump():
     assert swings[1] > 1.05
 
 
+def _gain(value: float) -> str:
+    return regulated().variable("muscle.gain").shown(value)
+
+
 # ---- bad input -------------------------------------------------------------------------------
 
 
@@ -229,6 +372,11 @@ def test_unknown_names_are_answered_with_near_ones():
 def test_a_bracket_without_a_crossing_is_said_to_have_none():
     with pytest.raises(InputError, match=r"no complex pair.*1 bar/m \.\. 5 bar/m"):
         vibration.hopf(regulated(), "muscle.gain", (1e5, 5e5), LOW)
+
+
+def test_a_path_says_where_it_ends():
+    with pytest.raises(EquilibriumError, match=r"the path ends at mass = 200 kg"):
+        vibration.stability_path(load(pam.losses.ConstantDamping(9.0)), "mass", [20, 200], FOUR_BAR)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +407,7 @@ def test_the_command_of_a_regulated_load_is_linear_within_its_range():
 
 
 def test_pictures_are_drawn_with_named_axes():
-    cycle = low_cycle()
+    cycle, _ = low_cycle()
     labels = [ax.get_ylabel() for ax in cycle.plot_phase().axes]
     assert labels == ["v [m/s]"]
     motion = vibration.free_vibration(
