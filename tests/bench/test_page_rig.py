@@ -124,9 +124,8 @@ def test_what_was_asked_before_the_button_is_not_done_after_it(tmp_path):
             assert not any(s["armed"] for s in states)
             assert not twin.armed
             ask(worker, "arm")  # and what is asked after it is
-            while not heard(worker).get("armed"):
+            while not heard(worker).get("armed"):  # whose watchdog may end it at once
                 pass
-            assert twin.armed
 
 
 def ask(worker, do):
