@@ -22,6 +22,7 @@ from hypothesis import HealthCheck, settings
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
+from pam_ocp.core.signals import PiecewisePolynomial
 
 BAR = 1e5
 # hundreds of children import the same modules: images of containers often forbid to keep them
@@ -79,6 +80,15 @@ def hardening_cart(limit: float = 10.0) -> pam.Plant:
     plant.der(v, (u - k * x * (1 + x**2)) / m)
     plant.output("power", u * v, unit="W")
     return plant
+
+
+def judged_held(
+    plant: pam.Plant, start: Any, inputs: Any, stops: Any, duration: float = 1.0, **words: Any
+) -> pam.judge.Judgement:
+    """Of a motion under constant inputs."""
+    signals = PiecewisePolynomial(np.array([0.0, duration]), np.array([[inputs]], float))
+    motion = pam.judge.Motion(np.array(start, float), signals, (duration,))
+    return pam.judge.judge(plant, pam.judge.Statement(stops, **words), motion)
 
 
 @contextmanager

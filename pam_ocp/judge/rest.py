@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import SimulationError
-from ..operating.held import Memory
+from ..operating.held import Memory, require_memory
 from ..plants.plant import Plant
 from ..plants.stillness import settled_names, store_names, totals
 from ..simulation.simulator import simulate
@@ -243,8 +243,7 @@ def begun(
     places = {p.name for p in plant.resting(_spoken(plant, [point]))}
     said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
     memories = [v.name for v in plant.states if v.memory == "held"]
-    sums = _sums(plant)
-    given = {*memories, *sums}
+    given = {*memories, *totals(plant)}
     stores = {*store_names(plant)}
     kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies} - stores]
     rates = plant.function(plant.x, plant.u, plant.p)[0]
@@ -252,13 +251,15 @@ def begun(
     every = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
     unsaid = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in free))
     still = _still(plant, x, u, (every, unsaid), limits, point.time)
-    said_of = sums.items() | {(n, _remembered(plant, n, memory, x, still)) for n in memories}
-    for name, value in sorted(said_of):
-        if name in plant.copies:
+    word = require_memory(plant, memory)
+    for i, name in enumerate(names):
+        if name not in given - plant.copies:
             continue
-        i, ends = names.index(name), (value, value)
-        if name in memories and not isinstance(memory, Mapping):
-            ends = _left(plant, i, value, x, still)
+        value = float(plant.states[i].start or 0.0)
+        ends = value, value  # totals begin at their start values
+        if name in memories:
+            value = _remembered(plant, i, word, x, still)
+            ends = (value, value) if isinstance(word, dict) else _left(plant, i, value, x, still)
         off = max(min(ends) - float(x[i]), float(x[i]) - max(ends), 0.0) / float(nominal[i])
         yield f"{point.label}: {name} at the start", off, name in said
     moving = any(n.startswith("der(") for n in point.stop.values)
@@ -273,22 +274,22 @@ def begun(
         yield f"{point.label}: {name} as its surroundings leave it", off, name in said
 
 
-def _remembered(plant: Plant, name: str, memory: Memory, x: Array, u: Array) -> float:
+def _remembered(
+    plant: Plant, i: int, memory: str | Mapping[str, float], x: Array, u: Array
+) -> float:
     """What a held memory is said to hold: its start value, what is given, or the end of its range
     to which it is driven while all positions come from "above" or "below".
     """
-    variable = plant.variable(name)
+    variable = plant.states[i]
     start = float(variable.start or 0.0)
     if isinstance(memory, Mapping):
-        named = {plant.variable(n).name: float(value) for n, value in memory.items()}
-        return named.get(name, start)
+        return memory.get(variable.name, start)
     if memory == "virgin":
         return start
-    i, p = [v.name for v in plant.states].index(name), plant.vector("parameter")
     standing = np.array(x, float)
     standing[i] = (variable.min + variable.max) / 2
-    rising = _rising(plant, standing, u)
-    drive = float(np.diff([_rate(plant, i, at, u, p) for at in (standing, rising)])[0])
+    rate = _rate(plant, i, u)
+    drive = rate(_rising(plant, standing, u)) - rate(standing)
     if memory == "above":
         drive = -drive
     return variable.max if drive > 0 else variable.min if drive < 0 else start
@@ -308,8 +309,10 @@ def _rising(plant: Plant, x: Array, u: Array) -> Array:
     return moved
 
 
-def _rate(plant: Plant, i: int, x: Array, u: Array, p: Array) -> float:
-    return float(plant.function(x, u, p)[0][i])
+def _rate(plant: Plant, i: int, u: Array) -> Callable[[Array], float]:
+    """Of a state, by all states."""
+    p = plant.vector("parameter")
+    return lambda x: float(plant.function(x, u, p)[0][i])
 
 
 def _left(plant: Plant, i: int, value: float, x: Array, u: Array) -> tuple[float, float]:
@@ -318,11 +321,11 @@ def _left(plant: Plant, i: int, value: float, x: Array, u: Array) -> tuple[float
     """
     from scipy.integrate import solve_ivp  # takes 0.1 s to load
 
-    p, here, nominal = plant.vector("parameter"), np.array(x, float), plant.states[i].nominal
+    rate_at, here, nominal = _rate(plant, i, u), np.array(x, float), plant.states[i].nominal
 
     def rate(t: float, z: Array) -> list[float]:
         here[i] = z[0] * nominal
-        return [_rate(plant, i, here, u, p) / nominal]
+        return [rate_at(here) / nominal]
 
     def slowed(t: float, z: Array) -> float:
         return abs(rate(t, z)[0]) - CREEP
@@ -356,11 +359,6 @@ def _still(
         if left.max(initial=0.0) < HELD:
             break
     return still
-
-
-def _sums(plant: Plant) -> dict[str, float]:
-    """Totals begin at their start values."""
-    return {n: float(plant.variable(n).start or 0.0) for n in totals(plant)}
 
 
 def _away(plant: Plant, x: Array, u: Array, kept: Sequence[int]) -> tuple[Array, Array]:

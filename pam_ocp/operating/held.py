@@ -46,6 +46,29 @@ def held_names(plant: Plant) -> tuple[str, ...]:
     return tuple(v.name for v in plant.states if v.memory == "held")
 
 
+def require_memory(plant: Plant, memory: Memory) -> str | dict[str, float]:
+    """The word, or {state: value} by full names.
+
+    Raises InputError for another word, a name that is no held memory, or a value out of its range.
+    """
+    if isinstance(memory, Mapping):
+        found, known = dict[str, float](), held_names(plant)
+        for name, value in memory.items():
+            variable = plant.variable(name)
+            if variable.name not in known:
+                raise InputError(
+                    f"memory: {name} is no state with a held memory; "
+                    f"known: {', '.join(known) or 'none'}"
+                )
+            found[variable.name] = variable.check(value, "memory")
+        return found
+    if memory not in ("virgin", *SIDES):
+        raise InputError(
+            f"memory = {memory!r}: choose 'virgin', 'above', 'below', or give {{state: value}}"
+        )
+    return memory
+
+
 def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
     """{state: value} of all held memories of a plant at rest.
 
@@ -54,25 +77,16 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
         virgin. The way in which a position drives a memory is read off the plant's Jacobian at its
         start values, whatever coordinates it is written in.
 
-    Raises InputError for another word, a name that is no held memory, or a value out of its range.
+    Raises InputError as :func:`require_memory`.
     """
+    said = require_memory(plant, memory)
     variables = {name: plant.variable(name) for name in held_names(plant)}
     found = {name: float(v.start or 0.0) for name, v in variables.items()}
-    if isinstance(memory, Mapping):
-        for name, value in memory.items():
-            variable = plant.variable(name)
-            if variable.name not in found:
-                known = ", ".join(found) or "none"
-                raise InputError(f"memory: {name} is no state with a held memory; known: {known}")
-            found[variable.name] = variable.check(value, "memory")
+    if isinstance(said, dict):
+        return found | said
+    if said == "virgin" or not found:
         return found
-    if memory not in ("virgin", *SIDES):
-        raise InputError(
-            f"memory = {memory!r}: choose 'virgin', 'above', 'below', or give {{state: value}}"
-        )
-    if memory == "virgin" or not found:
-        return found
-    for name, drive in zip(found, _drives(plant) * SIDES[memory], strict=True):
+    for name, drive in zip(found, _drives(plant) * SIDES[said], strict=True):
         if drive:
             found[name] = variables[name].max if drive > 0 else variables[name].min
     return found

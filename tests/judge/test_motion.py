@@ -1,4 +1,4 @@
-"""The judge of motions, beside motions that are known by hand, and what a start must be."""
+"""The judge of motions, beside motions that are known by hand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import hardening_cart, refused
+from conftest import hardening_cart, judged_held, refused
 from scipy.integrate import simpson
 
 import pam_ocp as pam
@@ -73,13 +73,6 @@ def by_label(judgement: Judgement) -> dict[str, float]:
 
 def found(motion: Motion, stops=STOPS, **words) -> dict[str, float]:
     return by_label(judge(CART, Statement(stops, **words), motion))
-
-
-def held(plant: pam.Plant, start, inputs, stops, duration=1.0, **words) -> Judgement:
-    """Of a motion under constant inputs."""
-    signals = PiecewisePolynomial(np.array([0.0, duration]), np.array([[inputs]], float))
-    said = Statement(stops, **words)
-    return judge(plant, said, Motion(np.array(start, float), signals, (duration,)))
 
 
 ANYHOW = pam.Stop({}, rest=False)
@@ -156,7 +149,7 @@ def test_an_acceleration_behind_a_lag_must_have_gone():
     plant.der(v, f)
     plant.der(f, (u - f) / 0.05)
     stops = [{"x": 0.0}, pam.Stop({"x": 1.0}, rest=False)]
-    by = by_label(held(plant, [0.0, 0.0, 2.0], [2.0], stops))
+    by = by_label(judged_held(plant, [0.0, 0.0, 2.0], [2.0], stops))
     assert by["stop 1: der(v) at rest"] == pytest.approx(0.2)  # 2 m/s2 of 10 nominals a second
     assert by["stop 1: v settled"] == pytest.approx(0.2, rel=1e-2)  # no input keeps it there
 
@@ -169,8 +162,8 @@ def test_inputs_that_hold_a_plant_are_found_behind_a_slew_limit():
     plant.der(x, v)
     plant.der(v, p - x - v)
     plant.der(p, ca.fmin(ca.fmax((u - p) / 0.01, -1.0), 1.0))
-    assert held(plant, [5.03, 0.0, 5.03], [2.0], [{"x": 5.03}, ANYHOW], 0.1).violation < 1e-6
-    beyond = held(plant, [7.1, 0.0, 7.1], [2.0], [{"x": 7.1}, ANYHOW], 0.1)
+    assert judged_held(plant, [5.03, 0.0, 5.03], [2.0], [{"x": 5.03}, ANYHOW], 0.1).violation < 1e-6
+    beyond = judged_held(plant, [7.1, 0.0, 7.1], [2.0], [{"x": 7.1}, ANYHOW], 0.1)
     assert beyond.constraint == "stop 1: p settled"
 
 
@@ -188,7 +181,7 @@ def test_a_tank_that_drains_before_a_motion_is_no_rest():
     plant.der(v, 1e-5 * w - v - x)
     leaky = [pam.Constraint(vent, low=0.5, name="leaky")]
     start, stops = [5e5, 1.0, 0.0, 1e5], [{"x": 1.0}, ANYHOW]
-    judgement = held(plant, start, [0.125, 0.5], stops, 0.1, constraints=leaky)
+    judgement = judged_held(plant, start, [0.125, 0.5], stops, 0.1, constraints=leaky)
     assert by_label(judgement)["stop 1: tank settled"] > 0.01
 
 
@@ -215,7 +208,7 @@ def test_the_largest_value_is_found_between_points():
     a, b = plant.state("a"), plant.state("b")
     plant.der(a, (plant.input("u") - a) / 0.004)
     plant.der(b, (a - b) / 0.004)
-    judgement = held(plant, [1.0, 0.0], [0.0], [ANYHOW, ANYHOW], minimise="peak(b)")
+    judgement = judged_held(plant, [1.0, 0.0], [0.0], [ANYHOW, ANYHOW], minimise="peak(b)")
     assert judgement.objective == pytest.approx(np.exp(-1), rel=2e-4)
 
 
@@ -320,7 +313,7 @@ def test_a_disturbance_is_what_it_is_unless_the_statement_says_otherwise(bounds,
     x, v, u = plant.state("x"), plant.state("v"), plant.input("u", min=-2.0, max=2.0)
     plant.der(x, v)
     plant.der(v, u + plant.input("d", disturbance=True, start=0.3, nominal=2.0))
-    judgement = held(plant, [0.0, 0.0], [-0.5, 0.5], [{"x": 0.0}] * 2, bounds=bounds)
+    judgement = judged_held(plant, [0.0, 0.0], [-0.5, 0.5], [{"x": 0.0}] * 2, bounds=bounds)
     assert judgement.constraint in ("d", "")
     assert judgement.violation == pytest.approx(by, abs=1e-9)
 
@@ -340,24 +333,8 @@ def test_levels_without_velocities_have_settled(lag, values, expected):
     a, b = plant.state("a", nominal=2.0), plant.state("b", nominal=5.0)
     plant.der(a, (plant.input("u", min=0.0, max=0.5) - a) / 10)
     plant.der(b, (a - b) / lag)
-    by = by_label(held(plant, [1.0, 0.0], [0.0], [values, ANYHOW]))
+    by = by_label(judged_held(plant, [1.0, 0.0], [0.0], [values, ANYHOW]))
     assert {label.removeprefix("stop 1: "): b for label, b in by.items()} == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ("memory", "m", "by"),
-    [("virgin", 2.0, 0.0), ("virgin", 3.0, 0.25), ({"m": 0.5}, 0.5, 0.0), ({"m": 3.0}, 2.0, 0.25)],
-)
-def test_a_memory_begins_where_it_comes_to_unless_it_is_said(memory, m, by):
-    """m is the largest x so far, which begins at 2."""
-    plant = pam.Plant("marker")
-    x, v = plant.state("x"), plant.state("v")
-    mark = plant.state("m", min=0.0, max=10.0, nominal=4.0, memory="held")
-    plant.der(x, v)
-    plant.der(v, plant.input("u", min=-1.0, max=1.0))
-    plant.der(mark, ca.fmax(x - mark, 0.0) / 0.01)
-    found = by_label(held(plant, [2.0, 0.0, m], [0.0], [{"x": 2.0}, {}], memory=memory))
-    assert found.get("stop 1: m at the start", 0.0) == pytest.approx(by, abs=1e-6)
 
 
 def test_where_a_motion_cannot_go_on_the_time_is_told():
@@ -366,7 +343,7 @@ def test_where_a_motion_cannot_go_on_the_time_is_told():
     x, y = plant.state("x"), plant.state("y")
     plant.der(x, 1.0)
     plant.der(y, ca.sqrt(1 - x) + plant.input("u"))
-    judgement = held(plant, [0.0, 0.0], [0.0], [ANYHOW, ANYHOW], 2.0)
+    judgement = judged_held(plant, [0.0, 0.0], [0.0], [ANYHOW, ANYHOW], 2.0)
     assert (judgement.violation, judgement.error) == (np.inf, np.inf)
     assert np.isnan(judgement.objective)
     told = re.fullmatch(r"the integration of its inputs stops at t = (.+) s", judgement.constraint)
@@ -391,98 +368,6 @@ def test_the_judge_finds_what_a_planner_forgets(monkeypatch):
     assert plan.replay.violation < 1e-6  # by its own conditions all is well
 
 
-# ---- the start ----------------------------------------------------------------------------------
-def heated(**supply) -> pam.Plant:
-    gas = pam.gas.Gas(heat=pam.muscles.ConstantHeatTransfer(5.0))
-    feed = pam.feeds.SpoolValve(gas=gas, **supply)
-    return pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
-
-
-@pytest.mark.slow
-def test_a_warm_start_is_told_where_it_was_said():
-    warm = {"x": 0.01, "muscle.temperature": 330.0, "der(muscle.pressure)": (None, None)}
-    plan = pam.plan(heated(), [warm, {"x": 0.04}], method=pam.Collocation(15, 3))
-    assert plan.trajectory["muscle.temperature"][0] == pytest.approx(330.0, abs=1e-3)
-    assert "muscle.temperature" in str(plan.verdict)
-
-
-@pytest.mark.parametrize(
-    ("source", "pressure", "expected"),
-    [
-        (pam.feeds.Compressor(pressure=6e5), 6e5, 6e5),
-        pytest.param(pam.feeds.Compressor(pressure=6e5), 4e5, 6e5, marks=pytest.mark.slow),
-        (None, 5e5, 5e5),
-    ],
-)
-def test_a_receiver_begins_where_its_source_or_its_filling_leaves_it(source, pressure, expected):
-    tank = pam.feeds.Receiver(2e-3, pressure=pressure, source=source)
-    feed = pam.feeds.SpoolValve(supply=tank)
-    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
-    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
-    assert plan.verified
-    assert plan.trajectory["receiver.air_pressure"][0] == pytest.approx(expected, abs=50.0)
-
-
-def test_a_tank_that_begins_fuller_than_its_compressor_makes_it_is_named():
-    tank = pam.feeds.Receiver(2e-3, source=pam.feeds.Compressor(pressure=6e5))
-    feed = pam.feeds.SpoolValve(supply=tank)
-    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
-    rest = plant.equilibrium(x=0.02)
-    start = np.array([rest[v.name] for v in plant.states], float)
-    start[[v.name for v in plant.states].index("receiver.air_pressure")] = 7e5
-    constraint = held(plant, start, [0.0], [{"x": 0.02}] * 2, 0.5).constraint
-    assert constraint == "stop 1: receiver.air_pressure as its surroundings leave it"
-
-
-@pytest.mark.slow
-def test_a_spool_stands_where_its_command_holds_it_before_a_motion():
-    feed = pam.feeds.SpoolValve(spool=pam.feeds.FirstOrderSpool(time=0.01))
-    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
-    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
-    assert plan.verified
-    assert abs(plan.trajectory["muscle.valve.spool"][0]) < 0.021  # closed, or in its overlap
-
-
-def test_a_spool_held_beside_its_middle_has_not_moved_in_its_play():
-    """Against a leak it is held open; what its play would do with another command is no matter."""
-    spool = pam.feeds.FirstOrderSpool(time=0.01, hysteresis=0.02)
-    feed = pam.feeds.SpoolValve(spool=spool, leak=1e-10)
-    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
-    rest = plant.equilibrium(x=0.02)
-    start = np.array([rest[v.name] for v in plant.states], float)
-    assert rest["muscle.valve.spool"] > 1e-3
-    for memory in ("virgin", "below"):  # positions do not move a spool
-        stays = held(plant, start, [rest["muscle.command"]], [{"x": 0.02}] * 2, 0.5, memory=memory)
-        assert stays.violation < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("part", "memory", "wrong"),
-    [(1.0, "below", False), (1.06, "below", True), (0.9, "below", True), (1.0, "above", True)],
-)
-def test_a_play_stands_at_the_envelope_of_its_place_and_side(part, memory, wrong):
-    """C = contracting (1 + 2 kappa), as a part of that at full contraction: above, a play has let
-    go before the motion begins; below, or on the other side, nothing has brought it.
-    """
-    muscle = pam.muscle("DMSP-20-400N")
-    kappa, top = 0.2, muscle.contraction_range[1]
-    losses = (pam.losses.PrandtlIshlinskii(),)
-    plant = pam.HangingLoad(muscle, 8.0, feed=pam.feeds.Regulator(), losses=losses)
-    plays = [v.name for v in plant.states if v.memory == "held"]
-    envelope = (1 + 2 * kappa) / (1 + 2 * top)
-    x = kappa * float(muscle.rest_length)
-    rest = plant.equilibrium(x=x)
-    stands = dict.fromkeys(plays, part * envelope)
-    start = np.array([stands.get(v.name, rest[v.name]) for v in plant.states], float)
-    held = PiecewisePolynomial(np.array([0.0, 0.5]), np.full((1, 1, 1), rest["muscle.command"]))
-    verdict = judge(
-        plant, Statement([{"x": x}, {"x": x}], memory=memory), Motion(start, held, (0.5,))
-    )
-    off = [f for f in verdict.findings if f.label.endswith("at the start") and f.by > 1e-2]
-    assert bool(off) == wrong
-    assert {f.label.split()[2] for f in off} <= set(plays)
-
-
 def test_a_plan_from_a_file_is_judged_by_the_words_in_it(tmp_path):
     plant = cart()
     limit = pam.Constraint(plant.expression("x") * pam.planning.TIME, high=2.0, name="late and far")
@@ -504,7 +389,7 @@ def test_what_swings_many_times_between_two_points_is_seen_and_counted():
     plant.der(x, v)
     plant.der(v, -(swing**2) * x)
     words = {"minimise": "square(x)", "bounds": {"x": (-0.9, 0.9)}}
-    found = held(plant, [1.0, 0.0], [0.0], [ANYHOW, ANYHOW], **words)
+    found = judged_held(plant, [1.0, 0.0], [0.0], [ANYHOW, ANYHOW], **words)
     # the integral of cos^2 over the second
     assert found.objective == pytest.approx(0.5 + np.sin(2 * swing) / (4 * swing), rel=1e-6)
     assert found.constraint == "x"

@@ -1,0 +1,133 @@
+"""What the judge asks of a start: rest, temperatures, tanks, spools, memories."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import judged_held, refused
+
+import pam_ocp as pam
+
+
+def heated(**supply) -> pam.Plant:
+    gas = pam.gas.Gas(heat=pam.muscles.ConstantHeatTransfer(5.0))
+    feed = pam.feeds.SpoolValve(gas=gas, **supply)
+    return pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+
+
+@pytest.mark.slow
+def test_a_warm_start_is_told_where_it_was_said():
+    warm = {"x": 0.01, "muscle.temperature": 330.0, "der(muscle.pressure)": (None, None)}
+    plan = pam.plan(heated(), [warm, {"x": 0.04}], method=pam.Collocation(15, 3))
+    assert plan.trajectory["muscle.temperature"][0] == pytest.approx(330.0, abs=1e-3)
+    assert "muscle.temperature" in str(plan.verdict)
+
+
+@pytest.mark.parametrize(
+    ("source", "pressure", "expected"),
+    [
+        (pam.feeds.Compressor(pressure=6e5), 6e5, 6e5),
+        pytest.param(pam.feeds.Compressor(pressure=6e5), 4e5, 6e5, marks=pytest.mark.slow),
+        (None, 5e5, 5e5),
+    ],
+)
+def test_a_receiver_begins_where_its_source_or_its_filling_leaves_it(source, pressure, expected):
+    tank = pam.feeds.Receiver(2e-3, pressure=pressure, source=source)
+    feed = pam.feeds.SpoolValve(supply=tank)
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
+    assert plan.verified
+    assert plan.trajectory["receiver.air_pressure"][0] == pytest.approx(expected, abs=50.0)
+
+
+def test_a_tank_that_begins_fuller_than_its_compressor_makes_it_is_named():
+    tank = pam.feeds.Receiver(2e-3, source=pam.feeds.Compressor(pressure=6e5))
+    feed = pam.feeds.SpoolValve(supply=tank)
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    rest = plant.equilibrium(x=0.02)
+    start = np.array([rest[v.name] for v in plant.states], float)
+    start[[v.name for v in plant.states].index("receiver.air_pressure")] = 7e5
+    constraint = judged_held(plant, start, [0.0], [{"x": 0.02}] * 2, 0.5).constraint
+    assert constraint == "stop 1: receiver.air_pressure as its surroundings leave it"
+
+
+@pytest.mark.slow
+def test_a_spool_stands_where_its_command_holds_it_before_a_motion():
+    feed = pam.feeds.SpoolValve(spool=pam.feeds.FirstOrderSpool(time=0.01))
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
+    assert plan.verified
+    assert abs(plan.trajectory["muscle.valve.spool"][0]) < 0.021  # closed, or in its overlap
+
+
+def test_a_spool_held_beside_its_middle_has_not_moved_in_its_play():
+    """Against a leak it is held open; what its play would do with another command is no matter."""
+    spool = pam.feeds.FirstOrderSpool(time=0.01, hysteresis=0.02)
+    feed = pam.feeds.SpoolValve(spool=spool, leak=1e-10)
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    rest = plant.equilibrium(x=0.02)
+    start = np.array([rest[v.name] for v in plant.states], float)
+    assert rest["muscle.valve.spool"] > 1e-3
+    for memory in ("virgin", "below"):  # positions do not move a spool
+        stays = judged_held(
+            plant, start, [rest["muscle.command"]], [{"x": 0.02}] * 2, 0.5, memory=memory
+        )
+        assert stays.violation < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("part", "memory", "wrong"),
+    [(1.0, "below", False), (1.06, "below", True), (0.9, "below", True), (1.0, "above", True)],
+)
+def test_a_play_stands_at_the_envelope_of_its_place_and_side(part, memory, wrong):
+    """C = contracting (1 + 2 kappa), as a part of that at full contraction: above, a play has let
+    go before the motion begins; below, or on the other side, nothing has brought it.
+    """
+    muscle = pam.muscle("DMSP-20-400N")
+    kappa, top = 0.2, muscle.contraction_range[1]
+    losses = (pam.losses.PrandtlIshlinskii(),)
+    plant = pam.HangingLoad(muscle, 8.0, feed=pam.feeds.Regulator(), losses=losses)
+    plays = [v.name for v in plant.states if v.memory == "held"]
+    envelope = (1 + 2 * kappa) / (1 + 2 * top)
+    x = kappa * float(muscle.rest_length)
+    rest = plant.equilibrium(x=x)
+    stands = dict.fromkeys(plays, part * envelope)
+    start = np.array([stands.get(v.name, rest[v.name]) for v in plant.states], float)
+    verdict = judged_held(plant, start, [rest["muscle.command"]], [{"x": x}] * 2, memory=memory)
+    off = [f for f in verdict.findings if f.label.endswith("at the start") and f.by > 1e-2]
+    assert bool(off) == wrong
+    assert {f.label.split()[2] for f in off} <= set(plays)
+
+
+@pytest.mark.parametrize(
+    ("memory", "m", "by"),
+    [("virgin", 2.0, 0.0), ("virgin", 3.0, 0.25), ({"m": 0.5}, 0.5, 0.0), ({"m": 3.0}, 2.0, 0.25)],
+)
+def test_a_memory_begins_where_it_comes_to_unless_it_is_said(memory, m, by):
+    """m is the largest x so far, which begins at 2."""
+    plant = pam.Plant("marker")
+    x, v = plant.state("x"), plant.state("v")
+    mark = plant.state("m", min=0.0, max=10.0, nominal=4.0, memory="held")
+    plant.der(x, v)
+    plant.der(v, plant.input("u", min=-1.0, max=1.0))
+    plant.der(mark, ca.fmax(x - mark, 0.0) / 0.01)
+    findings = judged_held(plant, [2.0, 0.0, m], [0.0], [{"x": 2.0}, {}], memory=memory).findings
+    found = {f.label: f.by for f in findings}
+    assert found.get("stop 1: m at the start", 0.0) == pytest.approx(by, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("memory", "words"),
+    [
+        ("sideways", "choose 'virgin', 'above', 'below'"),
+        (3, "choose 'virgin', 'above', 'below'"),
+        ({"x": 0.0}, "x is no state with a held memory; known: muscle.slip1"),
+        ({"muscle.slip1": 7.0}, "memory = 7 is outside -1 .. 1"),
+    ],
+)
+def test_a_memory_that_cannot_be_is_refused(memory, words):
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, losses=(pam.losses.MaxwellSlip(),))
+    rest = plant.equilibrium(x=0.02)
+    inputs, stops = [rest["muscle.command"]], [{"x": 0.02}] * 2
+    refused(words, judged_held, plant, rest.x, inputs, stops, memory=memory)
