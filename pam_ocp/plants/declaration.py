@@ -143,9 +143,12 @@ class Declaration:
         behind : where the dead zone stands behind something that moves (a spool), its position, an
             expression of states whose equations are stated and follow the one command linearly;
             ``paths`` are expressions of it then, ``forward`` and ``inverse`` as of a command that
-            is the position. Where they are not linear nothing is declared.
+            is the position.
         asked : where what is asked of these states is no command; see :class:`Asked`.
         attributes : of the variable w; see :class:`Variable`. See :meth:`in_openings`.
+
+        Nothing is declared where the states behind are not linear, or other inputs than the
+        commands say what w is.
         """
         self._open()
         if behind is not None:
@@ -160,12 +163,21 @@ class Declaration:
         variable = self._as_opening(name, names, attributes)
         symbol = ca.SX.sym(name)
         opening = Opening(variable, symbol, tuple(names), forward, tuple(inverse(symbol)))
+        if self._is_of_others(opening):
+            return [path for path, _ in paths]
         self._openings += (opening,)
         symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(paths))]
         self._flow_paths += tuple(
             flow_path(s, way, opening, of) for s, (way, of) in zip(symbols, paths, strict=True)
         )
         return symbols
+
+    def _is_of_others(self, opening: Opening) -> bool:
+        """Whether its commands alone do not tell an opening, nor it them."""
+        inputs = [n for n, v in self._variables.items() if v.causality == "input"]
+        others = [self._symbols[n] for n in inputs if n not in opening.commands]
+        told = ca.vertcat(opening.forward, *opening.inverse)
+        return bool(others) and bool(ca.depends_on(told, ca.vertcat(*others)))
 
     def _as_opening(self, name: str, commands: list[str], attributes: dict[str, Any]) -> Variable:
         checked_commands(name, commands, self._variables)
@@ -199,7 +211,10 @@ class Declaration:
             lambda effect: inverse(effect)[0],
             symbol,
         )
-        self._openings += (Opening(variable, symbol, (of,), seen, (sent,), carried),)
+        opening = Opening(variable, symbol, (of,), seen, (sent,), carried)
+        if self._is_of_others(opening):
+            return [path for path, _ in paths]
+        self._openings += (opening,)
         symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(paths))]
         made = [
             FlowPath(s, ca.SX(way), path_of(part, lead.straight), name)

@@ -160,8 +160,7 @@ class _Looped:
         held, aim, asked, about = self._servo.demand(
             self._plant, self._name, self._muscle, self._pressure, self._contraction
         )
-        both = self._servo.pressure_gain and self._servo.position_gain
-        if self._servo.spool is None or both:  # one aim says nothing of the opening, then
+        if self._servo.spool is None:
             return held
         self._aim = aim, asked, about
         return asked.symbol

@@ -284,3 +284,35 @@ def test_an_opening_stands_in_for_inputs_once():
     refused("'u' is declared twice", plant.opening, "u", [u], u, lambda w: [w], [])
     plant.opening("w", [u], u, lambda w: [w], [(u, lambda w: w)])
     refused("'w' is declared twice", plant.opening, "w", [u], u, lambda w: [w], [])
+
+
+def test_a_servo_of_two_feedbacks_moves_its_spool_and_declares_no_opening():
+    """Where the load stands at its reference, the position says nothing: the spool is asked as by
+    the pressure alone. One aim without the other does not tell what the valve opens.
+    """
+    by_pressure, by_both = (
+        pam.HangingLoad(
+            "DMSP-20-400N",
+            10.0,
+            feed=pam.feeds.ServoValve(command_lag=0.01, spool=pam.feeds.FirstOrderSpool(), **gains),
+        )
+        for gains in ({}, {"position_gain": 30.0})
+    )
+    x, aim = [0.03, 0.1, 2.5e5, 0.4, -0.6], 3.5e5
+    one, both = (
+        flat(plant.function(x, u, plant.vector("parameter"))[0])
+        for plant, u in ((by_pressure, [aim]), (by_both, [aim, x[0]]))
+    )
+    assert both == pytest.approx(one, rel=1e-12)
+    assert by_pressure.openings
+    assert by_both.openings == ()
+    assert by_both.in_openings() is by_both
+
+
+def test_an_effect_that_other_inputs_change_is_no_opening():
+    plant = pam.Plant("gated")
+    x, a, b = plant.state("x"), plant.input("a"), plant.input("b", start=1.0)
+    (flow,) = plant.opening("w", [a], a * b, lambda w: [w / b], [(a * b, lambda w: w)])
+    plant.der(x, flow)
+    assert plant.openings == ()
+    assert flat(plant.function([0.0], [2.0, 3.0], [])[0]) == pytest.approx([6.0])
