@@ -1,6 +1,6 @@
 """What each stage of the planner earns: random tasks with one stage switched off at a time.
 
-    python benchmarks/stages_off.py [tasks] [seed] [--off NAME,NAME] [--seconds 1200] [--table FILE]
+    python benchmarks/stages_off.py [tasks] [seed] [--off NAME NAME] [--seconds 1200] [--table FILE]
 
 Each task (``random_tasks.py``) is planned as usual, then anew without each stage that was entered;
 where one was not entered, the plan is the same without it. Each answer is judged by
@@ -12,7 +12,6 @@ largest of these changes; the processor's seconds with and without it.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
@@ -144,8 +143,8 @@ def change(usual: harness.Row, row: harness.Row) -> float:
     return float((row["objective"] - usual["objective"]) / max(abs(usual["objective"]), LEAST))
 
 
-def cases(given: argparse.Namespace) -> Iterator[tuple[int, harness.Work]]:
-    chosen = given.off.split(",") if given.off else list(STAGES)
+def cases(given: harness.Given) -> harness.Keyed:
+    chosen = given.off or list(STAGES)
     for index in harness.numbers(given):
         yield index, partial(one, index, given.seed, chosen)
 
@@ -171,10 +170,7 @@ def summary(rows: list[harness.Row]) -> str:
     return harness.table((*heads, "seconds with it, without"), lines)
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(seconds=1200.0)
-    parser.add_argument("--off", default="", help="only these stages, by their names")
-
+OPTIONS = {"--off": {"choices": STAGES, "nargs": "+", "help": "only these stages"}}
 
 if __name__ == "__main__":
-    harness.main(__doc__, cases, summary, count=40, seed=1, options=options)
+    harness.main(__doc__, cases, summary, count=40, seed=1, options=OPTIONS, seconds=1200.0)

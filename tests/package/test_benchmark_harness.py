@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -109,3 +110,14 @@ def test_a_part_of_a_name_chooses_a_case(harness):
 def test_a_table_in_markdown(harness):
     text = harness.table(("tool", "seconds"), [("a | b", 0.12345), ("c", 3)])
     assert text == "| tool | seconds |\n|---|---|\n| a \\| b | 0.123 |\n| c | 3 |"
+
+
+STUDIES = sorted(p.name for p in FOLDER.glob("*.py") if "\n    harness.main(" in p.read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_tells_what_it_takes(study):
+    command = [sys.executable, str(FOLDER / study), "--help"]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "--seed" in told
