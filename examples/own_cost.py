@@ -42,4 +42,4 @@ figure.savefig("own_cost.png", dpi=120)
 
 # %%
 # A cost that many plans use gets a name: `@running_cost` of
-# `pam_ocp.planning.problem.costs` registers it, and problem files know it, too (CONTRIBUTING.md).
+# `pam_ocp.judge.statement` registers it, and problem files know it, too (CONTRIBUTING.md).
