@@ -120,6 +120,13 @@ def limited(limit: float = inf) -> Iterator[None]:
         RECORD.reset(before)
 
 
+def entered(more: Sequence[Stage] = ()) -> list[Stage]:
+    """Solves of the search that is under way, with ``more`` from another process."""
+    record = RECORD.get() or _Record([])
+    record.found += more
+    return record.found
+
+
 def require_work(more: float) -> None:
     """Raise WorkIsSpent where the solves so far and ``more`` take what is allowed."""
     record = RECORD.get()

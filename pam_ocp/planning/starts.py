@@ -1,27 +1,18 @@
 """Several starts of one program: whether they pay, which they are, what came of them, and how they
-are solved side by side: by this process, and by others that only solve.
+are solved side by side, as any other loop over cases.
 
-The other processes get the program as CasADi's functions, so nothing of the caller's is imported or
-run again there (a script needs no ``if __name__ == "__main__"``). They end when this function is
-left, by an answer or an interruption, and by themselves when this process is gone. Where none can
-be started, all starts are solved here.
-
-Whoever names a place (:func:`starts_on`) has them worked on there, as any other loop over cases.
+Whoever names a place (:func:`starts_on`) has them solved there, by the program as CasADi's
+functions: nothing of the caller's is imported or run again for it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import pickle
-import subprocess
-import sys
-import threading
+import os
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
@@ -29,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import PlanError
-from ..core.stop import TimeIsUp, check
-from ..numerics.solvers import environment, nlpsol
+from ..core.stop import TimeIsUp
+from ..numerics.solvers import nlpsol
 from ..plants.plant import Plant
 from .problem.problem import Problem
 from .settings import SETTINGS
-from .solvers.ipopt import Solves, Start
+from .solvers.ipopt import Start
 from .solvers.solver import Ipopt, Outcome
-from .stages import written
+from .stages import Stage, entered, written
 from .transcription.guess import by_stops, wants_balance
 from .transcription.mesh import Mesh
 from .transcription.transcription import Program
@@ -139,11 +130,8 @@ def in_series(plant: Plant) -> bool:
 
 
 # ---- side by side -------------------------------------------------------------------------------
-SERVER = Path(__file__).parent / "solvers" / "ipopt.py"
 PAYS = 1.0
-"""Seconds of work left from which on other processes are started: each takes a third of this to
-begin.
-"""
+"""Seconds of work left from which on other processes are started."""
 PLACE: ContextVar[Place] = ContextVar("place of starts", default=None)
 """Where starts are solved: as a time limit it holds for all searches within a verb, those on
 coarser meshes too.
@@ -171,172 +159,109 @@ def solved_side_by_side(
 ) -> list[Outcome]:
     """The outcomes of all tasks, in their order.
 
-    first : seconds that one start takes, by experience; short work is done in this process.
+    first : seconds that one start takes, by experience; short work is done in this process. Raises
+    TimeIsUp where that has ended the search before a success, PlanError where a start was lost.
     """
-    executor = PLACE.get()
-    if executor is None:
-        return _by_processes(ipopt, program, tasks, first)
-    from ..core.cases import ending
-
-    work: Any = _Elsewhere(*ipopt.portable({task.start for task in tasks}))
-    cases = [(task.start, ipopt.arguments(program, task.guess)) for task in tasks]
-    found: dict[int, Outcome] = {}
+    executor, found = PLACE.get(), dict[int, Outcome]()
     with contextlib.suppress(TimeIsUp):
-        for i, answer in ending(
-            work, cases, executor=executor, chunk=1, what="starts", lost=PlanError
-        ):
-            if isinstance(answer, PlanError):
-                raise PlanError(f"a start of the plan was lost: {answer}")
-            if isinstance(answer, Exception):
-                raise answer
-            found[i] = Outcome.of(*answer)
-    return _settled(ipopt, program, tasks, found, set(found))
-
-
-def _settled(
-    ipopt: Ipopt,
-    program: Program,
-    tasks: Sequence[Task],
-    found: Mapping[int, Outcome],
-    elsewhere: set[int],
-) -> list[Outcome]:
-    """Those that wandered brought to a place, while there is time; in the order of their tasks.
-
-    elsewhere : those that were not solved in this process. Raises TimeIsUp where that has ended
-    the search before a success.
-    """
-    ended, late = [], len(found) < len(tasks)
-    for i in sorted(found):
-        if i in elsewhere:
-            written(program, tasks[i].start, found[i], found[i].seconds, ipopt.cost)
-        try:
-            ended.append(ipopt.settled(program, found[i]))
-        except TimeIsUp:
-            ended.append(replace(found[i], success=found[i].success and not found[i].wandered))
-            late = True
+        if executor is None:
+            forked = _Forked(ipopt, program, tasks)
+            for i, (outcome, stages) in _ended(forked, range(len(tasks)), forked.count(first)):
+                entered(stages)
+                found[i] = outcome
+        else:
+            work = _Elsewhere(*ipopt.portable({task.start for task in tasks}))
+            cases = [(task.start, ipopt.arguments(program, task.guess)) for task in tasks]
+            for i, answer in _ended(work, cases, executor):
+                found[i] = Outcome.of(*answer)
+                written(program, tasks[i].start, found[i], found[i].seconds, ipopt.cost)
+    ended = [found[i] for i in sorted(found)]
+    late = len(ended) < len(tasks)
+    if executor is not None:
+        ended, late = _settled(ipopt, program, ended, late)
     if late and not any(outcome.ended for outcome in ended):
         raise TimeIsUp
     return ended
 
 
+def _ended(work: Any, cases: Sequence[Any], executor: Place) -> Iterator[tuple[int, Any]]:
+    """The number and the result of each case."""
+    from ..core.cases import ending
+
+    for i, answer in ending(work, cases, executor=executor, chunk=1, what="starts", lost=PlanError):
+        if isinstance(answer, PlanError):
+            raise PlanError(f"a start of the plan was lost: {answer}")
+        if isinstance(answer, Exception):
+            raise answer
+        yield i, answer
+
+
+def _settled(
+    ipopt: Ipopt, program: Program, found: Sequence[Outcome], late: bool
+) -> tuple[list[Outcome], bool]:
+    """Those that wandered brought to a place, while there is time; whether it was up.
+
+    late : whether it was up before.
+    """
+    ended = []
+    for outcome in found:
+        try:
+            ended.append(ipopt.settled(program, outcome))
+        except TimeIsUp:
+            ended.append(replace(outcome, success=outcome.success and not outcome.wandered))
+            late = True
+    return ended, late
+
+
+@dataclass(frozen=True)
+class _Forked:
+    """What solves the task of a number, here or in a fork of this process."""
+
+    ipopt: Ipopt
+    program: Program
+    tasks: Sequence[Task]
+    home: int = field(default_factory=os.getpid)
+
+    def count(self, first: float) -> int:
+        """How many processes pay; 0: none beside this one."""
+        from ..core.workers import forks, nested, processors
+
+        pays = first * len(self.tasks) >= PAYS and forks() and not nested()
+        others = min(len(self.tasks), processors()) if pays else 0
+        return others if others > 1 else 0
+
+    def __call__(self, number: int) -> tuple[Outcome, list[Stage]]:
+        """The outcome, and what another process entered of its solves."""
+        task, away = self.tasks[number], os.getpid() != self.home
+        if away:
+            self.ipopt.report = None
+        stages = entered()
+        before = len(stages)
+        outcome = self.ipopt(self.program, task.guess, task.start)
+        return outcome, stages[before:] if away else []
+
+
 class _Elsewhere:
-    """What solves there; called with a start and arguments."""
+    """What solves on an executor; called with a start and arguments."""
 
     def __init__(self, problem: ca.Function, options: Mapping[str, Mapping[str, Any]]) -> None:
-        self._given = problem, options
-        self._solve = Solves(problem, options, nlpsol)
+        self.problem, self.options = problem, options
+        self._solvers: dict[str, Any] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Elsewhere, self._given
+        return _Elsewhere, (self.problem, self.options)
 
     def __call__(
         self, case: tuple[str, Mapping[str, Array]]
     ) -> tuple[dict[str, Array], dict[str, Any], float]:
-        begin = time.perf_counter()
-        return *self._solve(*case), time.perf_counter() - begin
-
-
-def _by_processes(
-    ipopt: Ipopt, program: Program, tasks: Sequence[Task], first: float
-) -> list[Outcome]:
-    """By processes that know CasADi alone, and this one; short work by this one alone."""
-    from ..core.workers import processors
-
-    queue, found = deque(range(len(tasks))), {}
-    others = min(len(tasks), processors()) - 1
-    workers: list[_Worker] = []
-    try:
-        if first * len(tasks) >= PAYS:
-            workers = _started(ipopt, program, tasks, queue, others)
-        while True:
-            try:
-                i = queue.popleft()
-            except IndexError:  # what a process that died gave back comes last
-                alive = any(worker.thread.is_alive() for worker in workers)
-                if not alive and not queue:
-                    break
-                check()
-                time.sleep(0.01)
-                continue
-            found[i] = ipopt(program, tasks[i].guess, tasks[i].start)
-            if found[i].stopped:
-                break
-    except TimeIsUp:
-        pass
-    finally:
-        elsewhere: set[int] = set()
-        for worker in workers:
-            worker.end()
-            found |= worker.found
-            elsewhere |= set(worker.found)
-    return _settled(ipopt, program, tasks, found, elsewhere)
-
-
-def _started(
-    ipopt: Ipopt, program: Program, tasks: Sequence[Task], queue: deque[int], count: int
-) -> list[_Worker]:
-    """Up to ``count`` processes; fewer where the program or the system does not allow them."""
-    workers: list[_Worker] = []
-    if count < 1 or not sys.executable:
-        return workers
-    try:
-        setup = pickle.dumps(ipopt.portable({task.start for task in tasks}))
-    except Exception:  # a plant may hold functions of its own that cannot travel
-        return workers
-    messages = [pickle.dumps((t.start, ipopt.arguments(program, t.guess))) for t in tasks]
-    for _ in range(count):
-        with contextlib.suppress(OSError):
-            workers.append(_Worker(setup, messages, queue))
-    return workers
-
-
-class _Worker:
-    """A process that takes tasks from a queue, and the thread that talks to it (which knows no
-    CasADi).
-    """
-
-    def __init__(self, setup: bytes, messages: Sequence[bytes], queue: deque[int]) -> None:
-        self.found: dict[int, Outcome] = {}
-        self._process = subprocess.Popen(
-            [sys.executable, str(SERVER)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=environment(),
-        )
-        self.thread = threading.Thread(
-            target=self._talk, args=(setup, messages, queue), daemon=True
-        )
-        self.thread.start()
-
-    def _talk(self, setup: bytes, messages: Sequence[bytes], queue: deque[int]) -> None:
-        into, out = self._process.stdin, self._process.stdout
-        assert into is not None
-        assert out is not None
-        i = -1
-        try:
-            into.write(setup)
-            while queue:
-                try:
-                    i = queue.popleft()
-                except IndexError:
-                    return
-                begin = time.perf_counter()
-                into.write(messages[i])
-                into.flush()
-                arrays, stats = pickle.load(out)
-                self.found[i] = Outcome.of(arrays, stats, time.perf_counter() - begin)
-                i = -1
-        except (OSError, EOFError, ValueError, pickle.UnpicklingError):
-            if i >= 0:
-                queue.append(i)  # somebody else will
-
-    def end(self) -> None:
-        """End the process, whatever it is doing."""
-        self._process.kill()
-        self._process.wait()
-        self.thread.join()
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
+        begin, (name, arguments) = time.perf_counter(), case
+        if name not in self._solvers:
+            x, p = (ca.MX.sym(n, self.problem.size1_in(i)) for i, n in enumerate("xp"))
+            f, g = self.problem(x, p)
+            nlp = {"x": x, "p": p, "f": f, "g": g}
+            self._solvers[name] = nlpsol(name, "ipopt", nlp, self.options[name])
+        solver = self._solvers[name]
+        result = solver(**arguments)
+        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
+        keys, stats = ("return_status", "success", "iter_count", "iterations"), solver.stats()
+        return arrays, {k: stats.get(k) for k in keys}, time.perf_counter() - begin

@@ -379,41 +379,6 @@ def test_a_signal_leaves_no_thread_behind_its_verb(request):
     assert _thread._count() == threads
 
 
-@posix
-@pytest.mark.slow
-def test_no_helper_outlives_its_parent():
-    """The parent dies by SIGKILL while the helper waits, and keeps the helper's input open."""
-    path = ROOT / "pam_ocp" / "planning" / "solvers" / "ipopt.py"
-    parent = f"""
-        import os, subprocess, sys, time
-        read, write = os.pipe()
-        child = subprocess.Popen([sys.executable, {str(path)!r}], stdin=read)
-        keeper = subprocess.Popen(["sleep", "30"], pass_fds=[write])
-        print(child.pid, keeper.pid, flush=True)
-        time.sleep(60)
-    """
-    command = [sys.executable, "-c", textwrap.dedent(parent)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        child, keeper = map(int, process.stdout.readline().split())
-        time.sleep(2.0)  # it has begun
-        process.kill()
-    try:
-        for _ in range(200):
-            if not alive(child):
-                break
-            time.sleep(0.1)
-        assert not alive(child)
-    finally:
-        os.kill(keeper, signal.SIGKILL)
-
-
-def alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
 # ---- threads -------------------------------------------------------------------------------------
 MIXED = """
 import random, sys, threading, warnings
@@ -491,8 +456,7 @@ def test_a_verb_in_another_thread_keeps_to_its_time_limit():
 
 # ---- no other way --------------------------------------------------------------------------------
 def test_no_solver_or_integrator_is_made_but_by_the_wrappers():
-    """Servers are processes of their own, which their parents end."""
-    own = {"numerics/solvers.py", "planning/solvers/ipopt.py"}
+    own = {"numerics/solvers.py"}
     made = re.compile(r"\bca\.(?:nlpsol|integrator|rootfinder|conic|qpsol)\(")
     package = ROOT / "pam_ocp"
     found = {

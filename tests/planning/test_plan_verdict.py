@@ -10,7 +10,6 @@ import pickle
 import re
 import signal
 import threading
-import time
 import warnings
 
 import numpy as np
@@ -20,6 +19,7 @@ from searches import by_scipy, pushed
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, PlanWarning
 from pam_ocp.core.signals import PiecewisePolynomial
+from pam_ocp.core.workers import _Worker, forks
 from pam_ocp.judge.statement import Statement
 from pam_ocp.planning.problem.formulation import formulate
 from pam_ocp.planning.replay import interval_errors, interval_states, replayed
@@ -461,52 +461,41 @@ def by_valve():
 UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
 
 
+@pytest.fixture
+def two_processors(monkeypatch):
+    """Starts are solved by two workers, however little work they are; the processes begun."""
+    monkeypatch.setattr("pam_ocp.planning.starts.PAYS", 0.0)
+    monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 2)
+    begun, started = [], _Worker.started.__func__
+
+    def noted(kind, errand):
+        begun.append(started(kind, errand))
+        return begun[-1]
+
+    monkeypatch.setattr(_Worker, "started", classmethod(noted))
+    return begun
+
+
+def ended(workers):
+    return all(worker.process.exitcode is not None for worker in workers)
+
+
 @pytest.mark.slow
-def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatch):
-    from pam_ocp.planning import starts as side_by_side
-
-    alone = pam.plan(by_valve, **UP, starts=4)
-    workers = []
-    began = side_by_side._Worker.__init__
-
-    def begin(worker, *arguments):
-        began(worker, *arguments)
-        workers.append(worker)
-
-    monkeypatch.setattr(side_by_side._Worker, "__init__", begin)
-    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
-    monkeypatch.setattr(side_by_side.Ipopt, "__call__", _slowly(side_by_side.Ipopt.__call__))
+@pytest.mark.skipif(not forks(), reason="workers are forks")
+def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, two_processors):
     beside = pam.plan(by_valve, **UP, starts=4)
+    assert two_processors
+    assert ended(two_processors)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pam_ocp.planning.starts.PAYS", np.inf)
+        alone = pam.plan(by_valve, **UP, starts=4)
     assert len(alone.statistics["starts"]) == len(beside.statistics["starts"]) == 4
     for one, two in zip(alone.statistics["starts"], beside.statistics["starts"], strict=True):
-        assert one["status"] == two["status"]
-        assert one["objective"] == pytest.approx(two["objective"], rel=1e-6)
-    assert sum(len(worker.found) for worker in workers) >= 1
-    assert all(worker._process.poll() is not None for worker in workers)
+        assert one == {**two, "objective": pytest.approx(two["objective"], rel=1e-6)}
+    stages = ("name", "start", "status", "iterations")
+    each = [[tuple(s[n] for n in stages) for s in p.statistics["stages"]] for p in (alone, beside)]
+    assert sorted(each[0]) == sorted(each[1])
     assert "starts     4, of which" in str(beside)
-
-
-def _slowly(solve):
-    """A solver in this process that waits first, so that the other processes get their turn."""
-
-    def slow(*arguments):
-        time.sleep(0.7)
-        return solve(*arguments)
-
-    return slow
-
-
-def test_where_no_process_can_be_started_all_starts_are_solved_here(by_valve, monkeypatch):
-    from pam_ocp.planning import starts as side_by_side
-
-    def refused(*_, **__):
-        raise OSError("no more processes")
-
-    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
-    monkeypatch.setattr(side_by_side.subprocess, "Popen", refused)
-    assert len(pam.plan(by_valve, **UP, starts=4).statistics["starts"]) == 4
 
 
 def test_several_starts_are_for_valves_and_tendons_only():
@@ -529,22 +518,19 @@ def test_several_starts_are_for_valves_and_tendons_only():
     assert [number_of_starts(plant) for plant in one] == [1] * 5
 
 
-def test_ctrl_c_among_several_starts_leaves_no_process_behind(by_valve, monkeypatch):
-    from pam_ocp.planning import starts as side_by_side
+@pytest.mark.skipif(not forks(), reason="workers are forks")
+def test_ctrl_c_among_several_starts_leaves_no_process_behind(
+    by_valve, two_processors, monkeypatch
+):
+    handing = _Worker.begin
 
-    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
-    monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 3)
-    begun = []
-    popen = side_by_side.subprocess.Popen
-
-    def press(*arguments, **options):
-        begun.append(popen(*arguments, **options))
-        if len(begun) == 2:
+    def press(worker, task):
+        if len(two_processors) == 2:
             threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
-        return begun[-1]
+        return handing(worker, task)
 
-    monkeypatch.setattr(side_by_side.subprocess, "Popen", press)
+    monkeypatch.setattr(_Worker, "begin", press)
     with pytest.raises(KeyboardInterrupt):
         pam.plan(by_valve, UP["stops"], method=Collocation(40, 4), starts=8)
-    assert len(begun) == 2
-    assert all(process.poll() is not None for process in begun)
+    assert len(two_processors) == 2
+    assert ended(two_processors)

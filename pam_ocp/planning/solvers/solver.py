@@ -222,7 +222,7 @@ class Ipopt:
         compiled: bool = False,
     ) -> None:
         self.program = program
-        self._report = progress if callable(progress) else _printed if progress else None
+        self.report = progress if callable(progress) else _printed if progress else None
         self._iteration, self._limits = 0, program.limits()
         self._given = dict(options or {})
         self._derivatives = derivatives(program)
@@ -285,10 +285,10 @@ class Ipopt:
     def _progress(self, x: ca.DM, f: ca.DM, g: ca.DM) -> None:
         """Count an iteration; report its number, objective and largest violation."""
         require_work(self._iteration * self.cost)
-        if self._report is not None:
+        if self.report is not None:
             values, (low, high) = np.asarray(g, float).ravel(), self._limits
             worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
-            self._report(self._iteration, float(f), float(worst))
+            self.report(self._iteration, float(f), float(worst))
         self._iteration += 1
 
     def __call__(
@@ -378,8 +378,8 @@ class Ipopt:
         steps, seconds = len(found.log) - 1, time.perf_counter() - begin
         LOG.info("Newton's method: %d steps, %.3f s", steps, seconds)
         for i, entry in enumerate(found.log):
-            if self._report is not None:
-                self._report(i, entry["obj"], entry["inf_pr"])
+            if self.report is not None:
+                self.report(i, entry["obj"], entry["inf_pr"])
         return Outcome(
             found.w,
             found.log[-1]["obj"],
