@@ -166,7 +166,7 @@ def plan(
         on a tendon, valves whose openings lead nowhere), 2 with other valves, 1 with a guess and
         for all else.
     executor : where they are tried, as for :func:`pam_ocp.each`; what comes of them is the same
-        everywhere. None: here, and by processes of our own where that pays, on any system. The
+        everywhere. None: here, and by processes of our own where that pays (on Linux). The
         first start is tried here, and so are all where another solver than IPOPT is named.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or one that a component adds to the library (docs/architecture.md).
