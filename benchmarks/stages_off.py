@@ -62,7 +62,6 @@ STAGES: dict[str, tuple[Any, str, Callable[..., Any]]] = {
         "_beside",
         lambda was, walk, failed, c: failed,
     ),
-    "back to wider smoothing": (Continuation, "_reentered", none),
     "first meshes of few intervals": (MeshSequence, "_ladder", lambda was, m, merges: [m.asked]),
     "restoration first on the path": (Engine, "refined", near),
     "splitting by the gradients": (
@@ -74,7 +73,6 @@ STAGES: dict[str, tuple[Any, str, Callable[..., Any]]] = {
     "relaxed parameters": (search, "has_relaxed", lambda was, problem: False),
     "other guesses": (Search, "_fallbacks", empty),
     "a simulated motion as guess": (search, "by_leading", none),
-    "a small cost of the inputs": (Search, "_regularised", none),
     "equilibria as guess": (search, "by_rests", none),
     "a point that meets all constraints": (Search, "_feasible", empty),
 }

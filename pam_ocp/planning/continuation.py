@@ -82,7 +82,7 @@ class Continuation:
 
     def _led(self, c: Candidate) -> Candidate | None:
         s, step = self.settings, self.settings.step
-        since, blocked, reentered = self.engine.work, False, False
+        since, blocked = self.engine.work, False
         first, missed, costs = c.place, np.inf, True
         self.spent = False
         while True:
@@ -105,8 +105,6 @@ class Continuation:
             meshes = [] if blocked else self.meshes.after(c, costs)
             if meshes:
                 finer = self._finer(c, meshes)
-                if finer is None and c.place == 1.0 and self.nonsmooth and not reentered:
-                    finer, reentered = self._reentered(c, meshes[0][0]), True
                 if finer is not None:
                     c = finer
                 elif c.place == 1.0 and costs:
@@ -246,16 +244,6 @@ class Continuation:
         """On the same mesh, from another solution there."""
         outcome, program = near.outcome, self.engine.program(mesh)
         return self.engine.solve(program, place, outcome.w, start, why, outcome)
-
-    def _reentered(self, c: Candidate, mesh: Mesh) -> Candidate | None:
-        """On a finer mesh by way of wider smoothing, where it is not solved at once."""
-        place = self.settings.reentry
-        why = ("smoothing", f"back to place {place:.2f} of the path on a finer mesh")
-        program = self.engine.program(mesh)
-        found = self.engine.onto(program, c.solved, place, why, "restored")
-        if not found.outcome.success:
-            return None
-        return replace(c, solved=found, place=place, coarser=None, rounds=c.rounds + 1)
 
 
 def _costs_less(found: Solved, other: Solved) -> bool:

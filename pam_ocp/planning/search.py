@@ -21,7 +21,7 @@ from ..judge.statement import COSTS, Statement
 from .candidate import Candidate, Checked, Engine, renewed, same_form
 from .continuation import Continuation, ValveOpenings
 from .mesh_sequence import MeshSequence
-from .problem.problem import Problem, regularised
+from .problem.problem import Problem
 from .replay import accuracy
 from .result import Solved
 from .solvers.diagnosis import Conflict, elastic, resolving
@@ -496,7 +496,6 @@ class Search:
         wide = self._problem_on(mesh)
         guesses: list[Guess] = [
             ("a simulated motion along the stops", lambda: by_leading(wide, mesh), "near"),
-            ("a small cost of the inputs", lambda: self._regularised(mesh), "near"),
             ("equilibria between the stops", lambda: by_rests(problem, mesh), "cold"),
             ("equilibria between the stops", lambda: by_rests(problem, mesh), "adaptive"),
             ("the stops, balanced", lambda: by_stops(problem, mesh, not usual), "adaptive"),
@@ -517,21 +516,6 @@ class Search:
             self._stopped.append(found)
             if self.found.failure is None:
                 self.found.failure = found
-
-    def _regularised(self, mesh: Mesh) -> Array | None:
-        """The solution with a small cost of the inputs; where nothing but the time counts.
-
-        Quickest motions of plants with more inputs than they need are no one motion: along a valley
-        of equal durations a solver goes to and fro. With the cost there is one.
-        """
-        problem, goal = self.problem, self.problem.objective
-        if not goal.only_time or self.nonsmooth or not problem.plant.inputs:
-            return None
-        engine = self.engine.of(regularised(problem, self.settings.regularisation), mesh)
-        guess = by_stops(problem, mesh, balanced=wants_balance(problem))
-        why = ("other guesses", "a small cost of the inputs")
-        found = engine.solve(engine.first, 1.0, guess, "cold", why)
-        return found.outcome.w if found.outcome.success else None
 
     def diagnosed(self) -> Array | None:
         """A point that meets all constraints; None where none was found. Conflicts are those that

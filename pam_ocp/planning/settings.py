@@ -77,10 +77,6 @@ class Settings:
     most_work: float = 160.0
     """At which a search ends in any case: with building, replays and verdict three to five minutes
     (measured: with half of it random tasks with many states are lost)."""
-    regularisation: float = 1e-3
-    """Cost of the squared inputs, in nominals and times the weight of the time, that leads to the
-    quickest motion of an over-actuated plant (measured: an arm with four muscles takes 130
-    iterations, where 300 without it end nowhere)."""
 
 
 SETTINGS = Settings()

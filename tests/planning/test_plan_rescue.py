@@ -4,7 +4,6 @@ import os
 import signal
 from types import SimpleNamespace
 
-import casadi as ca
 import numpy as np
 import pytest
 from searches import pushed, search_of
@@ -12,7 +11,6 @@ from searches import pushed, search_of
 import pam_ocp as pam
 from pam_ocp.planning import replay
 from pam_ocp.planning.planner import Planner
-from pam_ocp.planning.problem.problem import regularised
 from pam_ocp.planning.solvers.diagnosis import elastic, explanation
 from pam_ocp.planning.transcription.guess import by_rests, by_stops, path_of_rests, rest_point
 from pam_ocp.planning.transcription.mesh import Collocation, Shooting, merged
@@ -132,12 +130,3 @@ def test_ctrl_c_in_a_replay_ends_the_plan_and_nothing_is_tried_after_it(monkeypa
         pam.plan(cart(), [{"x": 0.0}, {"x": 1.0}], method=Collocation(8))
     assert len(begun) == 1
     assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_a_quickest_motion_is_regularised_by_its_squared_inputs_in_parts_of_the_largest():
-    asked = program().problem
-    added = regularised(asked, 1e-3).objective.integrand - asked.objective.integrand
-    u = asked.plant.u
-    largest = np.array([max(abs(v.min), abs(v.max)) for v in asked.plant.inputs])
-    value = ca.Function("added", [u], [added])(ca.DM(largest / 2))
-    assert float(value) == pytest.approx(1e-3 * asked.objective.time * len(largest) / 4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import casadi as ca
@@ -393,13 +393,6 @@ def _is_square(expression: ca.SX) -> bool:
     least, slopes = (ca.DM(ca.substitute(e, symbols, origin)) for e in (expression, slope))
     centred = not np.any(np.asarray(slopes)) and float(least) >= 0
     return centred and bool(np.all(np.linalg.eigvalsh(np.asarray(ca.DM(curvature))) >= 0))
-
-
-def regularised(problem: Problem, weight: float) -> Problem:
-    """The problem with a small cost of the squared inputs beside the time."""
-    goal = problem.objective
-    added = weight * goal.time * _squared_inputs(problem.plant)
-    return replace(problem, objective=replace(goal, integrand=goal.integrand + added))
 
 
 def _squared_inputs(plant: Plant) -> ca.SX:
