@@ -197,9 +197,9 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
         return _from_function(variable, value, t)
     label = f"input {variable.name}"
     if isinstance(value, tuple) and len(value) == 2:
-        times = require_numbers(label, value[0], "s")
-        samples = require_numbers(label, value[1], variable.unit)
-    elif is_quantity(value) or not isinstance(value, list | tuple | np.ndarray):
+        times = np.atleast_1d(require_numbers(label, value[0], "s"))
+        samples = np.atleast_1d(require_numbers(label, value[1], variable.unit))
+    elif is_quantity(value) or np.ndim(value) == 0:
         constant = np.full((1, 1, 1), variable.check(value))
         return PiecewisePolynomial(np.array([t[0], t[-1]]), constant)
     else:
@@ -213,6 +213,8 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
     if not np.all(np.diff(times) > 0):
         raise InputError(f"input {variable.name}: the times must rise from sample to sample")
     if interpolation == "previous":
+        if times[-1] < t[-1]:  # the last sample holds, too
+            times, samples = np.append(times, t[-1]), np.append(samples, samples[-1])
         return PiecewisePolynomial(times, samples[:-1, None, None])
     slopes = np.diff(samples) / np.diff(times)
     return PiecewisePolynomial(times, np.stack([samples[:-1], slopes], axis=1)[:, :, None])

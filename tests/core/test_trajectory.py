@@ -104,6 +104,15 @@ def test_the_last_sample_of_a_held_input_is_its_end_not_an_interval(slide):
     )
 
 
+def test_what_is_held_goes_on_with_its_last_sample_when_the_run_goes_on(slide):
+    held = {"muscle1.command": ([0.1, 0.2], [1e5, 4e5]), "muscle2.command": np.array(3e5)}
+    for t in ([0.0, 0.5], [0.3, 0.5]):
+        assert signals(slide, held, np.array(t))([0.0, 0.19, 0.2, 0.5])[-1].tolist() == [4e5, 3e5]
+    run = pam.simulate(slide, held, t=[0.0, 0.1, 0.15, 0.2, 1.0])
+    assert run["muscle1.command"].tolist() == [1e5, 1e5, 1e5, 4e5, 4e5]
+    assert run["muscle1.pressure"][-1] == pytest.approx(4e5, rel=1e-6)  # 16 lags later
+
+
 @pytest.mark.parametrize(
     ("inputs", "message"),
     [
@@ -111,6 +120,7 @@ def test_the_last_sample_of_a_held_input_is_its_end_not_an_interval(slide):
         ({"muscle1.command": [1e5, 2e5, 3e5]}, "3 samples for 2 times"),
         ({"muscle1.command": [1.0, np.nan]}, "sample 1 is nan"),
         ({"muscle1.command": ([0.0, 0.0], [1e5, 2e5])}, "times must rise"),
+        ({"muscle1.command": (0.5, 2e5)}, "1 samples for 1 times"),
         ({"muscle1.command": lambda t: float("nan")}, "one finite number"),
         ({"muscle1.command": 9e5}, "outside 0 bar .. 6 bar"),
         ({"muscle3.command": 1e5}, "muscle1.command"),
