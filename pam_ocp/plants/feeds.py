@@ -296,10 +296,10 @@ def attach(
         scope.of("N", 100.0).output(
             "loss", lost, f"friction, hysteresis and creep of {name} against its contraction"
         )
-        if air is not None and air.warm is not None:
-            air.warm(lost * rate)
-        tension = tension - lost
+        tension, lossless = tension - lost, force
         force = clamp(tension, symbolic.slack_width)
+        if air is not None and air.warm is not None:
+            air.warm((lossless - force) * rate)  # a slack muscle has no losses
     attached = AttachedMuscle(
         name,
         symbolic,

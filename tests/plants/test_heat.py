@@ -193,6 +193,19 @@ def test_the_plant_is_the_hand_written_one_at_200_random_points():
         assert outputs["muscle.heat_flow"] == pytest.approx(heat, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.parametrize(("x", "v"), [(0.02, 0.2), (0.0526, 0.2), (0.0534, -0.2), (0.06, 0.2)])
+def test_losses_warm_the_rubber_by_what_they_take_from_the_pull(x, v):
+    heat, friction = ConstantHeatTransfer(30.0), pam.losses.CoulombFriction(20.0)
+    feed = pam.feeds.SpoolValve(gas=Gas(heat=heat, rubber=Rubber(CAPACITY)))
+    plant = pam.HangingLoad(MUSCLE, MASS, feed=feed, losses=friction)
+    pull = pam.muscle(MUSCLE).tension(
+        6e5, x / L0
+    )  # taut, slack by friction, taut by friction, slack
+    taken = max(pull, 0.0) - max(pull - math.copysign(20.0, v), 0.0)
+    rates = rates_and_outputs(plant, {"x": x, "v": v, "muscle.pressure": 6e5})[0]
+    assert rates["muscle.rubber_temperature"] == pytest.approx(taken * v / CAPACITY, abs=1e-12)
+
+
 def test_the_energy_balance_of_a_motion_closes_to_1e_8():
     def rates(t, z, command):
         found, (enthalpy, heat, work, _) = by_hand(*z[:5], command)
