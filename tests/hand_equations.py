@@ -382,8 +382,10 @@ class Joint(Arrangement):
     def __call__(self, x: Numbers, u: Numbers) -> tuple[dict[str, float], dict[str, float]]:
         theta, omega, h = x["theta"], x["omega"], 1e-5
         torque, rates, outputs = self.turned(theta, x, u)
-        above, below = (self.turned(theta + e, x, u)[0] for e in (h, -h))
-        k = -(above - below) / (2 * h)  # -d(torque)/dtheta, all else held
+        k = 0.0  # -d(torque)/dtheta; losses held, as for one muscle
+        for n, sign, (_, r) in zip(("muscle1", "muscle2"), (1, -1), self.arms, strict=True):
+            slope = (r(theta + h) - r(theta - h)) / (2 * h)
+            k += r(theta) ** 2 * outputs[f"{n}.stiffness"] - sign * slope * outputs[f"{n}.force"]
         mass, length = self.link
         push = (
             torque

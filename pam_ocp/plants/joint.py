@@ -61,8 +61,8 @@ class AntagonisticJoint(Plant):
     damping, feed, losses, loads : components; by default 0.3 N m s/rad and a ``Regulator()`` each.
 
     States theta [rad], omega [rad/s] and those of feeds and losses. Outputs ``torque`` of the
-    muscles [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the
-    muscles' own.
+    muscles [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures and losses,
+    and the muscles' own.
 
     Examples
     --------
@@ -111,7 +111,7 @@ class AntagonisticJoint(Plant):
         )
         pair = []
         feeds = feeds_of_pair(self, feed, muscles)
-        torque, carried, turning = ca.SX(0), ca.SX(0), ca.SX(0)
+        torque, stiffness, carried, turning = (ca.SX(0) for _ in range(4))
         for i, (part, arm, sign) in enumerate(zip(muscles, arms, (1, -1), strict=True), start=1):
             shortening, radius = self._arm(f"muscle{i}", arm, theta)
             attached = self.add_muscle(
@@ -124,14 +124,14 @@ class AntagonisticJoint(Plant):
                 losses=losses,
             )
             torque += sign * radius * attached.force
+            slope = ca.jacobian(ca.SX(radius), theta)
+            stiffness += radius**2 * attached.stiffness - sign * slope * attached.force
             # of a body at the end of a lever r(theta): m r (r theta'' + r' theta'^2)
             carried += attached.moving_mass * radius**2
-            turning += attached.moving_mass * radius * ca.jacobian(ca.SX(radius), theta) * omega**2
+            turning += attached.moving_mass * radius * slope * omega**2
             pair.append(attached)
-        bodies = carried, turning
-        self._move(
-            theta, omega, moment, torque, (link_mass, link_length), damping, loads, limits, bodies
-        )
+        link, muscles_do = (link_mass, link_length), (torque, stiffness, carried, turning)
+        self._move(theta, omega, moment, link, damping, loads, limits, muscles_do)
         even = limits is None or limits[0] == -limits[1]
         one_arm = moment_arm2 is None and not callable(moment_arm)
         if muscles[0] == muscles[1] and one_arm and even and not loads:
@@ -189,17 +189,16 @@ class AntagonisticJoint(Plant):
         theta: ca.SX,
         omega: ca.SX,
         moment: ca.SX,
-        torque: ca.SX,
         link: tuple[float, float],
         damping: Damping | float | None,
         loads: Sequence[Load],
         limits: tuple[float, float] | None,
-        bodies: tuple[ca.SX, ca.SX],
+        muscles_do: tuple[ca.SX, ca.SX, ca.SX, ca.SX],
     ) -> None:
-        """Outputs and the equation of motion. bodies : inertia [kg m2] and torque of the muscles'
-        own masses.
+        """Outputs and the equation of motion. muscles_do : torque and stiffness of the muscles,
+        inertia [kg m2] and torque of their own masses.
         """
-        stiffness = -ca.jacobian(torque, theta)
+        torque, stiffness, carried, turning = muscles_do
         scope = Scope(self)
         scope.of("N.m", 10.0).output("torque", torque, "of both muscles on the joint")
         scope.of("N.m/rad", 10.0).output(
@@ -229,7 +228,6 @@ class AntagonisticJoint(Plant):
         )
         weight = mass * g * length * ca.sin(theta)
         self.der(theta, omega)
-        carried, turning = bodies
         pulls = torque - weight - turning - c * omega + outside
         self.der(omega, pulls / (moment + carried + added))
 

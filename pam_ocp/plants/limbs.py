@@ -133,8 +133,8 @@ class Limb(Plant):
 
     States: positions by the joints' names [rad or m], ``<joint>.velocity``, and those of feeds and
     losses. Outputs ``<joint>.torque`` of the muscles, ``<joint>.stiffness`` = -d(torque)/dq at
-    constant pressures, and the muscles' own. Path constraints, which plans keep: the muscles'
-    ``<muscle>.tension`` >= 0, ``<muscle>.reach`` (contraction in its measured range) and
+    constant pressures and losses, and the muscles' own. Path constraints, which plans keep: the
+    muscles' ``<muscle>.tension`` >= 0, ``<muscle>.reach`` (contraction in its measured range) and
     ``<joint>.effort``.
 
     Raises InputError for files, joints, links and paths that make no limb, naming them.
@@ -283,13 +283,15 @@ class Limb(Plant):
         """Declare torque, stiffness and effort of a joint; the muscles' torque."""
         joint = self.joints[i]
         effort = "N.m" if joint.rotary else "N"
-        torque = ca.dot(arms, ca.vertcat(*(a.force for a in attached)))
+        forces = ca.vertcat(*(a.force for a in attached))
+        along = ca.vertcat(*(a.stiffness for a in attached))
+        torque = ca.dot(arms, forces)
         of = f"of the muscles on joint {joint.name}"
         scope = Scope(self, joint.name)
         scope.of(effort, 10.0).output("torque", torque, of)
         scope.of("N.m/rad" if joint.rotary else "N/m", 10.0).output(
             "stiffness",
-            -ca.jacobian(torque, q[i]),
+            ca.dot(arms**2, along) - ca.dot(ca.jacobian(arms, q[i]), forces),
             f"stiffness of joint {joint.name} at constant pressures",
         )
         if math.isfinite(joint.effort):

@@ -67,7 +67,7 @@ def test_a_limb_of_one_joint_is_a_pendulum(limb):
 
 def test_two_muscles_on_pulleys_are_an_antagonistic_joint(limb):
     muscle = pam.Muscle(**{**vars(pam.muscle("DMSP-20-300")), "end_mass": 0.2})
-    losses = pam.losses.BoucWen(20.0, 0.005)
+    losses = (pam.losses.BoucWen(20.0, 0.005), pam.losses.Creep())
     pair = [
         LimbMuscle(n, muscle, [("a", r)], pre_contraction=0.125, losses=losses)
         for n, r in (("muscle1", 0.04), ("muscle2", -0.03))
@@ -86,6 +86,9 @@ def test_two_muscles_on_pulleys_are_an_antagonistic_joint(limb):
             assert found[mine] == pytest.approx(expected[theirs], rel=1e-9)
         for name in ("muscle1.pressure", "muscle1.hysteresis", "muscle2.hysteresis"):
             assert found[name] == pytest.approx(expected[name], rel=1e-9)
+        shown = rates_and_outputs(plant, {"a": theta, "a.velocity": omega, **common})[1]
+        along = [r**2 * shown[f"muscle{i}.stiffness"] for i, r in ((1, 0.04), (2, 0.03))]
+        assert shown["a.stiffness"] == pytest.approx(sum(along), rel=1e-9)  # creep is a loss
 
 
 ROD = [
