@@ -72,7 +72,7 @@ def energy(
     trajectory: Trajectory,
     *,
     position: str = "x",
-    mass: str | float = "mass",
+    mass: str | float | None = None,
 ) -> Energy:
     """E = m v^2/2 - integral R dx along a motion at constant pressures; see the module's theorem.
 
@@ -81,7 +81,8 @@ def energy(
     plant : with one position whose velocity is a state, as ``HangingLoad(...,
     feed=IdealPressure())``.
     trajectory : a motion of it, as :func:`pam_ocp.simulation.simulator` returns.
-    position : the position's name. mass : name of the parameter, or the inertia itself [kg, kg m2].
+    position : the position's name. mass : name of the parameter, or the inertia itself [kg, kg m2];
+        by default all that moves (the load, what is added to it, half of each muscle's body).
 
     R is mass times the plant's acceleration at zero velocity. Its integral is exact to rounding:
     Gauss-Legendre with 16 points on pieces between the ends of the clamp's rounding.
@@ -101,7 +102,10 @@ def energy(
     if velocity is None:
         raise InputError(f"position: {name} has no velocity among the states of {plant.name!r}")
     _require_constant(plant, trajectory, {name, velocity})
-    m = mass if isinstance(mass, (int, float)) else plant.vector("parameter")[_row(plant, mass)]
+    if mass is None:
+        m = _moved(plant, trajectory, velocity)
+    else:
+        m = mass if isinstance(mass, (int, float)) else plant.vector("parameter")[_row(plant, mass)]
     acceleration, tension = _expressions(plant, name, velocity)
     first = trajectory.row(0)
     x0 = np.array([first[v.name] for v in plant.states])
@@ -124,6 +128,35 @@ def energy(
         potential - potential[0],
         float(m) * v * (moving - resting),
     )
+
+
+def _moved(plant: Plant, trajectory: Trajectory, velocity: str) -> float:
+    """What moves [kg, kg m2]: the pull per velocity that more pressure gives (by virtual work, from
+    the muscles' power), over the acceleration that it gives; of a muscle that is taut.
+    """
+    muscles = [v.name.removesuffix(".power") for v in plant.outputs if v.name.endswith(".power")]
+    pressures = [plant.expression(f"{m}.pressure") for m in muscles]
+    pulls = [
+        ca.jacobian(plant.expression(f"{m}.power"), plant.expression(velocity)) for m in muscles
+    ]
+    gains = [
+        ca.vertcat(*(ca.jacobian(e, p) for e, p in zip(of, pressures, strict=True)))
+        for of in (pulls, [plant.expression(f"der({velocity})")] * len(muscles))
+    ]
+    still = trajectory.array([v.name for v in plant.states])
+    still[:, [v.name for v in plant.states].index(velocity)] = 0.0
+    inputs = trajectory.array([v.name for v in plant.inputs])
+    by = ca.Function("moved", [plant.x, plant.u, plant.p], gains)
+    pull, gained = (np.asarray(g) for g in by(still.T, inputs.T, plant.vector("parameter")))
+    taut = np.abs(gained) > 1e-6 * np.abs(gained).max(initial=0.0)
+    found = pull[taut] / gained[taut]
+    if not found.size or np.ptp(found) > 1e-6 * found.max():
+        raise InputError(
+            f"mass: what moves in {plant.name!r} "
+            + ("changes on the way" if found.size else "cannot be told, as no muscle is taut")
+            + "; name its parameter, or give a number"
+        )
+    return float(found[0])
 
 
 def _row(plant: Plant, mass: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -168,6 +169,24 @@ def test_undamped_energy_is_conserved():
     motion = vibration.free_vibration(plant, FOUR_BAR, 0.03, cycles=20)
     found = vibration.energy(plant, motion.trajectory)
     assert np.ptp(found.total) < 1e-8 * found.kinetic.max()
+
+
+def test_the_energy_is_that_of_all_that_moves():
+    muscle = replace(pam.muscle("DMSP-20-400N"), end_mass=1.0)
+    more = {"loads": pam.loads.Inertia(5.0), "damping": 0.0, "feed": pam.feeds.IdealPressure()}
+    for plant, moved, speed in (
+        (pam.SpringOverMuscle(muscle, 2.0, **more), 7.5, "v"),
+        (pam.AntagonisticJoint(muscle, 0.05, 0.04, **more), 5.05 + 0.04**2, "omega"),
+    ):
+        at, state = {v.name: 4 * BAR for v in plant.inputs}, plant.states[0].name
+        run = vibration.free_vibration(plant, at, 0.005, state=state, cycles=2).trajectory
+        found = vibration.energy(plant, run, position=state)
+        assert found.kinetic == pytest.approx(moved * run[speed] ** 2 / 2, rel=1e-9)
+        assert np.ptp(found.total) < 1e-8 * found.kinetic.max()
+    lever = pam.AntagonisticJoint(muscle, 0.05, lambda a: 0.04 + 0.01 * a, **more)
+    run = pam.simulate(lever, duration=0.1, start={"theta": 0.3})
+    with pytest.raises(InputError, match="mass: what moves in 'antagonistic_joint' changes"):
+        vibration.energy(lever, run, position="theta")
 
 
 def test_energy_refuses_a_moving_pressure():
