@@ -192,7 +192,7 @@ def free_vibration(
     if offset == 0:
         raise InputError("offset = 0: the plant would stay at rest; give a distance from rest")
     cycles = require_positive("cycles", cycles)
-    period = 1 / _natural_frequency(point)
+    period = 1 / _natural_frequency(point, variable.name, offset)
     x0 = dict(zip([v.name for v in plant.states], point.x, strict=True))
     x0.update(carried(plant, point.x, point.u, variable.name, offset))
     x0[variable.name] += offset
@@ -206,17 +206,31 @@ def free_vibration(
     return _measured(plant, point, trajectory, variable.name)
 
 
-def _natural_frequency(point: OperatingPoint) -> float:
-    """Of the slowest oscillating pair of poles at rest [Hz], without damping."""
-    poles = point.poles
-    pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
+def _natural_frequency(point: OperatingPoint, state: str, offset: float) -> float:
+    """Of the slowest oscillating pair of poles [Hz], without damping: at rest, or else at the speed
+    of the swing, where dry friction no longer grows with speed.
+    """
+    plant, pairs = point.plant, _pairs(point.poles)
+
+    def slopes(x: Array) -> Array:
+        return np.asarray(plant.jacobians(x, point.u, plant.vector("parameter"))[0])
+
+    if not len(pairs) and state in plant.positions:
+        at, names = point.x.copy(), [v.name for v in plant.states]
+        row = names.index(plant.positions[state])
+        at[row] = offset * np.sqrt(max(-slopes(at)[row, names.index(state)], 0.0))
+        pairs = _pairs(np.linalg.eigvals(slopes(at)).astype(complex))
     if not len(pairs):
-        shown = ", ".join(f"{s.real:.3g}" for s in poles)
+        shown = ", ".join(f"{s.real:.3g}" for s in point.poles)
         raise VibrationError(
-            f"{point.plant.name!r} does not oscillate about this point: all its poles are real "
+            f"{plant.name!r} does not oscillate about this point: all its poles are real "
             f"({shown} 1/s); lessen the damping"
         )
     return float(np.min(np.abs(pairs)) / (2 * np.pi))
+
+
+def _pairs(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    return np.asarray(poles[poles.imag > 1e-9 * np.abs(poles)])
 
 
 def _measured(

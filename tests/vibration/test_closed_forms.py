@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import refused
@@ -221,14 +222,22 @@ def test_a_push_decides_where_a_vibration_stands_beside_a_stable_rest():
 OMEGA, RATIO, REST = 12.0, 0.06, 0.3
 
 
-def oscillator(ratio: float = RATIO) -> pam.Plant:
+def oscillator(ratio: float = RATIO, dry: float = 0.0) -> pam.Plant:
     plant = pam.Plant("oscillator")
     q = plant.state("q", start=REST, min=-9.0, max=9.0, nominal=0.4)
     v, u = plant.state("v", nominal=2.0), plant.input("u", min=-9.0, max=9.0)
     plant.parameter("inertia", 2.5)
     plant.der(q, v)
-    plant.der(v, OMEGA**2 * (u - q) - 2 * ratio * OMEGA * v)
+    plant.der(v, OMEGA**2 * (u - q) - 2 * ratio * OMEGA * v - dry * ca.tanh(v / 1e-4))
     return plant
+
+
+def test_dry_friction_takes_as_much_from_each_swing():
+    """4 F/k a cycle, at the frequency without it; about rest itself no pole oscillates."""
+    dry = 0.02 * OMEGA**2
+    motion = vibration.free_vibration(oscillator(0.0, dry), {"u": REST}, 0.5, state="q", cycles=5)
+    assert -np.diff(motion.amplitudes) == pytest.approx(np.full(3, 0.08), rel=1e-3)
+    assert motion.frequency == pytest.approx(OMEGA / (2 * np.pi), rel=5e-3)
 
 
 @pytest.mark.parametrize("offset", [0.5, -0.5])
@@ -274,7 +283,11 @@ def test_the_energy_of_the_linear_oscillator():
         assert found.potential == pytest.approx(m * OMEGA**2 * (q**2 - 0.25) / 2, abs=1e-9)
         assert found.rate == pytest.approx(-2 * m * RATIO * OMEGA * v**2, abs=1e-9)
         assert found.total == pytest.approx(found.kinetic + found.potential)
-    for words, given in (("has no velocity", {"position": "v"}), ("a parameter", {"mass": "u"})):
+    for words, given in (
+        ("has no velocity", {"position": "v"}),
+        ("a parameter", {"mass": "u"}),
+        ("no muscle is taut", {}),
+    ):
         with pytest.raises(InputError, match=words):
             vibration.energy(plant, motion, **({"position": "q"} | given))
 
