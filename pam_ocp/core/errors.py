@@ -183,6 +183,16 @@ def require_numbers(
     return found
 
 
+def broadcast(**given: Any) -> tuple[NDArray[np.float64], ...]:
+    """Numbers and arrays, broadcast against each other, or an InputError with their shapes."""
+    arrays = {name: np.asarray(value, float) for name, value in given.items()}
+    try:
+        return tuple(np.broadcast_arrays(*arrays.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} has shape {a.shape}" for name, a in arrays.items())
+        raise InputError(f"{shapes}: give one of each, or arrays that broadcast") from None
+
+
 def require_ends(
     argument: str, ends: Any, unit: str = "", *, open_ends: bool = False
 ) -> tuple[float, float]:

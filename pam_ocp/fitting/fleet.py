@@ -23,7 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.cases import results_of
-from ..core.errors import FitError, InputError, UnknownNameError, require_instance, require_numbers
+from ..core.errors import (
+    FitError,
+    InputError,
+    UnknownNameError,
+    broadcast,
+    require_instance,
+    require_numbers,
+)
 from ..core.executors import Place
 from ..core.shown import shown
 from ..core.stop import verb
@@ -139,8 +146,8 @@ class Population(Tabled):
             raise InputError(
                 "predict needs a force law: give fit_fleet records, not fits that were made already"
             )
-        asked = require_numbers("p", p, "Pa"), require_numbers("kappa", kappa, "1")
-        both = np.broadcast_arrays(*asked)
+        p, kappa = require_numbers("p", p, "Pa"), require_numbers("kappa", kappa, "1")
+        both = broadcast(p=p, kappa=kappa)
         force, slopes = sensitivity(self.law, list(self.coefficients), *map(np.ravel, both))
         t, shape = self.between.reach(level), both[0].shape
         errors = [

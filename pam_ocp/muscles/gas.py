@@ -13,7 +13,14 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from ..core.errors import InputError, require_finite, require_numbers, require_positive, with_kinds
+from ..core.errors import (
+    InputError,
+    broadcast,
+    require_finite,
+    require_numbers,
+    require_positive,
+    with_kinds,
+)
 from ..core.expressions import polynomial
 from ..core.quantities import is_quantity
 from ..core.registry import Registry
@@ -418,7 +425,9 @@ def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None)
     absolute = pressure + chamber.ambient
     compressed = chamber.exponent * absolute * chamber.slope / chamber.volume
     k = -(slopes[0] - slopes[1] * compressed) / muscle.rest_length
-    return over_arrays(ca.Function("k", [pressure, contraction], [k]), 0, p, kappa)
+    return over_arrays(
+        ca.Function("k", [pressure, contraction], [k], ["p", "kappa"], ["k"]), 0, p, kappa
+    )
 
 
 # ---- flow ---------------------------------------------------------------------------------------
@@ -463,7 +472,8 @@ def iso6358(
     )
     if not any(isinstance(g, np.ndarray) for g in given):
         return _iso6358(*given)
-    rows = np.broadcast_arrays(*given)
+    names = ("upstream", "downstream", "conductance", "critical_ratio", "temperature", "ratio")
+    rows = broadcast(**dict(zip(names, given, strict=True)))
     found = _iso6358(*(ca.DM(row.reshape(1, -1)) for row in rows))
     return np.asarray(found, dtype=float).reshape(rows[0].shape)
 

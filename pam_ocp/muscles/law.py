@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.calibration import AMBIENT
-from ..core.errors import InputError, require_numbers, require_positive, with_kinds
+from ..core.errors import InputError, broadcast, require_numbers, require_positive, with_kinds
 from ..core.registry import Registry
 from ..core.stop import locked
 from ..core.variables import Variable
@@ -358,7 +358,7 @@ def over_arrays(
     """Output ``index`` of ``function(*arrays, *constants)``, the arrays broadcast; a float for
     numbers.
     """
-    rows = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in arrays))
+    rows = broadcast(**{function.name_in(i): a for i, a in enumerate(arrays)})
     if rows[0].size == 0:
         return np.empty(rows[0].shape)
     found = function.call([*(ca.DM(row.reshape(1, -1)) for row in rows), *constants])[index]

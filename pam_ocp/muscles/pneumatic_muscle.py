@@ -250,6 +250,8 @@ def _clamped(law: type[ForceLaw]) -> ca.Function:
         f"clamped_{law.__name__}",
         [p, kappa, ca.vertcat(coefficients, rest_length, width)],
         [force, stiffness],
+        ["p", "kappa", "constants"],
+        ["force", "stiffness"],
     )
 
 

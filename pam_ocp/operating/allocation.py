@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, PamError, require_numbers
+from ..core.errors import InputError, PamError, broadcast, require_numbers
 from ..core.stop import locked, verb
 from ..numerics.newton import iterate
 from ..plants.plant import Plant
@@ -144,7 +144,7 @@ class Allocation:
 
         Raises AllocationError when the equations have no solution.
         """
-        wanted = np.broadcast_arrays(*(np.asarray(a, float) for a in (position, effort, stiffness)))
+        wanted = broadcast(position=position, effort=effort, stiffness=stiffness)
         z, target = wanted[0].ravel(), np.array([wanted[1].ravel(), wanted[2].ravel()])
         start = np.array([np.full(z.shape, (v.min + v.max) / 2) for v in self._pressures])
 
@@ -172,7 +172,7 @@ class Allocation:
         self, position: ArrayLike, p1: ArrayLike, p2: ArrayLike, *, taut: bool = True
     ) -> NDArray[np.bool_]:
         """Whether pressures lie within the plant's range and (``taut``) both muscles pull."""
-        z, one, two = np.broadcast_arrays(*(np.asarray(a, float) for a in (position, p1, p2)))
+        z, one, two = broadcast(position=position, p1=p1, p2=p2)
         p = np.array([one.ravel(), two.ravel()])
         good = np.ones(p.shape[1], bool)
         for variable, row in zip(self._pressures, p, strict=True):

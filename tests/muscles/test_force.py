@@ -10,6 +10,7 @@ import pytest
 
 from pam_ocp.core.errors import InputError
 from pam_ocp.muscles.catalogue import muscle
+from pam_ocp.muscles.gas import closed_stiffness, iso6358
 from pam_ocp.muscles.law import LAWS, SixParameterLaw, clamp
 from pam_ocp.muscles.pneumatic_muscle import Muscle
 from pam_ocp.muscles.validity import ValidityWarning
@@ -123,6 +124,19 @@ def test_scalars_give_floats_and_arrays_broadcast(fluidic):
     assert fluidic.force(np.full((3, 1), 2e5), np.zeros(4)).shape == (3, 4)
     assert fluidic.force([], 0.1).shape == (0,)
     assert fluidic.stiffness([1e5, 2e5], 0.1).shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (lambda m: m.force([1e5] * 2, [0.1] * 3), r"p has shape \(2,\), kappa has shape \(3,\):"),
+        (lambda m: closed_stiffness(m, [1e5] * 2, [0.1] * 3), "p has shape"),
+        (lambda m: iso6358([2e5] * 2, [1e5] * 3, 1e-8), "upstream has shape .* that broadcast"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused_by_name(fluidic, asked, said):
+    with pytest.raises(InputError, match=said):
+        asked(fluidic)
 
 
 def test_symbols_give_expressions_with_the_same_value(fluidic):

@@ -19,7 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from ... import courtesy
 from ...core.calibration import AMBIENT
 from ...core.cases import ending
-from ...core.errors import FitError, InputError, UnknownNameError, require_count, require_numbers
+from ...core.errors import (
+    FitError,
+    InputError,
+    UnknownNameError,
+    broadcast,
+    require_count,
+    require_numbers,
+)
 from ...core.executors import Place, placed
 from ...core.files import read_json, reading, write_json
 from ...core.progress import working
@@ -435,13 +442,7 @@ def _places(p: Any, kappa: Any) -> tuple[Array, Array]:
             f"kappa = {value:g} is no contraction ratio of a muscle: give (l0 - l)/l0 between "
             f"{REACH[0]:g} and {REACH[1]:g}{meant_within(value, '1', 0.0, 0.6)}"
         )
-    try:
-        both = np.broadcast_arrays(pressure, kappas)
-    except ValueError:
-        raise InputError(
-            f"p has shape {pressure.shape}, kappa {kappas.shape}: give one of each, or arrays that "
-            "broadcast"
-        ) from None
+    both = broadcast(p=pressure, kappa=kappas)
     return both[0], both[1]
 
 
