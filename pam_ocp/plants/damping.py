@@ -222,7 +222,7 @@ _WAYS = ("contracting", "relaxing")
 )
 @dataclass(frozen=True)
 class CoulombFriction:
-    """F = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v/v0), Fc = constant + per_pressure p.
+    """F = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v/v0), Fc = constant + per_pressure max(p, 0).
 
     Dry friction, smoothed below the speed v0, so a muscle at rest creeps instead of sticking.
     With ``excess`` = (Fs - Fc)/Fc > 0 it falls with speed (Stribeck). It still only resists: it can
@@ -269,7 +269,7 @@ class CoulombFriction:
             )
         )
         v = motion.velocity
-        kinetic = constant + slope * motion.pressure
+        kinetic = constant + slope * ca.fmax(motion.pressure, 0)
         return ca.SX(kinetic * (1 + excess * ca.exp(-((v / stribeck) ** 2))) * ca.tanh(v / speed))
 
 

@@ -51,6 +51,20 @@ def loss_at(loss, velocity, pressure=PRESSURE):
     return rates_and_outputs(Drawn(loss), at)[1]["muscle.loss"]
 
 
+@pytest.mark.parametrize(
+    "loss",
+    [
+        CoulombFriction(0.0, per_pressure=1e-3),
+        DirectionalDamping([(1.0, 1e-3)], [(1.0, 1e-3)]),
+        pam.losses.ForceVelocity(1.0, 1e-3, 1.0, 1e-3),
+        pam.losses.StrandFriction(),
+    ],
+)
+def test_below_the_ambient_pressure_no_friction_drives(loss):
+    for pressure, velocity in ((-2e4, 0.1), (-2e4, -0.1), (-9e4, 1e-4)):
+        assert loss_at(loss, velocity, pressure) * velocity >= 0
+
+
 def drawn_along(loss, turns, rate):
     """Contraction and loss force along straight strokes between ``turns`` at ``rate`` [1/s]."""
     plant = Drawn(loss)
