@@ -290,7 +290,8 @@ def _with_shared(plant: Plant) -> tuple[Plant, frozenset[str]]:
     _define(other, plant, symbols)
     for v in plant.parameters:
         if v.name in one:
-            other.output(v.name, symbols[v.name], **attributes_of(v) | {"start": None})
+            about = attributes_of(v) | {"start": None, "widest": 0.0, "relaxed": 0.0}
+            other.output(v.name, symbols[v.name], **about)
     return other, frozenset(one)
 
 

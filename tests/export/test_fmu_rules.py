@@ -64,7 +64,8 @@ def written(name: str, fmi: Any, folder: Path) -> Path:
         run = pam.simulate(benchmark_slide(), commands, t=t)
         return export_motion(run, path, fmi=fmi, platforms="native")
     if name == "slide shared":
-        return export_fmu(slide(), path, fmi=fmi, platforms="native", share=True)
+        plant = pam.AntagonisticSlide("DMSP-20-200N", losses=pam.losses.CoulombFriction())
+        return export_fmu(plant, path, fmi=fmi, platforms="native", share=True)
     if name == "lqi unclocked":
         return export_fmu(lqi(), path, fmi=fmi, platforms="native", clock=False)
     return export_fmu({**PLANTS, **BLOCKS}[name](), path, fmi=fmi, platforms="native")
