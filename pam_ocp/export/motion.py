@@ -122,6 +122,9 @@ def _signals(motion: Trajectory, names: Sequence[str]) -> PiecewisePolynomial:
     """The columns as piecewise polynomials with common breaks."""
     exact, inputs = motion.signals, motion.named("input")
     breaks = motion.t if len(motion) > 1 else np.append(motion.t, motion.t + 1.0)
+    held = [n for n in names if n in inputs] if motion.interpolation == "previous" else []
+    if exact is None and np.ptp(motion.array(held)[-2:], axis=0).any():
+        breaks = np.append(breaks, 2 * breaks[-1] - breaks[-2])  # the last sample is held, too
     sampled = [n for n in names if exact is None or n not in inputs]
     if exact is not None:
         inside = exact.breaks[(exact.breaks > breaks[0]) & (exact.breaks < breaks[-1])]
@@ -138,7 +141,7 @@ def _signals(motion: Trajectory, names: Sequence[str]) -> PiecewisePolynomial:
             continue
         values = np.interp(breaks, motion.t, motion[name])
         table[:, 0, i] = values[:-1]
-        if name in inputs and motion.interpolation == "previous":
+        if name in held:
             rows = np.searchsorted(motion.t, breaks[:-1] + 1e-12, side="right") - 1
             table[:, 0, i] = motion[name][np.maximum(rows, 0)]
         else:

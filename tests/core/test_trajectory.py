@@ -96,6 +96,13 @@ def test_a_jump_of_a_function_is_found(hanging):
     assert u([0.7312 + 2e-9])[0, 0] == pytest.approx(4e5)
 
 
+@pytest.mark.parametrize("between", ["previous", "linear"])
+def test_behind_its_samples_an_input_keeps_the_last_one(between, slide):
+    given = {"muscle1.command": ([0.0, 0.1], [1e5, 5e5]), "muscle2.command": 3e5}
+    u = signals(slide, given, np.array([0.0, 0.2, 0.4]), between)
+    assert list(u([0.0, 0.1, 0.2, 0.4])[:, 0]) == pytest.approx([1e5, 5e5, 5e5, 5e5])
+
+
 def test_the_last_sample_of_a_held_input_is_its_end_not_an_interval(slide):
     t = np.array([0.0, 0.1, 0.2])
     u = signals(slide, {"muscle1.command": [1e5, 2e5, 5e5], "muscle2.command": 3e5}, t)

@@ -76,8 +76,9 @@ def test_jumps_are_time_events_of_model_exchange(fmi, tmp_path):
         assert np.sum(np.diff(times) == 0) in (events, events + 1)  # one more at the end
 
 
-def test_outside_of_its_time_a_motion_stands_still(tmp_path):
-    motion = lines()
+@pytest.mark.parametrize("between", ["linear", "previous"])
+def test_outside_of_its_time_a_motion_stands_still(between, tmp_path):
+    motion = lines().running(between)
     path = export_motion(motion, tmp_path / "motion.fmu", platforms="native")
     fmu = UnpackedFmu(path, tmp_path / "unpacked")
     for begin, row in ((0.0, 0), (1.3, -1)):
