@@ -61,7 +61,8 @@ static const char *impossible(const Memory *m) {
     for (int i = 0; i < NU; i++)
         if (!isfinite(m->u[i]) && !(isnan(m->u[i]) && MAY_BE_MISSING(i))) return "an input";
     for (int i = 0; i < NP; i++)
-        if (!isfinite(m->p[i]) || m->p[i] < P_MIN[i] || m->p[i] > P_MAX[i]) return "a parameter";
+        if (!isfinite(m->p[i]) || m->p[i] < BOUND(P_MIN[i]) || m->p[i] > BOUND(P_MAX[i]))
+            return "a parameter";
     if (!all_finite(m->slope, NU) || !all_finite(m->last_slope, NU)) return "a slope of an input";
     for (int i = 0; !simulated && i < NU; i++)
         if (m->slope[i] != 0.0 || m->last_slope[i] != 0.0) return "a slope of an input";

@@ -296,6 +296,7 @@ def test_a_unit_of_single_precision_computes_with_floats(tmp_path):
         refused("rror", runner.inner.getFloat64, [unit.references["u"]], error=Exception)
     with Runner(unit, "CoSimulation") as runner:
         runner.set({"ki": 0.1})  # the end of its range, which is 0.1 in double precision
+        runner.restore(runner.save())
         refused("rror", runner.set, {"ki": 0.10001}, error=Exception)
     for words, given in {
         "FMI 2 and arrays of gains have no such numbers": {"precision": "single"},
