@@ -49,7 +49,7 @@ static Status evaluate_xdot(Instance *s, const char *function) {
     return OK;
 }
 
-/* Before the first sample, and while the clock ticks, outputs follow the inputs. */
+/* During initialization, and while the clock ticks, outputs follow the inputs. */
 static Status evaluate_y(Instance *s, const char *function) {
     const Samples *k = &s->memory.samples;
     if (s->y_valid) return OK;
