@@ -303,8 +303,22 @@ def test_what_cannot_be_written_is_refused_in_one_sentence(tmp_path):
     refused("begins all names in C", pam.export_c, made, place, name="1 pid")
     refused("inputs has the shape", pam.export_c, made, place, inputs=np.zeros((3, 1)))
     refused("steps", pam.export_c, made, place, steps=0)
+    refused("seed = -1", pam.export_c, made, place, seed=-1)
     refused("not known as a block", pam.export_c, object(), place)
     assert not place.exists()
+
+
+@needs_compiler
+def test_words_of_c_and_of_cpp_are_names_of_variables(tmp_path):
+    names = ("this", "new", "double", "NULL")
+    one, none = ca.SX.sym("x"), ca.SX.zeros(0, 1)
+    step = ca.Function("step", [none, one, none], [none, ca.repmat(one, len(names), 1)])
+    outputs = tuple(pam.Variable(n, "output") for n in names)
+    words = Block("words", 1.0, (pam.Variable("class", "input"),), outputs, (), (), step)
+    folder = pam.export_c(words, tmp_path / "c", steps=2)
+    assert "passed" in selftest(folder, "words")
+    fields = re.findall(r"words_real (\w+);", (folder / "words.h").read_text())
+    assert not {"class", *names} & set(fields), "the header is for C++, too"
 
 
 def test_vectors_end_where_rounding_spoils_them(tmp_path):

@@ -18,7 +18,13 @@ from .generated import Counts, Precision, StepCode, inexact, library_functions, 
 
 Array: TypeAlias = NDArray[np.float64]
 
-_KEYWORDS = C_KEYWORDS | {"real", "memory", "scratch"}
+_ELSEWHERE = """
+    and asm bool catch class delete explicit export false friend mutable namespace new not operator
+    or private protected public template this throw true try typename using virtual xor
+    EOF INFINITY NAN NULL
+"""
+"""Words of C++, which the header is for, too, and macros of the C library."""
+_KEYWORDS = C_KEYWORDS | {"real", "memory", "scratch", *_ELSEWHERE.split()}
 
 
 WIDE = 80

@@ -138,7 +138,7 @@ def _inputs(block: Block, steps: int | None, inputs: ArrayLike | None, seed: int
     if inputs is None:
         if steps is None:
             steps = STEPS_WITH_LOOPS if block.loops else STEPS
-        return inputs_of(block, require_count("steps", steps), seed)
+        return inputs_of(block, require_count("steps", steps), require_count("seed", seed, 0))
     given = np.asarray(inputs, dtype=float)
     if given.ndim != 2 or given.shape[1] != len(block.inputs) or not len(given):
         raise InputError(
