@@ -44,7 +44,7 @@ def write_fmu(
     layout: Layout,
     path: str | os.PathLike[str],
     settings: Settings,
-    platforms: Iterable[str] | None,
+    platforms: Iterable[str] | str | None,
     content: Content,
 ) -> Path:
     """Write an FMU of these variables and this content."""

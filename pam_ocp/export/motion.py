@@ -39,7 +39,7 @@ def export_motion(
     names: Sequence[str] | None = None,
     name: str = "motion",
     fmi: FmiVersion = "2.0",
-    platforms: Iterable[str] | None = None,
+    platforms: Iterable[str] | str | None = None,
     step_size: float = 1e-3,
 ) -> Path:
     """Write a motion as an FMU without inputs whose outputs play it; returns its path.

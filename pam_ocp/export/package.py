@@ -39,7 +39,7 @@ def export_fmu(
     fmi: FmiVersion = "2.0",
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
-    platforms: Iterable[str] | None = None,
+    platforms: Iterable[str] | str | None = None,
     step_size: float | None = None,
     tolerance: float = 1e-6,
     fixed_step: float | None = None,
@@ -89,7 +89,7 @@ def export_fmu(
     clock : False leaves the clock out of a block's FMI 3 description, for importers that cannot
         read one (ecos 0.7.2 crashes); the samples are the same.
     stop_time : proposed end of a simulation [s].
-    reference : a motion of this plant, to go into the FMU as reference result: a picture, tables
+    reference : a motion of this plant from its start values, as reference result: a picture, tables
         of inputs and outputs (``*_in.csv``, ``*_ref.csv``) to check an importer with, and the
         experiment as the layered standard FMI-LS-REF describes it.
     share : True gives muscles with equal constants one parameter for each (``muscle.a1``), and
@@ -120,6 +120,8 @@ def export_fmu(
     """
     about = checked_about(author, version, copyright, license, date)
     shapes = checked_shapes(fmi, matrices=matrices, booleans=booleans, enumerations=enumerations)
+    for argument, flag in (("share", share), ("clock", clock)):
+        require_flag(argument, flag)
     if precision not in ("double", "single"):
         raise InputError(f"precision = {precision!r}: choose 'double' or 'single'")
     if precision == "single" and (fmi == "2.0" or matrices):
@@ -215,7 +217,7 @@ def write_block(
     block: Block,
     path: str | os.PathLike[str],
     settings: Settings,
-    platforms: Iterable[str] | None,
+    platforms: Iterable[str] | str | None,
     clock: bool,
     first: Mapping[str, float] | None = None,
     **shapes: bool,
@@ -339,7 +341,18 @@ def _shown_outputs(plant: Plant, outputs: Sequence[str] | None) -> frozenset[str
 
 
 def _check_reference(reference: Trajectory, plant: Plant) -> None:
-    """Refuse a reference motion that plays what the FMU holds. Raises InputError."""
+    """Refuse a reference motion that plays what the FMU holds, or begins where it does not.
+
+    Raises InputError.
+    """
+    for v in plant.states:
+        start, first = v.start or 0.0, reference[v.name][0] if v.name in reference else None
+        if first is not None and abs(first - start) > 1e-6 * v.nominal:
+            raise InputError(
+                f"reference: it begins at {v.name} = {v.shown(first)}, the FMU at "
+                f"{v.shown(start)}; export plant.with_values({{...}}) with the states of its "
+                "first row"
+            )
     constants = {v.name: v.start for v in plant.parameters}
     for name in reference.named("input"):
         if name in constants and not np.all(reference[name] == constants[name]):

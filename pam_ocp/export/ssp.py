@@ -60,7 +60,7 @@ def export_ssp(
     step_size: float | None = None,
     stop_time: float = 1.0,
     tolerance: float = 1e-6,
-    platforms: Iterable[str] | None = None,
+    platforms: Iterable[str] | str | None = None,
     version: SspVersion = "1.0",
     matrices: bool = False,
     booleans: bool = False,
@@ -243,7 +243,7 @@ def _part(
     step_size: float,
     tolerance: float,
     fmi: FmiVersion,
-    platforms: Iterable[str] | None,
+    platforms: Iterable[str] | str | None,
     first: Mapping[str, float],
     shapes: Mapping[str, bool],
 ) -> Part:

@@ -167,6 +167,8 @@ def test_words_that_cannot_be_meant_are_refused(tmp_path):
     for said, match in (
         ({"author": "two\nlines"}, "author = .* give one line"),
         ({"date": "yesterday"}, "date = 'yesterday': give a datetime or ISO 8601"),
+        ({"share": "no"}, "share = 'no': give True or False"),
+        ({"reference": 3, "platforms": "source"}, "reference = 3: give a Trajectory or None"),
     ):
         refused(match, export_fmu, benchmark_slide(), tmp_path / "s.fmu", **said)
     assert list(tmp_path.iterdir()) == []

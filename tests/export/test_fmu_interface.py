@@ -99,6 +99,11 @@ def test_a_reference_shows_what_the_fmu_shows(tmp_path):
     other = pam.simulate(plant, {SECOND: 4 * BAR}, duration=0.1)
     with pytest.raises(InputError, match=r"muscle2\.command is left out .* holds it at 3 bar"):
         chosen(tmp_path, "2.0", reference=other)
+    elsewhere = pam.simulate(plant, duration=0.1, start={"x": 0.005})
+    with pytest.raises(
+        InputError, match=r"begins at x = 5 mm, the FMU at 0 mm; export plant\.with"
+    ):
+        chosen(tmp_path, "2.0", reference=elsewhere)
 
 
 def test_terminals_gather_what_can_be_connected(tmp_path):
