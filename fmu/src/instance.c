@@ -265,7 +265,7 @@ static Status check_step(const Instance *s, const char *function, double point, 
         return report(s, ERROR, function, "a step of %g is lost in rounding at time %.12g", size,
                       point);
     /* the importer's sum of steps drifts from ours; only a real gap is an error */
-    double slack = 1e-3 * size + 1e-9 * (1.0 + fabs(m->time));
+    double slack = fmin(1e-3 * size + 1e-9 * (1.0 + fabs(m->time)), 0.5 * size);
     if (fabs(point - m->time) > slack)
         return report(s, ERROR, function, "communication point %.12g, but the instance stands at %.12g",
                       point, m->time);

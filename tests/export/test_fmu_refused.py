@@ -66,6 +66,11 @@ def test_bad_steps_are_refused(fmu):
         refused(runner, "the instance stands at 0.01", runner.step, 0.5, 0.01)
         runner.step(0.01 + 1e-14, 0.01)  # the sum of an importer's steps drifts
         assert now(runner) == pytest.approx(0.02, abs=1e-12)
+    with Runner(fmu, "CoSimulation") as runner:  # seconds since 1970
+        runner.initialize({}, 1.7e9, None)
+        runner.step(1.7e9, 1e-3)
+        refused(runner, "the instance stands at", runner.step, 1.7e9, 1e-3)
+        runner.step(1.7e9 + 1e-3, 1e-3)
 
 
 def test_a_step_beyond_the_stop_time_is_refused(fmu):
