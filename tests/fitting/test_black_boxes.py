@@ -122,6 +122,25 @@ def test_a_delayed_input_is_found_by_its_lag():
     assert now < 0.5 * late
 
 
+@pytest.mark.parametrize(
+    ("lag", "metre", "pascal"), [(0, 1.0, 1.0), (2, 1e-3, 1e5), (-2, 1e6, 1e-3)]
+)
+def test_arx_finds_the_coefficients_of_records_that_begin_in_motion_in_any_unit(lag, metre, pascal):
+    """Five samples of the past, and no noise: not one row may hold a sample that is none."""
+    a, b = np.array([0.9, -0.3, 0.2, -0.1, 0.05]), np.array([0.1, 0.2, 0.3, 0.1, 0.05])
+    random, records = np.random.default_rng(0), []
+    for samples in (40, 25, 3):
+        y, u = random.uniform(-1, 1, samples), random.uniform(1, 2, samples + 20)
+        for k in range(5, samples):
+            y[k] = a @ y[k - 5 : k][::-1] + b @ u[k - lag + 6 : k - lag + 11][::-1]
+        columns = {"q": metre * y, "u": pascal * u[10 : samples + 10]}
+        records.append(pam.Trajectory(STEP * np.arange(samples), columns))
+    found = ArxStructure(["q"], ["u"], 5, lag=lag, **WAYS).fit(records).coefficients[:, 0]
+    np.testing.assert_allclose(
+        found / [*[1.0] * 5, *[metre / pascal] * 5, metre], [*a, *b, 0], atol=1e-9
+    )
+
+
 # ---- networks -------------------------------------------------------------------------------
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "factor"), [("narx", 0.5), ("gru", 0.3)])
@@ -158,7 +177,7 @@ def guessed(structure: NarxStructure | GruStructure, before: int) -> NetworkMode
         for _ in range(2)
     ]
     scales = tuple(Scales.of([random.standard_normal((9, 1))]) for _ in range(2))
-    return NetworkModel(network, tuple(weights), (scales[0], scales[1]), before, (0.0, 0.0))
+    return NetworkModel(network, tuple(weights), (scales[0], scales[1]), before, (0.0, 0.0), STEP)
 
 
 @pytest.mark.parametrize("kind", ["narx", "gru"])
@@ -277,6 +296,8 @@ def test_all_are_judged_by_the_same_runs():
 def test_arguments_that_cannot_be_are_named(more, message):
     given = {"outputs": ["q"], "inputs": ["u"], "order": 2, **WAYS, **more}
     refused(message, NarxStructure, **given)
+    if not more.keys() & {"units", "tries", "rate", "seed"}:
+        refused(message, ArxStructure, **given)
 
 
 def test_other_arguments_that_cannot_be_are_named():
@@ -293,10 +314,18 @@ def test_other_arguments_that_cannot_be_are_named():
 
 def test_records_that_cannot_be_are_refused():
     structure = SubspaceStructure(["q"], ["u"], 2, past=6, **WAYS)
-    slow = [pam.Trajectory(2 * r.t, {"q": r["q"], "u": r["u"]}) for r in arx_process(0, 1)]
-    refused("no records", structure.fit, [], error=FitError)
-    refused("one sampling interval", structure.fit, [*arx_process(0, 1), *slow], error=FitError)
-    refused("longer than past = 6", structure.fit, arx_process(0, 2, samples=7), error=FitError)
+    arx = ArxStructure(["q"], ["u"], 4, **WAYS)
+    (usual,) = arx_process(0, 1)
+    columns = {"q": usual["q"], "u": usual["u"]}
+    uneven = usual.t + 0.2 * STEP * np.sin(usual.t / STEP)
+    for linear, short in ((structure, 7), (arx, 4)):
+        refused("no records", linear.fit, [], error=FitError)
+        refused("is longer than", linear.fit, arx_process(0, 2, samples=short), error=FitError)
+        model = linear.fit([usual])
+        for t in (2 * usual.t, uneven):
+            other = pam.Trajectory(t, columns)
+            refused("one sampling interval", linear.fit, [usual, other], error=FitError)
+            refused("one sampling interval", linear.losses, model, [other], error=FitError)
     pytest.importorskip("optax")
     with pytest.raises(FitError, match=r"longer than first = 0\.1 s"):
         small("narx").fit(arx_process(0, 2, samples=8))

@@ -159,6 +159,7 @@ class NetworkModel:
     scales: tuple[Scales, Scales]
     before: int
     held_out: tuple[float, ...]
+    sampling: float
 
     def predict(self, past: Array, inputs: Array) -> Array:
         """Free runs (n, h, ny): of the outputs of b samples of the past (n, b, ny), and the inputs
@@ -378,7 +379,8 @@ class _NetworkStructure(BlackBox):
         if not np.all(np.isfinite(losses[list(kept)])):
             raise FitError("the training left the range of numbers; a lower rate= may help")
         chosen = tuple({n: w[i].astype(float) for n, w in weights.items()} for i in kept)
-        return NetworkModel(network, chosen, scales, before, tuple(losses[list(kept)].tolist()))
+        held_out = tuple(losses[list(kept)].tolist())
+        return NetworkModel(network, chosen, scales, before, held_out, data.sampling)
 
     def _trained(
         self,

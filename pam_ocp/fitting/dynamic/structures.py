@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import (
     FitError,
@@ -196,16 +197,32 @@ class Data:
 
 
 class Predictor(Protocol):
-    """A fitted model without physics, which reads ``before`` samples of the past."""
+    """A fitted model without physics, which reads ``before`` samples of the past, one every
+    ``sampling`` seconds.
+    """
 
     @property
     def before(self) -> int: ...
+
+    @property
+    def sampling(self) -> float: ...
 
     def predict(self, past: Array, inputs: Array) -> Array:
         """Of the outputs of ``before`` samples up to the start (n, before, ny) and of the inputs of
         these and of the run (n, before + h, nu), the outputs of the run (n, h, ny).
         """
         ...
+
+
+def _sampling(records: Sequence[Trajectory], *known: float) -> float:
+    """The one interval of all records, and of those they are to be compared with [s]."""
+    steps = np.concatenate([*(np.diff(r.t) for r in records), known])
+    if np.ptp(steps) > 0.01 * steps.min():
+        raise FitError(
+            f"records are sampled every {steps.min():g} to {steps.max():g} s: a black box "
+            "needs one sampling interval; resample them"
+        )
+    return float(np.mean(steps))
 
 
 class BlackBox:
@@ -250,13 +267,7 @@ class BlackBox:
         if not records:
             raise FitError("no records to fit")
         series = [self.measured(r) for r in records]
-        steps = np.array([r.duration / (len(r) - 1) for r in records])
-        if np.ptp(steps) > 0.01 * steps.min():
-            raise FitError(
-                f"records are sampled every {steps.min():g} to {steps.max():g} s: a black box "
-                "needs one sampling interval; resample them"
-            )
-        return Data(series, float(np.mean(steps)))
+        return Data(series, _sampling(records))
 
     def losses(self, model: Any, records: Sequence[Trajectory], /) -> Array:
         """Mean squared error of each record over each horizon, output by output; NaN where no run
@@ -267,7 +278,7 @@ class BlackBox:
 
     def _loss(self, model: Predictor, record: Trajectory, horizon: float) -> Array:
         y, u = self.measured(record)
-        sampling, before = record.duration / (len(record) - 1), model.before
+        sampling, before = _sampling([record], model.sampling), model.before
         ahead, stride = round(horizon / sampling), round(self.every / sampling)
         first = -(-round(self.first / sampling) // stride) * stride
         starts = np.arange(first, len(y) - ahead, stride)
@@ -285,6 +296,13 @@ def history(y: Array, u: Array, times: Any, order: int, lag: int) -> Array:
     return np.concatenate([x.reshape(*x.shape[:2], -1) for x in levels], axis=-1)
 
 
+def _whole(count: int, past: int, inputs: int, lag: int) -> NDArray[np.intp]:
+    """Samples of a record with ``past`` ones before them, and with as many ``inputs``, their own
+    included, ``lag`` earlier: none is repeated beyond an end.
+    """
+    return np.arange(max(past, inputs - 1 + lag), count + min(0, lag))
+
+
 # ---- linear models ------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class ArxModel:
@@ -293,6 +311,7 @@ class ArxModel:
     coefficients: Array
     order: int
     lag: int
+    sampling: float
 
     @property
     def before(self) -> int:
@@ -309,7 +328,7 @@ class ArxModel:
             rows = history(y, u, [k], self.order, self.lag - 1)[0]
             with np.errstate(over="ignore", invalid="ignore"):
                 found = np.column_stack([rows, np.ones(len(runs))]) @ self.coefficients
-                y[k] = np.clip(found, -1e6, 1e6)
+                y[k] = np.clip(found, -1e100, 1e100)
         return runs[:, before:]
 
 
@@ -337,25 +356,28 @@ class ArxStructure(BlackBox):
     first: float = 0.1
     lag: int = 0
 
+    def __post_init__(self) -> None:
+        self.require("order")
+
     @property
     def complexity(self) -> float:
         """Number of coefficients of each output."""
         return float(self.order * (len(self.outputs) + len(self.inputs)) + 1)
 
     def fit(self, records: Sequence[Trajectory], /) -> ArxModel:
-        """Least squares over all samples of all records."""
-        require_count("order", self.order)
-        normal, right = 0.0, 0.0
-        for record in records:
-            y, u = self.measured(record)
-            k = np.arange(min(3, len(y) - 1), len(y))
-            past = history(y[:, None], u[:, None], k, self.order, self.lag - 1)[:, 0]
-            rows = np.column_stack([past, np.ones(len(k))])
-            normal, right = normal + rows.T @ rows, right + rows.T @ y[k]
-        if not np.ndim(normal):
-            raise FitError("no records to fit")
-        found = np.asarray(np.linalg.lstsq(normal, right, rcond=1e-14)[0], dtype=float)
-        return ArxModel(found, self.order, self.lag)
+        """Least squares over all samples with their past, of all records; FitError without any."""
+        data, parts = self.data(records), []
+        for y, u in data.series:
+            times = _whole(len(y), self.order, self.order, self.lag)
+            if len(times):
+                past = history(y[:, None], u[:, None], times, self.order, self.lag - 1)[:, 0]
+                parts.append((np.column_stack([past, np.ones(len(times))]), y[times]))
+        if not parts:
+            raise FitError(f"no record is longer than order = {self.order} samples and the lag")
+        rows, now = (np.concatenate(part) for part in zip(*parts, strict=True))
+        size = _nonzero(np.linalg.norm(rows, axis=0))  # whatever the units
+        found = np.linalg.lstsq(rows / size, now, rcond=None)[0] / size[:, None]
+        return ArxModel(found, self.order, self.lag, data.sampling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,6 +394,7 @@ class SubspaceModel:
     scales: tuple[Scales, Scales]
     before: int
     lag: int
+    sampling: float
 
     @property
     def poles(self) -> Any:
@@ -443,7 +466,7 @@ class SubspaceStructure(BlackBox):
         data = self.data(records)
         scales, rows = data.scales, []
         for y, u in ((scales[0](y)[:, None], scales[1](u)[:, None]) for y, u in data.series):
-            times = np.arange(self.past + max(0, self.lag), len(y))
+            times = _whole(len(y), self.past, self.past + 1, self.lag)
             if len(times) > 1:
                 drive = levels_of(np, u, times, self.lag, 1)[:, 0, 0]
                 drive = np.column_stack([drive, np.ones(len(drive))])
@@ -456,7 +479,7 @@ class SubspaceStructure(BlackBox):
         found = np.linalg.lstsq(now, then, rcond=1e-10)[0].T
         n, before = self.order, max(self.past, self.past + self.lag)
         A, B, C, D = found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:]
-        return SubspaceModel(A, B, C, D, seen, scales, before, self.lag)
+        return SubspaceModel(A, B, C, D, seen, scales, before, self.lag, data.sampling)
 
     def _states(self, rows: Sequence[tuple[Array, Array, Array]]) -> Array:
         """What makes states of the past (order, past (ny + nu))."""
