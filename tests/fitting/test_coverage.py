@@ -8,6 +8,7 @@ import pytest
 from conftest import refused
 
 import pam_ocp as pam
+from pam_ocp.core.errors import SimulationError
 from pam_ocp.fitting import coverage, fit_free_run, fit_plant
 from pam_ocp.fitting.experiments import design_signal
 
@@ -64,6 +65,41 @@ def test_amplitudes_are_counted_by_octaves(fit: pam.fitting.PlantFit) -> None:
     assert band.low < 3.0 < band.high
     assert band.asked == pytest.approx(0.4, rel=0.05)
     assert band.seen < 0.01
+
+
+def test_frequencies_beyond_all_that_was_measured_are_absurd(fit: pam.fitting.PlantFit) -> None:
+    """The records end in the octave of 0.5 Hz, below 0.89 Hz; their windows leak into all."""
+    verdicts = [coverage(fit, played(0.4, f), uncertainty=False).verdict for f in (0.5, 1.5, 8.0)]
+    assert verdicts == ["covered", "extrapolation", "absurd"]
+
+
+def test_a_motion_that_the_plant_does_not_come_through_is_absurd(
+    fit: pam.fitting.PlantFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = pam.Trajectory(T, {"u": played(0.4, 0.5)["u"]}, interpolation="linear")
+    assert coverage(fit, alone, uncertainty=False).verdict == "covered"
+
+    def explodes(*_: object, **options: object) -> pam.Trajectory:
+        raise SimulationError("too far")
+
+    monkeypatch.setattr("pam_ocp.fitting.dynamic.experiment.simulate", explodes)
+    assert coverage(fit, alone, uncertainty=False).verdict == "absurd"
+
+
+def test_what_does_not_hold_a_motion_is_refused(fit: pam.fitting.PlantFit) -> None:
+    record = played(0.4, 0.5)
+    gap = np.where(T[7] == T, np.nan, record["q"])
+    refused("other: no column for the input u", coverage, fit, pam.Trajectory(T, {"q": gap}))
+    hole = pam.Trajectory(T, {"q": gap, "u": record["u"]})
+    refused("other: q is not finite", coverage, fit, hole)
+
+
+def test_a_value_at_its_bound_leaves_the_uncertainty_of_the_others() -> None:
+    records = [played(0.4, f) for f in (0.5, 0.9)]
+    plant, bounds = spring().with_values(c=8.0), {"c": (7.0, 9.0)}
+    found = fit_free_run(plant, records, ["k", "c"], horizon=None, bounds=bounds, judge=False)
+    assert found.at_bound == ("c",)
+    assert set(coverage(found, records[0]).uncertainty) == {"q"}
 
 
 def test_the_designed_signal_closes_the_gap(fit: pam.fitting.PlantFit) -> None:

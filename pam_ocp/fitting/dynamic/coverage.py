@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...core.errors import InputError, PamError, kind_of, require_positive
+from ...core.errors import InputError, SimulationError, kind_of, require_positive
 from ...core.signals import Inputs
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
@@ -79,13 +79,16 @@ class Reach:
 
 @dataclass(frozen=True)
 class Band:
-    """An octave low .. high [Hz] of an input: largest amplitudes there [its unit]."""
+    """An octave low .. high [Hz] of an input: largest amplitudes there [its unit]. highest : where
+    the records end, the last octave with an amplitude that counts among theirs [Hz].
+    """
 
     name: str
     low: float
     high: float
     seen: float
     asked: float
+    highest: float
 
     @property
     def louder(self) -> float:
@@ -159,12 +162,11 @@ class Coverage:
                 words.append(
                     f"{r.name} goes {r.beyond:.1f} times its whole measured range beyond it"
                 )
-        held = [b.high for b in self.bands if b.seen >= FAINT * max(c.seen for c in self.bands)]
         for b in self.new_bands:
-            if held and b.low >= OCTAVES * max(held):
+            if 0 < OCTAVES * b.highest <= b.low:
                 words.append(
                     f"{b.name} swings at {b.low:.3g} .. {b.high:.3g} Hz, where the records end at "
-                    f"{max(held):.3g} Hz"
+                    f"{b.highest:.3g} Hz"
                 )
         for name, (here, _) in self.uncertainty.items():
             held_ = _column(name, self.asked)
@@ -286,10 +288,21 @@ def coverage(
         raise InputError("the fit holds no records: give one that was fitted here or loaded whole")
     asked = _asked(plant, other, duration, sample, start)
     before = [visited(plant, r) for r in fit.records]
+    _require_whole(plant, before, asked)
     measured = tuple(fit.measured if hasattr(fit, "measured") else fit.training.names)
     found = _compared(plant, before, asked, measured, _usual(plant, before))
     spread = _uncertainty(fit, before, asked, measured) if uncertainty else {}
     return replace(found, uncertainty=spread)
+
+
+def _require_whole(plant: Plant, before: Sequence[Trajectory], asked: Sequence[Trajectory]) -> None:
+    needed = [v.name for v in plant.inputs if all(v.name in m for m in before)]
+    for motion in asked:
+        if missing := [n for n in needed if n not in motion]:
+            raise InputError(f"other: no column for the input {missing[0]}, which the records hold")
+        for n in motion.names:
+            if not np.all(np.isfinite(motion[n])):
+                raise InputError(f"other: {n} is not finite; cut the motion there")
 
 
 def _compared(
@@ -373,6 +386,8 @@ def _reach(
     plant: Plant, name: str, before: Sequence[Trajectory], asked: Sequence[Trajectory]
 ) -> Reach:
     v, old, new = plant.variable(name), _column(name, before), _column(name, asked)
+    if v.causality == "state" and old.size and not all(name in m for m in asked):
+        new = np.array([-np.inf, np.inf])  # where no run of the plant came to its end
     if not old.size or not new.size:
         nothing = (np.nan, np.nan)
         return Reach(name, v.unit, v.causality, nothing, nothing, 0.0)
@@ -395,8 +410,10 @@ def _bands(name: str, before: Sequence[Trajectory], asked: Sequence[Trajectory])
         edges.append(2 * edges[-1])
     old, new = (_amplitudes(name, part, edges) for part in (before, asked))
     least = FAINT * max(float(new.max(initial=0.0)), 1e-300)
+    held = np.asarray(edges[1:])[(old > 0) & (old >= FAINT * old.max(initial=0.0))]
+    highest = float(held.max(initial=0.0))
     return [
-        Band(name, a, b, float(x), float(y))
+        Band(name, a, b, float(x), float(y), highest)
         for a, b, x, y in zip(edges[:-1], edges[1:], old, new, strict=True)
         if y > least
     ]
@@ -458,9 +475,12 @@ def _uncertainty(
     held = [n for n in fit.coefficients if all(part in known for part in n.split(" = "))]
     spread = np.asarray(fit.covariance)
     order = list(fit.coefficients)
+    held = [
+        n for n in held if np.isfinite(spread[order.index(n), order.index(n)])
+    ]  # not at a bound
     rows = [order.index(n) for n in held]
     covariance = spread[np.ix_(rows, rows)]
-    if not held or not np.all(np.isfinite(covariance)):
+    if not held:
         return {}
     values, vectors = np.linalg.eigh(covariance)
     directions = [v * np.sqrt(max(w, 0.0)) for w, v in zip(values, vectors.T, strict=True) if w > 0]
@@ -468,7 +488,7 @@ def _uncertainty(
 
     def total(motions: Sequence[Trajectory]) -> dict[str, float]:
         squares, count = dict.fromkeys(measured, 0.0), 0
-        for m in motions[:3]:
+        for m in motions:
             start = {v.name: float(m[v.name][0]) for v in plant.states if v.name in m}
             base = played(plant, m, start, 1e-7)
             count += len(m)
@@ -484,9 +504,13 @@ def _uncertainty(
         return {n: float(np.sqrt(s / max(count, 1))) for n, s in squares.items()}
 
     try:
-        here, there = total(asked), total(before)
-    except PamError:
+        there = total(before[:3])
+    except SimulationError:
         return {}
+    try:
+        here = total(asked)
+    except SimulationError:  # neither the plant nor its like can be run along it
+        here = dict.fromkeys(measured, np.inf)
     return {n: (here[n], there[n]) for n in measured}
 
 

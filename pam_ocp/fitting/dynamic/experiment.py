@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...core.errors import (
     FitError,
     InputError,
+    OutOfTime,
     PamError,
     UnknownNameError,
     kind_of,
@@ -346,6 +347,8 @@ def visited(
             run = played(plant, record, begin, 1e-5)
             every = [v.name for v in (*plant.states, *plant.outputs)]
             columns |= {n: run[n] for n in every if n not in columns}
+        except OutOfTime:
+            raise
         except PamError:
             pass  # what was not measured stays unknown
     return with_columns(record, columns)
