@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import noisy_record, refused
+from scipy.linalg import expm
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
@@ -433,6 +434,39 @@ def test_bands_hold_what_they_say_of_another_record(ladder: Ladder) -> None:
     failed = replace(ladder.rungs[0], failure="it ran away", model=None)
     broken = replace(ladder, rungs=(failed, *ladder.rungs[1:]))
     refused(r"has no fit \(it ran away\)", broken.predict, again, failed.name)
+
+
+def swings(count: int, random: np.random.Generator, samples: int = 60) -> list[pam.Trajectory]:
+    """q'' = 40 u - 40 q - 3 q', u held, from rest, sampled exactly, with noise of 1 mrad."""
+    t, rates = 0.02 * np.arange(samples), np.array([[0, 1, 0], [-40, -3, 40], [0, 0, 0]])
+    step, found = expm(0.02 * rates), []
+    for _ in range(count):
+        u = np.repeat(random.uniform(-1, 1, samples // 10), 10)
+        x = [np.array([u[0], 0.0, u[0]])]
+        for own in u[:-1]:
+            x.append(step @ np.array([*x[-1][:2], own]))
+        q = np.array(x)[:, 0] + 1e-3 * random.standard_normal(samples)
+        found.append(pam.Trajectory(t, {"q": q, "u": u}, interpolation="previous"))
+    return found
+
+
+def test_bands_hold_records_that_begin_where_noise_says() -> None:
+    """The noise of the start swings through the run; of records that were fitted it does not."""
+    plant = pam.Plant("spring")
+    q, w, u = plant.state("q"), plant.state("w"), plant.input("u", min=-3, max=3)
+    k, c = (plant.parameter(n, v, nominal=v) for n, v in (("k", 38.0), ("c", 3.5)))
+    plant.der(q, w)
+    plant.der(w, 40 * u - k * q - c * w)
+    random = np.random.default_rng(2)
+    rungs, records = [Rung("spring", plant, ("k", "c"))], swings(8, random)
+    short = pam.Trajectory(
+        [0, 0.02, 0.04], {n: np.zeros(3) for n in "qu"}, interpolation="previous"
+    )
+    refused("record 9 has 3 samples", fit_ladder, rungs, [*records, short], folds=4)
+    ladder = fit_ladder(rungs, records, folds=4)
+    assert ladder.predict(swings(20, random), level=0.9).coverage["q"] == pytest.approx(
+        0.9, abs=0.05
+    )
 
 
 def test_bands_are_wider_where_the_plants_of_folds_differ() -> None:

@@ -52,6 +52,7 @@ from .rungs import (
     RungFit,
     Task,
     climbed,
+    left_out,
     usual_steps,
 )
 from .runs import Band, half_widths
@@ -506,7 +507,8 @@ class Ladder:
         ends = (found.model.z, *found.members)
         run, *members = (replace(found.model, z=z).run(every) for z in ends)
         apart = np.array([m.predicted - run.predicted for m in members])
-        return Band(run, half_widths(apart, run.predicted, found.left, level))
+        left = left_out(found, self.parts, self.fold)
+        return Band(run, half_widths(apart, run.predicted, left, level))
 
     def intervals(
         self, rung: str | None = None, level: float | None = None

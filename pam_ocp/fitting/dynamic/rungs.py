@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.cases import results_of
-from ...core.errors import FitError
+from ...core.errors import FitError, InputError
 from ...core.executors import Place
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
@@ -108,8 +108,7 @@ class RungFit:
     against : how the error (a root mean square) compares with the rung before, as (ratio - 1, half
     width of its interval). worse : whether it is significantly worse than the best rung.
     seconds : processor time of its fit to all records. failure : why there is none. members :
-    what the folds found, as ``model.z``. left : of what each left out, what it predicts and the
-    sizes of its errors (2, samples, variables).
+    what the folds found, as ``model.z``.
     """
 
     name: str
@@ -125,7 +124,6 @@ class RungFit:
     model: Any = field(default=None, repr=False)
     """As it was run through the records."""
     members: tuple[Array, ...] = field(default=(), repr=False)
-    left: tuple[Array, ...] = field(default=(), repr=False)
 
     @property
     def score(self) -> float:
@@ -245,6 +243,12 @@ def _runs(
     plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str], steps: int, static: bool
 ) -> Runs:
     steps = NEWTON if static else steps
+    for r, count in enumerate(map(len, records), start=1):
+        if count <= HISTORY:
+            raise InputError(
+                f"record {r} has {count} samples, of which the first {HISTORY} tell where it "
+                "begins; give longer ones"
+            )
     runs = runs_of(plant, records, None, None, outputs, HISTORY, steps, even=False)
     if not static:
         return runs
@@ -365,7 +369,6 @@ def climbed(
         seconds,
         model=model,
         members=tuple(f.z for f in found),
-        left=_left(task, rollout.runs.measured, [f.predicted for f in found]),
     )
     fastest = 0.0 if rung.static else _fastest_pressure(model, rollout)
     return fit, {**before, **values}, fastest or rate
@@ -435,10 +438,9 @@ def _accurate(model: RungModel) -> tuple[RungModel, dict[str, Coefficient]]:
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """A fit without a fold, its runs (records, K, ny), and its losses by part of what it left."""
+    """A fit without a fold, and its losses by part of what it left."""
 
     z: Array
-    predicted: Array
     losses: dict[int, Array]
 
 
@@ -447,17 +449,21 @@ def _one_fold(task: Task, model: RungModel, fold: int) -> _Fold:
     """As to a validation, where records begin is known to a fit without a part."""
     rollout = model.rollout(task.counted(fold))
     z = model.fitted(rollout, EVALUATIONS, starts=False).z
-    return _Fold(z, rollout.predicted(z), task.losses(_squares(rollout, z), fold))
+    return _Fold(z, task.losses(_squares(rollout, z), fold))
 
 
-def _left(task: Task, measured: Array, predicted: Sequence[Array]) -> tuple[Array, ...]:
-    """What each fold predicts of what it left out, and the sizes of its errors (2, samples, ny)."""
-    found: list[list[Array]] = [[] for _ in predicted]
-    for (r, a, b), k in zip(task.parts, task.fold, strict=True):
-        own = slice(max(a - HISTORY, 0), b - HISTORY)
-        y = predicted[k][r, own]
-        found[k].append(np.stack([y, np.abs(y - measured[r, own])]))
-    return tuple(np.concatenate(errors, axis=1) for errors in found)
+def left_out(fit: RungFit, parts: Sequence[Part], fold: NDArray[np.intp]) -> list[Array]:
+    """What each fold predicts of what it left out, from where records were measured to begin, as
+    any prediction; and the sizes of its errors (2, samples, ny).
+    """
+    found = []
+    for k, z in enumerate(fit.members):
+        run = replace(fit.model, z=z).run(fit.model.records)
+        error = np.abs(run.predicted - run.measured)
+        own = [(r, slice(max(a - HISTORY, 0), b - HISTORY)) for r, a, b in parts]
+        kept = [place for place, of in zip(own, fold, strict=True) if of == k]
+        found.append(np.concatenate([(run.predicted[o], error[o]) for o in kept], axis=1))
+    return found
 
 
 def _squares(rollout: Rollout, z: Array) -> Array:

@@ -244,7 +244,8 @@ def half_widths(
     level: float,
 ) -> Array:
     """Half widths (n, K, ny) of bands around what is predicted. apart (folds, n, K, ny) : how the
-    folds differ from it. left : as in :class:`RungFit`.
+    folds differ from it. left : what each fold predicts of what it left out, and the sizes of its
+    errors (2, samples, ny).
     """
     from scipy.spatial import KDTree  # loaded where bands are asked for
 
