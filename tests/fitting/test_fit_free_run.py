@@ -156,6 +156,10 @@ def test_records_that_cannot_be() -> None:
 def test_parameters_that_cannot_be_fitted(free: list[str], error: Any, words: str) -> None:
     with pytest.raises(error, match=words):
         fit_free_run(rubbing(), record(1), free, horizon=0.4, every=0.2, outputs=["q"])
+    options: Any = {"horizon": 0.4, "every": 0.2, "evaluations": 0}
+    refused(
+        "evaluations = 0: give a whole", fit_free_run, rubbing(), record(1), ["friction"], **options
+    )
 
 
 def test_a_motion_that_is_small_beside_its_nominal_is_fitted_by_least_squares() -> None:

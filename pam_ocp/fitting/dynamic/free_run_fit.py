@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import FitError, InputError, require_names
+from ...core.errors import FitError, InputError, require_count, require_names
 from ...core.quantities import outside
 from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
@@ -222,7 +222,8 @@ def fit_free_run(
     )
     if not unknowns.shared:
         raise InputError("free is empty: name at least one parameter of the plant")
-    search = _Search(plant, unknowns, rig, options, evaluations, begin_short, reporter(progress))
+    most = require_count("evaluations", evaluations)
+    search = _Search(plant, unknowns, rig, options, most, begin_short, reporter(progress))
 
     def fitted(ran: Sequence[Trajectory]) -> tuple[FreeRunFit, float]:
         fit = search(ran)
