@@ -90,7 +90,9 @@ def test_offsets_of_a_regulators_command_are_estimated_in_a_block_as_in_python(s
 
 def test_lqg_as_a_block_gives_the_same_commands(slide):
     estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=STEP)
-    same_commands(WithEstimate(lqr(slide, REST, sample_time=STEP), estimator), slide)
+    law = WithEstimate(lqr(slide, REST, sample_time=STEP), estimator)
+    for guard in (True, False):
+        same_commands(law, slide, made=block(law, plant=slide, guard=guard))
 
 
 def test_feedback_along_a_motion_and_the_motion_alone_give_the_same_commands(valved):

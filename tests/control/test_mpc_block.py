@@ -103,6 +103,17 @@ def test_with_preview_it_is_told_the_reference_at_each_node(delay):
     assert found["f"] == mpc.control([0.2, 0.1], {"x": wanted})["f"]
 
 
+@pytest.mark.parametrize(("delay", "preview"), [(1, True), (0, False)])
+def test_the_loop_tells_a_block_what_is_to_come(delay, preview):
+    mpc, wanted = mass_mpc(delay=delay), {"x": lambda t: 0.1 * (t > 0.8)}
+    told = {"duration": 1.5, "preview": preview}
+    plain = pam.closed_loop(mpc, mass(1.0), wanted, **told)
+    made = pam.control.block(mpc, plant=mass(1.0), preview=True)
+    found = pam.closed_loop(pam.control.BlockController(made), mass(1.0), wanted, **told)
+    assert np.array_equal(found["f"], plain["f"])
+    assert (np.abs(plain["f"][:4]).max() > 1e-3) == preview
+
+
 def test_limits_parameters_and_what_an_estimator_finds_may_change_while_it_runs():
     block = mpc_block(mass_mpc(), estimated=("m", "der(v)"))
     names = [v.name for v in block.parameters]

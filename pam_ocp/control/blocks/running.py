@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -215,8 +216,9 @@ class BlockController:
     """A Block in the closed loop: a Controller that calls its step once per sample.
 
     block : with commands among its outputs. inputs : t [s] -> {input: value} for what is not
-    measured: references, ``enable``. Inputs that are neither stay at their start values. What the
-    loop's ``reference`` names are the inputs ``wanted.NAME``.
+    measured: references, ``enable``. ``sent.COMMAND`` of a block without guard is what it sent.
+    Inputs that are none of these stay at their start values. What the loop's ``reference`` names
+    are the inputs ``wanted.NAME``, and ``ahead.NAME...`` in the samples to come.
     outputs : those of the last sample by name; memory : as it stands now.
 
     Examples
@@ -237,6 +239,7 @@ class BlockController:
         self.sample_time, self.delay = block.sample_time, block.delay
         self._running, self._start = Running(block, ()), block.start("inputs")
         self.parameters = block.start("parameters")
+        self._ranges = {v.name: v for v in block.outputs if v.name in block.commands}
         self._reference: dict[str, Source] = {}
         self.reset()
 
@@ -254,13 +257,31 @@ class BlockController:
                     f"{', '.join(known) or 'nothing'}"
                 )
 
+        coming = self._coming(reference, preview)
+
         def told(t: float) -> dict[str, float]:
             before = dict(self._told(t)) if self._told else {}
-            return before | {f"wanted.{n}": at(t) for n, at in reference.items()}
+            return before | {n: at(t + later) for n, (at, later) in coming.items()}
 
         tracker = BlockController(self.block, told)
         tracker.parameters, tracker._reference = self.parameters, dict(reference)
         return tracker
+
+    def _coming(
+        self, reference: Mapping[str, Source], preview: bool
+    ) -> dict[str, tuple[Source, float]]:
+        """{input: (reference, how much later it is told of)}; of a Mpc from the moment on at which
+        its inputs act.
+        """
+        found: dict[str, tuple[Source, float]] = {}
+        for name, at in reference.items():
+            node = re.compile(rf"ahead\.{re.escape(name)}(?:\.k(\d+))?")
+            ahead = {n: m for n in self._running.places if (m := node.fullmatch(n))}
+            steps = {f"wanted.{name}": 0} | {n: int(m[1] or 1) for n, m in ahead.items()}
+            begin = self.delay if ahead else 0
+            for n, k in steps.items():
+                found[n] = at, (begin + k) * self.sample_time if preview else 0.0
+        return found
 
     def wanted(self, t: float) -> dict[str, float]:
         """What the loop told to reach at a time [s]."""
@@ -270,6 +291,7 @@ class BlockController:
         """See :class:`Controller`."""
         self._running.reset()
         self.outputs: dict[str, float] = {}
+        self._sent: dict[str, float] = {}
 
     @property
     def memory(self) -> Array:
@@ -281,6 +303,7 @@ class BlockController:
         running = self._running
         running.inputs[:] = self._start
         running.parameters[:] = self.parameters
+        running.tell(self._sent)
         running.tell({n: v for n, v in measured.items() if n in running.places})
         for name, value in (self._told(t) if self._told else {}).items():
             if name not in running.places:
@@ -288,4 +311,7 @@ class BlockController:
             running.tell({name: value})
         numbers = running.step().tolist()
         self.outputs = dict(zip(running.outputs, numbers, strict=True))
-        return {n: self.outputs[n] for n in self.block.commands}
+        commands = {n: self.outputs[n] for n in self.block.commands}
+        acts = {n: min(max(commands[n], v.min), v.max) for n, v in self._ranges.items()}
+        self._sent = {SENT + n: u for n, u in acts.items() if SENT + n in running.places}
+        return commands
