@@ -209,13 +209,14 @@ def tvlqr(
     x, u = (given.array([v.name for v in kind])[-1] for kind in (inner.states, inner.inputs))
     weighting = Weighting.about(inner, x, u, weights, effort, integral)
     no_influence("tvlqr", inner, along.A, along.B, controls)
-    a, b, q, r = _along(weighting, along, outputs)
+    a, b, q, r, cross = _along(weighting, along, outputs)
     follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)
     nominal, more = along.plant.vector("state", attribute="nominal"), len(weighting.integrated)
     stuck = follow.lift(nominal, more), follow.pick(more)
     held_over = sample_time if sampled else None
-    end, least = _final(final, a[-1], b[-1], q[-1], r, stuck, len(follow.kept), held_over)
-    problem = along.t, a, b, q + least, r
+    cost = q[-1], r[-1], cross[-1]
+    end, least = _final(final, a[-1], b[-1], cost, stuck, len(follow.kept), held_over)
+    problem = along.t, a, b, q + least, r, cross
     if sampled:
         times, p, k = _recursion(*problem, end, sample_time)
     else:
@@ -244,18 +245,18 @@ def _between(t: Array, values: Array, at: float) -> Array:
 
 
 def _riccati(
-    t: Array, a: Array, b: Array, q: Array, r: Array, end: Array, rtol: float
+    t: Array, a: Array, b: Array, q: Array, r: Array, cross: Array, end: Array, rtol: float
 ) -> tuple[Array, Array]:
     """(P, gains) at the times ``t``: the differential equation, backwards from ``end``."""
     from scipy.integrate import solve_ivp
 
-    size, inverse = a.shape[-1], np.linalg.inv(r)
+    size = a.shape[-1]
 
     def riccati(time: float, flat: Any) -> Any:
-        at, bt, qt = (_between(t, m, time) for m in (a, b, q))
+        at, bt, qt, rt, nt = (_between(t, m, time) for m in (a, b, q, r, cross))
         p = flat.reshape(size, size)
-        pb = p @ bt
-        return -(at.T @ p + p @ at - pb @ inverse @ pb.T + qt).ravel()
+        pb = p @ bt + nt
+        return -(at.T @ p + p @ at - pb @ np.linalg.solve(rt, pb.T) + qt).ravel()
 
     # entries differ by decades; the largest at the end, or what Q piles up, says what is small
     large = max(float(np.abs(end).max()), float(np.abs(q).max() * (t[-1] - t[0])), 1e-300)
@@ -274,11 +275,18 @@ def _riccati(
         )
     p = solution.y.T[::-1].reshape(-1, size, size)
     p = (p + p.swapaxes(1, 2)) / 2
-    return p, inverse @ b.swapaxes(1, 2) @ p
+    return p, np.linalg.solve(r, b.swapaxes(1, 2) @ p + cross.swapaxes(1, 2))
 
 
 def _recursion(
-    t: Array, a: Array, b: Array, q: Array, r: Array, end: Array, sample_time: float
+    t: Array,
+    a: Array,
+    b: Array,
+    q: Array,
+    r: Array,
+    cross: Array,
+    end: Array,
+    sample_time: float,
 ) -> tuple[Array, Array, Array]:
     """(times, P, gains) at the samples, for inputs held over each, backwards from ``end``."""
     count = max(1, round((t[-1] - t[0]) / sample_time))
@@ -286,12 +294,13 @@ def _recursion(
     p, after, gains = [end], end, []
     for time in times[::-1]:  # of the sample that begins at each time
         middle = float(np.clip(time + sample_time / 2, t[0], t[-1]))
-        at, bt, qt = (_between(t, m, middle) for m in (a, b, q))
+        at, bt, qt, rt, nt = (_between(t, m, middle) for m in (a, b, q, r, cross))
         ad, bd = held(at, bt, np.ones(len(at)), sample_time)
-        k = np.linalg.solve(r * sample_time + bd.T @ after @ bd, bd.T @ after @ ad)
+        both = bd.T @ after @ ad + nt.T * sample_time
+        k = np.linalg.solve(rt * sample_time + bd.T @ after @ bd, both)
         gains.append(k)
         if time < times[-1]:
-            after = ad.T @ after @ (ad - bd @ k) + qt * sample_time
+            after = ad.T @ after @ ad - both.T @ k + qt * sample_time
             after = (after + after.T) / 2
             p.append(after)
     return times, np.array(p[::-1]), np.array(gains[::-1])
@@ -315,32 +324,28 @@ def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
     return Trajectory(motion.t, columns, [inversion.inner.variable(n) for n in columns])
 
 
-def _along(
-    weighting: Weighting, along: LinearAlong, outputs: list[str]
-) -> tuple[Array, Array, Array, Array]:
-    """A(t), B(t) with integrals and Q(t), scaled by nominals (weighted outputs bend Q), and R."""
-    rows = [
-        weighting.scaled(a, b, c, outputs)
-        for a, b, c in zip(along.A, along.B, along.C, strict=True)
-    ]
-    a, b, q, r = (np.array(m) for m in zip(*rows, strict=True))
-    return a, b, q, r[0]
+def _along(weighting: Weighting, along: LinearAlong, outputs: list[str]) -> tuple[Array, ...]:
+    """A, B with integrals, Q, R, N over time, scaled by nominals (weighted outputs bend them)."""
+    rows = zip(along.A, along.B, along.C, along.D, strict=True)
+    found = zip(*(weighting.scaled(row, outputs) for row in rows), strict=True)
+    return tuple(np.array(m) for m in found)
 
 
 def _final(
     final: ArrayLike | None,
     a: Array,
     b: Array,
-    q: Array,
-    r: Array,
+    cost: tuple[Array, Array, Array],
     stuck: tuple[Array, Array],
     states: int,
     sample_time: float | None,
 ) -> tuple[Array, Array]:
     """P at the end, and what the stationary LQR there needed of weight besides Q.
 
-    stuck : (lift, pick) of Stuck, by which held memories are left out of the ``states``.
+    cost : Q, R and N. stuck : (lift, pick) of Stuck, by which held memories are left out of the
+    ``states``.
     """
+    q, r, cross = cost
     if final is not None:
         given = np.asarray(final, float)
         if given.shape != a.shape:
@@ -353,7 +358,8 @@ def _final(
     try:
         lift, pick = stuck
         weights = lift.T @ q @ lift
-        _, p, used = stationary(pick @ a @ lift, pick @ b, weights, r, states, sample_time)
+        matrices = pick @ a @ lift, pick @ b, weights, r, lift.T @ cross
+        _, p, used = stationary(*matrices, states, sample_time)
     except ValueError as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -162,26 +162,29 @@ class Weighting:
         return rows, np.diag(np.square(np.multiply(efforts, steps)))
 
     def scaled(
-        self, a: Array, b: Array, c: Array, all_outputs: list[str]
-    ) -> tuple[Array, Array, Array, Array]:
-        """A, B, Q, R scaled by nominals, with the integrals of the errors as last states.
+        self, model: Iterable[Array], all_outputs: list[str]
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """A, B, Q, R, N scaled by nominals, with the integrals of the errors as last states: the
+        cost is x'Q x + u'R u + 2 x'N u.
 
-        c : rows of ``all_outputs`` over the states.
+        model : A, B and, of ``all_outputs``, C and D.
         """
-        rows, r = self.checked()
+        (rows, r), (a, b, c, d) = self.checked(), model
         nominal = self.plant.vector("state", attribute="nominal")
         a = a * nominal / nominal[:, None]
         b = b * self.scales(self.inputs) / nominal[:, None]
-        c = c * nominal / self.scales(all_outputs)[:, None]
-        weighted = c[[all_outputs.index(n) for n in rows]] * np.array([*rows.values()])[:, None]
-        integrated = c[[all_outputs.index(n) for n in self.integrated]]
-        n, k = len(a), len(integrated)
-        a = np.block([[a, np.zeros((n, k))], [integrated, np.zeros((k, k))]])
-        b = np.vstack([b, np.zeros((k, b.shape[1]))])
-        q = np.zeros((n + k, n + k))
-        q[:n, :n] = weighted.T @ weighted
+        sizes = self.scales(all_outputs)[:, None]
+        c, d = c * nominal / sizes, d * self.scales(self.inputs) / sizes
+        at, weights = [all_outputs.index(n) for n in rows], np.array([*rows.values()])[:, None]
+        weighted, direct = c[at] * weights, d[at] * weights
+        at = [all_outputs.index(n) for n in self.integrated]
+        n, k = len(a), len(at)
+        a = np.block([[a, np.zeros((n, k))], [c[at], np.zeros((k, k))]])
+        b = np.vstack([b, d[at]])
+        q, cross = np.zeros((n + k, n + k)), np.zeros(b.shape)
+        q[:n, :n], cross[:n] = weighted.T @ weighted, weighted.T @ direct
         q[n:, n:] = np.diag(np.square([float(self.integral[m]) for m in self.integral]))
-        return a, b, q, r
+        return a, b, q, r + direct.T @ direct, cross
 
     def unscaled(self, k: Array) -> tuple[Array, Array]:
         """Gains (over states, over integrals) in SI, of gains scaled by nominals."""
@@ -194,7 +197,13 @@ class Weighting:
 
 
 def stationary(
-    a: Array, b: Array, q: Array, r: Array, states: int, sample_time: float | None = None
+    a: Array,
+    b: Array,
+    q: Array,
+    r: Array,
+    cross: Array,
+    states: int,
+    sample_time: float | None = None,
 ) -> tuple[Array, Array, Array]:
     """Gains, solution P of the Riccati equation and Q of a feedback that is seen to stabilise.
 
@@ -209,11 +218,11 @@ def stationary(
     for used in (q, q + least):
         try:
             if sample_time is None:
-                k, p, poles = control.lqr(a, b, used, r)
+                k, p, poles = control.lqr(a, b, used, r, cross)
                 decay = -np.real(poles)
             else:
                 ad, bd = held(a, b, np.ones(len(a)), sample_time)
-                k, p, poles = control.dlqr(ad, bd, used * sample_time, r * sample_time)
+                k, p, poles = control.dlqr(ad, bd, *(w * sample_time for w in (used, r, cross)))
                 decay = -np.log(np.maximum(np.abs(poles), 1e-300)) / sample_time
         except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
             reason = error
@@ -314,15 +323,15 @@ def lqr(
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
     system = linearize(plant, at, inputs=weighting.inputs)
     no_influence("lqr", plant, np.asarray(system.A), np.asarray(system.B), weighting.inputs)
-    a, b, q, r = weighting.scaled(
-        np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
-    )
+    model = (np.asarray(getattr(system, m)) for m in "ABCD")
+    a, b, q, r, cross = weighting.scaled(model, outputs)
     # held memories stick: no input reaches them, and nothing is fed back from them
     nominal, more = plant.vector("state", attribute="nominal"), len(weighting.integrated)
     lift, pick = at.stuck.lift(nominal, more), at.stuck.pick(more)
-    a, b, q = pick @ a @ lift, pick @ b, lift.T @ q @ lift
+    a, b, q, cross = pick @ a @ lift, pick @ b, lift.T @ q @ lift, lift.T @ cross
     try:
-        k = stationary(a, b, q, r, len(at.stuck.kept), sample_time if sampled else None)[0]
+        held_over = sample_time if sampled else None
+        k = stationary(a, b, q, r, cross, len(at.stuck.kept), held_over)[0]
     except ValueError as error:
         raise InputError(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "

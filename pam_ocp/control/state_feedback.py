@@ -101,10 +101,11 @@ class StateFeedback(SampledLaw):
         """A, B with the integrals as last states, and all gains; continuous time, all states."""
         a, b = np.asarray(self.system.A), np.asarray(self.system.B)
         labels = [n.replace(".", "_") for n in self.integrated]
-        c = np.asarray(self.system.C)[[self.system.output_labels.index(n) for n in labels]]
+        rows = [self.system.output_labels.index(n) for n in labels]
+        c, d = (np.asarray(m)[rows] for m in (self.system.C, self.system.D))
         n, k = len(a), len(c)
         a = np.block([[a, np.zeros((n, k))], [c, np.zeros((k, k))]])
-        return a, np.vstack([b, np.zeros((k, b.shape[1]))]), np.hstack([self.K, self.Ki])
+        return a, np.vstack([b, d]), np.hstack([self.K, self.Ki])
 
     def _stuck(
         self, a: Array, b: Array, k: Array, nominal: Array | None = None

@@ -7,6 +7,7 @@ from design_tools import Fixed, double_integrator, weakened
 from scipy import linalg
 
 import pam_ocp as pam
+from pam_ocp.control.along_motion import tvlqr
 from pam_ocp.control.analysis import margins
 from pam_ocp.control.estimators.stationary import WithEstimate, kalman
 from pam_ocp.control.linear_quadratic import lqr, scheduled_lqr
@@ -34,6 +35,33 @@ def test_weights_count_in_units_of_nominal(hanging):
     r = np.array([[(2.0 / 1e5) ** 2]])
     p = linalg.solve_continuous_are(system.A, system.B, c.T @ c, r)
     assert np.allclose(feedback.K, np.linalg.solve(r, np.asarray(system.B).T @ p), rtol=1e-5)
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_an_output_that_the_input_enters_at_once_is_weighed_and_integrated(sampled):
+    """x' = -x + u, y = x + 2 u; the cost (3 y)^2 + (2 u)^2 + (5 z)^2, z' = y, has a cross term."""
+    plant = pam.Plant("direct")
+    x, u = plant.state("x"), plant.input("u")
+    plant.der(x, u - x)
+    plant.output("y", x + 2 * u)
+    motion = pam.simulate(plant, {"u": 0.0}, t=np.linspace(0, 1, 11))
+    cost = {"weights": {"y": 3.0}, "effort": 2.0, "integral": {"y": 5.0}, "sampled": sampled}
+    feedback = lqr(plant, {"u": 0.0}, sample_time=0.1, **cost)
+    varying = tvlqr(plant, motion, sample_time=0.1, **cost)
+    a, b = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.array([[1.0], [2.0]])
+    q, r, s = np.diag([9.0, 25.0]), np.array([[4.0 + 36.0]]), np.array([[18.0], [0.0]])
+    if sampled:
+        whole = linalg.expm(0.1 * np.block([[a, b], [np.zeros((1, 3))]]))
+        a, b = whole[:2, :2], whole[:2, 2:]
+        p = linalg.solve_discrete_are(a, b, q, r, s=s)
+        k = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + s.T)
+    else:
+        p = linalg.solve_continuous_are(a, b, q, r, s=s)
+        k = np.linalg.solve(r, b.T @ p + s.T)
+        assert np.sort(feedback.poles) == pytest.approx(np.sort(np.linalg.eigvals(a - b @ k)))
+    assert np.hstack([feedback.K, feedback.Ki]) == pytest.approx(k, rel=1e-9)
+    for gains, ki in zip(varying.K, varying.Ki, strict=True):
+        assert np.hstack([gains, ki]) == pytest.approx(k, rel=1e-5)
 
 
 def test_the_loop_of_an_lqr_keeps_its_distance_from_minus_one(slide):
