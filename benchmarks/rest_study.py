@@ -309,7 +309,7 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     plant, _, point = resting(case, losses, memory)
     x = plant.variable(case.named)
     stroke = x.max - x.min
-    feedback = pam.lqr(plant, point, integral={case.named: 30.0})
+    feedback = pam.lqr(plant, point, integral={case.named: 30.0}, sample_time=2e-3)
     pam.control.kalman(plant, point, measured={case.named: 1e-5})
     goal = point[case.named]
     away = float(np.clip(goal + 0.02 * stroke, x.min, x.max))

@@ -87,3 +87,11 @@ class Observer(Protocol):
 
     def predict(self, inputs: Mapping[str, float] | None = None) -> object:
         """Go one sample on, under inputs by name."""
+
+
+def counted(controller: object) -> float | None:
+    """The sample time [s] that a controller counts on; None where it has none, or remembers nothing
+    from one sample to the next (state feedback without integrals).
+    """
+    remembers = getattr(controller, "integrated", None) != []
+    return getattr(controller, "sample_time", None) if remembers else None

@@ -32,7 +32,7 @@ from ..judge.loop import LoopVerdict, judge_loop
 from ..plants.plant import Given, Plant, Values
 from ..plants.plant_data import SYSTEM, carried, plant_of_data
 from ..simulation.instruments import Instrument
-from .controller import Controller, Estimate, Measured, Observer, Tracking
+from .controller import Controller, Estimate, Measured, Observer, Tracking, counted
 from .kinds import Array
 from .mpc_statistics import MpcStatistics, MpcStep
 from .references import Source, source
@@ -354,13 +354,12 @@ def _require_controller(controller: Any, plant: Any) -> None:
 def _sample_time(
     controller: Any, estimator: Any, given: float | None, usual: float | None = None
 ) -> float:
-    """The loop's. InputError where somebody in it predicts over another one."""
+    """The loop's. InputError where somebody in it counts another one."""
     own = getattr(controller, "sample_time", None)
     other = getattr(estimator, "sample_time", None)
     first = next((t for t in (given, own, other) if t is not None), usual or SAMPLE_TIME)
     chosen = require_positive("sample_time", first, "s")
-    predicts = {"estimator": other, "controller": None if callable(controller) else own}
-    for who, time in predicts.items():
+    for who, time in {"estimator": other, "controller": counted(controller)}.items():
         if time is not None and abs(time - chosen) > 1e-9 * chosen:
             raise InputError(
                 f"the {who}'s sample_time is {time:g} s, the loop's {chosen:g} s: make both equal"

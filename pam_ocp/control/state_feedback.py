@@ -19,9 +19,10 @@ from ..operating.resting_point import OperatingPoint
 from ..plants.inversion import Inversion
 from .blocks.chain import chain
 from .blocks.draft import Draft, Symbol, clipped, compensated, least_norm, opened_by
+from .blocks.guard import ROUNDING
 from .blocks.running import ByBlock, Running, SampledLaw
 from .controller import Measured
-from .estimators.stationary import StationaryFilter, stationary_filter
+from .estimators.stationary import StationaryFilter, require_one_sample_time, stationary_filter
 from .kinds import BLOCKS, ESTIMATE, Array
 from .references import Source
 
@@ -298,11 +299,8 @@ class OffsetFree(ByBlock):
                 "OffsetFree: the filter estimates no disturbance; give kalman(..., "
                 "disturbances=...)"
             )
-        if not np.isclose(self.feedback.sample_time, self.filter.sample_time, rtol=1e-9):
-            raise InputError(
-                f"OffsetFree: sample_time = {self.feedback.sample_time:g} s of the feedback, "
-                f"{self.filter.sample_time:g} s of the filter; design both for one"
-            )
+        own = self.feedback.sample_time
+        require_one_sample_time("OffsetFree", "feedback", own, self.sample_time)
         plant = self.feedback.point.plant
         self._held = chosen_signals("hold", plant, self.hold, ("state", "output"))
         if not 1 <= len(self._held) <= len(self.feedback.inputs):
@@ -334,6 +332,11 @@ class OffsetFree(ByBlock):
         moved = follow.lift(more=len(chosen)) @ (size[:, None] * np.linalg.pinv(matrix))
         push = np.vstack([b[:, unknown] / x[:, None], d[:, unknown] / y[:, None]])
         return moved[:, len(a) :] / y, -moved @ push
+
+    @property
+    def sample_time(self) -> float:
+        """That of the filter."""
+        return self.filter.sample_time
 
     def reset(self) -> None:
         """See :class:`Controller`."""

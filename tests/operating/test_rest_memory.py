@@ -312,7 +312,7 @@ def test_the_stuck_system_answers_as_the_whole_one_and_as_the_plant():
 def test_lqr_and_kalman_hold_a_joint_with_hysteresis(losses):
     plant = pam.AntagonisticJoint(MUSCLE, losses=losses, damping=pam.losses.ConstantDamping(1.0))
     point = plant.equilibrium({"theta": 0.1, "muscle2.command": 2 * BAR}, memory="above")
-    feedback = pam.lqr(plant, point, integral={"theta": 30.0})
+    feedback = pam.lqr(plant, point, integral={"theta": 30.0}, sample_time=2e-3)
     columns = [v.memory == "held" for v in plant.states]
     assert np.all(feedback.K[:, columns] == 0)
     assert feedback.poles.real.max() < -0.1

@@ -23,7 +23,7 @@ from ...plants.plant import Plant, Values, require_plant
 from ..blocks.chain import chain
 from ..blocks.draft import Draft, about, clipped, opened_by
 from ..blocks.running import Running
-from ..controller import Controller, Estimate, Measured
+from ..controller import Controller, Estimate, Measured, counted
 from ..kinds import BLOCKS, LARGEST, Array, law_of
 
 
@@ -366,6 +366,15 @@ def _stationary(
     return present * nominal[:, None] / noise, left * nominal * nominal[:, None]
 
 
+def require_one_sample_time(what: str, who: str, own: float, filter: float) -> None:
+    """InputError where a controller and the filter that it sees through count other samples."""
+    if not np.isclose(own, filter, rtol=1e-9):
+        raise InputError(
+            f"{what}: sample_time = {own:g} s of the {who}, {filter:g} s of the filter; design "
+            "both for one"
+        )
+
+
 @dataclass
 class WithEstimate:
     """A controller that sees the filter's estimate in place of the states, and what is measured.
@@ -392,7 +401,14 @@ class WithEstimate:
     def __post_init__(self) -> None:
         require_instance("filter", self.filter, StationaryFilter, "give that of kalman()")
         require_count("delay", self.delay, 0)
+        own = counted(self.controller) or self.sample_time
+        require_one_sample_time("WithEstimate", "controller", own, self.sample_time)
         self._waiting: list[Mapping[str, float]] = []
+
+    @property
+    def sample_time(self) -> float:
+        """That of the filter."""
+        return self.filter.sample_time
 
     def reset(self) -> None:
         """See :class:`Controller`."""
