@@ -56,8 +56,8 @@ class StateFeedback(SampledLaw):
     def __post_init__(self) -> None:
         self._at_point = {n: self.point[n] for n in self.integrated}
         if isinstance(self.setpoint, Mapping):
-            for name, value in self.setpoint.items():
-                self._integrated("setpoint", name).check(value, "setpoint")
+            named = {self._integrated("setpoint", n): v for n, v in self.setpoint.items()}
+            self.setpoint = {v.name: v.check(value, "setpoint") for v, value in named.items()}
 
     def _integrated(self, argument: str, name: str) -> Variable:
         """What is to be reached. InputError where it is not integrated."""
@@ -74,7 +74,7 @@ class StateFeedback(SampledLaw):
         given = self.setpoint(t) if callable(self.setpoint) else (self.setpoint or {})
         known = self._at_point
         named = {
-            n if n in known else self.point.plant.variable(n).name: v for n, v in given.items()
+            n if n in known else self._integrated("setpoint", n).name: v for n, v in given.items()
         }
         return {n: named.get(n, value) for n, value in known.items()}
 
@@ -90,7 +90,9 @@ class StateFeedback(SampledLaw):
         """The Controller that takes what it integrates to ``reference``; see :class:`Tracking`."""
         for name in reference:
             self._integrated("reference", name)
-        return replace(self, setpoint=lambda t: {n: at(t) for n, at in reference.items()})
+        return replace(
+            self, setpoint=lambda t: self.wanted(t) | {n: at(t) for n, at in reference.items()}
+        )
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""

@@ -90,6 +90,35 @@ def test_a_pid_loop_with_noise_and_delay_is_its_recursion(delay, sigma):
     assert moved(run) == pytest.approx(states, abs=1e-8)
 
 
+def lag():
+    plant = pam.Plant("lag")
+    x, u = plant.state("x", unit="m"), plant.input("u", unit="N", min=-1.0, max=1.0)
+    plant.der(x, u - x)
+    return plant
+
+
+@pytest.mark.parametrize("guard", [None, {"limits": {"u": (-0.8, 0.9)}}])
+def test_an_integral_leaves_a_limit_when_the_set_point_comes_back_into_reach(guard):
+    law = pam.lqr(lag(), {"u": 0.0}, integral={"x": 5.0}, sample_time=H)
+    if guard is not None:
+        law = pam.control.BlockController(pam.control.block(law, plant=lag(), **guard))
+    run = closed_loop(law, lag(), {"x": lambda t: 2.0 if t < 12 else 0.5}, duration=18.0)
+    assert run["x"][-1] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_set_points_are_told_in_units_and_a_reference_takes_the_place_of_its_own():
+    plant = pam.Plant("two")
+    for n in "ab":
+        x, u = plant.state(n, unit="m"), plant.input(f"u{n}", unit="N")
+        plant.der(x, u - x)
+    design = {"integral": {"a": 9.0, "b": 9.0}, "sample_time": H}
+    law = pam.lqr(plant, {"ua": 0.0, "ub": 0.0}, setpoint={"a": "30 cm", "b": 0.2}, **design)
+    run = closed_loop(law, plant, {"b": 0.1}, duration=5.0)
+    assert [run["a"][-1], run["b"][-1]] == pytest.approx([0.3, 0.1], abs=1e-3)
+    wrong = pam.lqr(plant, {"ua": 0.0, "ub": 0.0}, setpoint=lambda t: {"ua": 1.0}, **design)
+    refused("setpoint: ua is not integrated", closed_loop, wrong, plant, duration=1.0)
+
+
 def test_a_controllers_own_sample_time_and_reference_are_the_loops():
     run = closed_loop(regulator(integral={"x": 1.0}), cart(), {"x": 0.1}, duration=20.0)
     assert np.diff(run.t) == pytest.approx(H)
@@ -114,6 +143,17 @@ def test_a_disturbance_may_act_from_a_time_on():
 def watching():
     known = {"measured": {"x": 1e-3}, "process": {"v": 0.1}}
     return pam.control.kalman(cart(), {"x": 0.0}, **known, sample_time=H)
+
+
+def test_what_counts_samples_is_run_at_its_own():
+    """State feedback without memory may be sampled otherwise, a filter or an integral may not."""
+    filtered, other = pam.control.WithEstimate(regulator(), watching()), {"sample_time": H / 2}
+    assert closed_loop(filtered, cart(), duration=1.0).t[1] == pytest.approx(H)
+    assert len(closed_loop(regulator(), cart(), duration=1.0, **other).t) == 41
+    for law in (filtered, regulator(integral={"x": 1.0})):
+        refused("make both equal", closed_loop, law, cart(), duration=1.0, **other)
+    integrating = pam.lqr(cart(), {"x": 0.0}, integral={"x": 1.0})
+    refused("design both for one", pam.control.WithEstimate, integrating, watching())
 
 
 def test_the_loops_estimator_is_the_filter_that_a_controller_carries():
