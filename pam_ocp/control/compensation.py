@@ -18,14 +18,14 @@ from .blocks.draft import Draft, Symbol, clipped
 from .blocks.running import Running, SampledLaw
 from .inverse import (
     InverseDynamics,
-    at_an_end,
     pressures_of,
     stiffness_of,
+    unreached,
     wanted_motion,
     wanted_stiffness,
 )
 from .kinds import BLOCKS, CONTROLLERS, law_of
-from .pid import PID, PressureLoop, pid_law, saturating
+from .pid import PID, PressureLoop, out_of_reach, pid_law
 from .references import Source, source
 
 KERNEL: list[tuple[float, float, float]] = [
@@ -365,10 +365,11 @@ def hysteresis_compensation(
     now = [ca.if_else(started, p, first[i]) for i, p in enumerate(modelled)]
     added: list[Any] = [ca.MX(0)] * len(muscles)
     if o.frequency:
-        more = pid_law(draft, PID.placed(o.frequency), x - draft.like(position), saturating(draft))
+        error = x - draft.like(position)
+        more = pid_law(draft, PID.placed(o.frequency), error, out_of_reach(draft))
         wanted = pressures_of(draft, inverse, x, v, a + more, k, held)
         added = [wanted[i] - p for i, p in enumerate(now)]
-        draft.next("saturated", at_an_end(inverse, wanted))
+        draft.next("saturated", unreached(inverse, x, v, a + more, wanted, held))
     after = held
     if held and o.compensate:
         starts = (model.start[f"{m}.pressure"] for m in muscles)

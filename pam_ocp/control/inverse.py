@@ -315,21 +315,32 @@ def pressures_of(
 ) -> Symbol:
     """Pressures of the muscles by inverse dynamics; states : of memories, by name."""
     count = inverse.steps
-    known = {inverse._at[0]: x, inverse._at[1]: v}
-    known |= {inverse._where[n]: s for n, s in (states or {}).items()}
-    z = ca.vertcat(*(known.get(i, float(start)) for i, start in enumerate(inverse._z)))
     draft.repeats("Newton steps of the inverse dynamics", count * (1 if stiffness is None else 5))
     target = a if stiffness is None else ca.vertcat(a, stiffness)
-    return inverse.function(z, target)
+    return inverse.function(_at(inverse, x, v, states), target)
 
 
-def at_an_end(inverse: InverseDynamics, p: Symbol) -> Symbol:
-    """Whether a pressure stands at an end of its range."""
-    at_end = type(p)(0)
-    for i in range(len(inverse.muscles)):
-        ends = ca.logic_or(p[i] <= float(inverse.low[i]), p[i] >= float(inverse.high[i]))
-        at_end = ca.fmax(at_end, ends)
-    return at_end
+def _at(inverse: InverseDynamics, x: Symbol, v: Symbol, states: dict[str, Symbol] | None) -> Symbol:
+    """States and inputs of the plant."""
+    known = {inverse._at[0]: x, inverse._at[1]: v}
+    known |= {inverse._where[n]: s for n, s in (states or {}).items()}
+    return ca.vertcat(*(known.get(i, float(start)) for i, start in enumerate(inverse._z)))
+
+
+def unreached(
+    inverse: InverseDynamics,
+    x: Symbol,
+    v: Symbol,
+    a: Symbol,
+    p: Symbol,
+    states: dict[str, Symbol] | None = None,
+) -> Symbol:
+    """What is left of an acceleration where all pressures are at an end of their range, else 0."""
+    at = ca.vertsplit(_at(inverse, x, v, states))
+    for i, place in enumerate(inverse._place):
+        at[place] = p[i]
+    at_ends = ca.logic_or(p <= ca.DM(inverse.low), p >= ca.DM(inverse.high))
+    return ca.if_else(ca.mmin(at_ends), a - inverse.equations(ca.vertcat(*at))[0][0], 0)
 
 
 @BLOCKS.register("InverseDynamics")

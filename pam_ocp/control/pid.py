@@ -18,7 +18,7 @@ from ..plants.plant import Plant
 from .blocks.draft import Draft, Symbol, as_output, compensated
 from .blocks.running import ByBlock, Running, SampledLaw
 from .controller import Measured
-from .inverse import InverseDynamics, at_an_end, pressures_of, wanted_motion, wanted_stiffness
+from .inverse import InverseDynamics, pressures_of, unreached, wanted_motion, wanted_stiffness
 from .kinds import BLOCKS, Array
 from .references import Reference
 
@@ -31,7 +31,7 @@ class PID(ByBlock):
     """u = kp e + ki integral(e) + kd d(e)/dt, the derivative filtered by ``filter_time`` [s].
 
     Sampled by backward differences. The integral is frozen while the caller says that the output
-    is saturated and the error would drive it further (no wind-up).
+    is saturated and the error would drive it further the way that it points (no wind-up).
 
     Examples
     --------
@@ -74,7 +74,7 @@ class PID(ByBlock):
         """The law of the block, told its sample time with each error."""
         draft = Draft("pid", 1.0, "PID controller")
         error, time, saturated = (draft.input(n) for n in ("error", "sample_time", "saturated"))
-        value = pid_law(draft, self, error, saturated, time=time)
+        value = pid_law(draft, self, error, lambda last: saturated * last, time=time)
         draft.output(Variable("command", "output"), value)
         return Running(draft.block(), ())
 
@@ -251,8 +251,8 @@ def pid(
     else:
         seen, sent = plant.variable(measured), plant.variable(command)
     error = draft.like(seen, "wanted.") - draft.like(seen)
-    unit = draft.sent([sent])[0]
-    value = pid_law(draft, controller, error, draft.limited, unit)
+    acted, limited = draft.sent([sent])[0], draft.limited
+    value = pid_law(draft, controller, error, lambda last: limited * (last - acted), acted)
     draft.output(as_output(sent), value, command=True)
     return draft.block()
 
@@ -261,14 +261,16 @@ def pid_law(
     draft: Draft,
     controller: PID,
     error: Symbol,
-    saturated: Symbol,
+    beyond: Callable[[Symbol], Symbol],
     sent: Symbol | None = None,
     time: Symbol | None = None,
 ) -> Symbol:
-    """The PID's output for an error; ``saturated`` is what became of its last one.
+    """The PID's output for an error.
 
-    sent : the output that acted in its place while something else was sent; the integral follows
-    it. None: the integral is empty then. time : since the last one; None: the draft's sample time.
+    beyond : its last output -> a number of the sign in which that went beyond what could be had, 0
+    where it did not. sent : the output that acted in its place while something else was sent; the
+    integral follows it. None: the integral is empty then. time : since the last one; None: the
+    draft's sample time.
     """
     kp, ki, kd = (
         draft.parameter(n, getattr(controller, n), description=words)
@@ -286,7 +288,7 @@ def pid_law(
     share = filter_time / (filter_time + time)
     turned = share * slope + (1 - share) * (error - last) / time
     slope_now = ca.if_else(started, turned, slope)
-    frozen = ca.logic_and(saturated, error * integral > 0)
+    frozen = beyond(kp * last + ki * integral + kd * slope) * ki * error > 0
     added, left = compensated(integral, carry, error * time)
     added, left = (ca.if_else(frozen, a, b) for a, b in ((integral, added), (carry, left)))
     follow = draft.kind(0)
@@ -302,10 +304,13 @@ def pid_law(
     return kp * error + ki * now + kd * slope_now
 
 
-def saturating(draft: Draft) -> Symbol:
-    """Whether the last output could not be had: said by the memory ``saturated``, or the guard."""
-    saturated = draft.memory("saturated", description="what was asked for was beyond its range")
-    return ca.logic_or(saturated, draft.held_back)
+def out_of_reach(draft: Draft) -> Callable[[Symbol], Symbol]:
+    """By how much the last acceleration was beyond what could be had, see ``pid_law``: the memory
+    ``saturated``, or where the guard held a command back the output itself.
+    """
+    words = "acceleration asked for beyond what the pressures give"
+    saturated, held_back = draft.memory("saturated", description=words), draft.held_back
+    return lambda last: ca.if_else(saturated, saturated, held_back * last)
 
 
 @BLOCKS.register("PositionController")
@@ -322,7 +327,7 @@ def position_controller(controller: PositionController, name: str = "position") 
     inverse.require_stiffness(stiffness)
     k = wanted_stiffness(draft, plant, stiffness) if len(inverse.muscles) == 2 else None
     error = x - draft.like(plant.variable(inverse.position))
-    more = pid_law(draft, c.pid, error, saturating(draft))
+    more = pid_law(draft, c.pid, error, out_of_reach(draft))
     if not c.feedforward:
         at = c.reference(0.0)
         x, v, a = (
@@ -330,7 +335,7 @@ def position_controller(controller: PositionController, name: str = "position") 
             for n, value in zip(("position", "velocity", "acceleration"), at, strict=True)
         )
     p = pressures_of(draft, inverse, x, v, a + more, k)
-    draft.next("saturated", at_an_end(inverse, p))
+    draft.next("saturated", unreached(inverse, x, v, a + more, p))
     _send(draft, c.inner, {m: p[i] for i, m in enumerate(inverse.muscles)}, plant)
     return draft.block()
 

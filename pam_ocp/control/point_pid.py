@@ -16,10 +16,10 @@ from ..core.errors import InputError, kind_of, require_finite, require_positive
 from ..operating.linear import inside, linearize, no_influence
 from ..operating.resting_point import OperatingPoint
 from ..plants.plant import Plant, Values, require_plant
-from .blocks.draft import Draft, clipped
+from .blocks.draft import Draft, Symbol, clipped
 from .blocks.running import SampledLaw
 from .kinds import BLOCKS, CONTROLLERS
-from .pid import PID, pid_law, saturating
+from .pid import PID, pid_law
 from .references import Source
 from .state_feedback import REST, acting
 
@@ -185,9 +185,14 @@ def point_pid(controller: PointPid, name: str = "pid") -> Block:
     size = ca.sumsqr(w)
     acted = ca.dot(w, acting(draft, inversion, chosen) - u0) / ca.if_else(size > 0, size, 1)
     error = wanted - draft.like(position)
-    u = u0 + w * pid_law(draft, controller.pid, error, saturating(draft), acted)
+    saturated = draft.memory("saturated", description="all inputs that it moves beyond their range")
+    held_back = draft.held_back
+
+    def beyond(last: Symbol) -> Symbol:
+        return saturated * last + held_back * (last - acted)
+
+    u = u0 + w * pid_law(draft, controller.pid, error, beyond, acted)
     sent = clipped(u, [v.min for v in chosen], [v.max for v in chosen])
-    beyond = [sent[i] != u[i] for i, v in enumerate(chosen) if v.name in weights]
-    draft.next("saturated", ca.mmin(ca.vertcat(1, *beyond)))
+    draft.next("saturated", ca.mmin(ca.logic_or(sent != u, w == 0)))
     draft.send(inversion, chosen, sent)
     return draft.block()

@@ -189,12 +189,12 @@ def feedback_law(
 ) -> None:
     """Enter u = u0 - K (x - x0) - Ki integral(y - wanted), and its commands.
 
-    states, chosen : x and u, beyond whose range the integrals are frozen. gains : K, Ki. about :
-    x0, u0. tracked : what is integrated, and the values wanted of it.
+    states, chosen : x and u, beyond whose range no integral drives them further. gains : K, Ki.
+    about : x0, u0. tracked : what is integrated, and the values wanted of it.
 
-    Each step begins with what the one before has left: its errors, and whether an input was asked
-    for beyond its range. So the guard can tell what became of the commands; while something else is
-    sent, the integrals follow the inputs that acted.
+    Each step begins with what the one before has left: its errors, and the inputs asked for. So the
+    guard can tell what became of the commands; while something else is sent, the integrals follow
+    the inputs that acted.
     """
     (k, ki), (x0, u0), (integrated, wanted) = gains, about, tracked
     u = u0 - ca.mtimes(k, draft.states(inversion, states) - x0)
@@ -214,19 +214,27 @@ def feedback_law(
             ("error", "error of the last step"),
         )
     )
-    frozen = draft.memory("frozen", description="an input was beyond its range")
-    limited = ca.logic_or(frozen, draft.limited)
-    follow = least_norm(ki, u - acting(draft, inversion, chosen))
+    known: dict[str, Any] = {"start": 0.0, "description": "input asked for in the last step"}
+    asked = draft.column(
+        [
+            Variable(f"asked.{v.name}", "state", unit=v.unit, nominal=v.nominal, **known)
+            for v in chosen
+        ]
+    )
+    acted = acting(draft, inversion, chosen)
+    had = clipped(asked, [v.min for v in chosen], [v.max for v in chosen])
+    beyond = asked - ca.if_else(draft.held_back, acted, had)
+    beyond = beyond * (ca.fabs(beyond) > ROUNDING * ca.DM([v.nominal for v in chosen]))
+    frozen = ca.vertcat(
+        *(ca.mmin(beyond * ki[:, j] * error[j]) < 0 for j in range(len(integrated)))
+    )
     added, left = compensated(total, carry, draft.sample_time * error)
-    added, left = (ca.if_else(limited, a, b) for a, b in ((total, added), (carry, left)))
-    now = ca.if_else(draft.active, added, follow)
+    added, left = (ca.if_else(frozen, a, b) for a, b in ((total, added), (carry, left)))
+    now = ca.if_else(draft.active, added, least_norm(ki, u - acted))
     u = u - ca.mtimes(ki, now)
-    beyond = draft.kind(0)
-    for i, v in enumerate(chosen):
-        beyond = ca.fmax(beyond, ca.logic_or(u[i] < v.min, u[i] > v.max))
     errors = [draft.like(v) - goal for v, goal in zip(integrated, wanted, strict=True)]
     first = integrated[0].name
-    draft.next("frozen", beyond)
+    draft.next(f"asked.{chosen[0].name}", u)
     draft.next(f"integral.{first}", now)
     draft.next(f"carry.{first}", ca.if_else(draft.active, left, 0))
     draft.next(f"error.{first}", ca.vertcat(*errors))

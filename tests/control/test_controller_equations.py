@@ -67,16 +67,17 @@ def test_lqi_integrates_but_at_the_ends_of_the_inputs(slide, point):
     law = lqr(slide, REST, integral={"x": 80.0, "stiffness": 5.0}, sample_time=STEP)
     u0 = np.array([point[n] for n in law.inputs])
     low, high = ends(slide, law.inputs)
-    integral, frozen = np.zeros(2), 0
+    integral, frozen = np.zeros(2), np.zeros(2)
     goal = np.array([point["x"], point["stiffness"]])
     for measured in seen(slide, point, size=0.5):
         u = u0 - law.K @ (states(slide, measured) - point.x) - law.Ki @ integral
         compared(law(0.0, measured), law.inputs, u)
-        if np.all((u >= low) & (u <= high)):
-            integral += STEP * (np.array([measured["x"], measured["stiffness"]]) - goal)
-        else:
-            frozen += 1
-    assert 0 < frozen < 40
+        error = np.array([measured["x"], measured["stiffness"]]) - goal
+        further = -law.Ki * error * (u - np.clip(u, low, high))[:, None]  # what each would add
+        held = np.any(further > 0, axis=0)
+        integral += np.where(held, 0.0, STEP * error)
+        frozen += held
+    assert np.all((frozen > 0) & (frozen < 40))
     law.reset()
     first = next(seen(slide, point))
     compared(law(0.0, first), law.inputs, u0 - law.K @ (states(slide, first) - point.x))
@@ -101,21 +102,33 @@ def test_pid_about_a_point_filters_its_derivative_and_freezes_its_integral(slide
     names = [*law.shares]
     low, high = ends(slide, names)
     weights, u0 = np.array([*law.shares.values()]), np.array([point[n] for n in names])
-    integral, slope, last, full, frozen = 0.0, 0.0, None, False, 0
+    integral, slope, last, full, frozen = 0.0, 0.0, None, 0.0, 0
     for measured in seen(slide, point, seed=2, size=2.0):
         error = point["x"] - measured["x"]
         if last is not None:
             share = filter_time / (filter_time + STEP)
             slope = share * slope + (1 - share) * (error - last) / STEP
         last = error
-        if full and error * integral > 0:
+        if full * error > 0:  # the integral would go further out
             frozen += 1
         else:
             integral += error * STEP
         asked = u0 + weights * (p * error + i * integral + d * slope)
         compared(law(0.0, measured), names, np.clip(asked, low, high))
-        full = bool(np.all((asked < low) | (asked > high)))
+        out = np.sign(asked - np.clip(asked, low, high)) * weights
+        full = out[0] if np.all(out == out[0]) else 0.0
     assert frozen > 0
+
+
+def test_an_input_without_a_part_in_the_loop_does_not_wind_it_up(slide, point):
+    first, second = (v.name for v in slide.inputs)
+    alone, both = (
+        PointPid(slide, point, 1e6, 5e7, weights=weights, sample_time=STEP)
+        for weights in ({first: 1.0}, {first: 1.0, second: 0.0})
+    )
+    for error in (0.1,) * 50 + (-0.1,) * 20:
+        measured = {"x": point["x"] - error}
+        assert both(0.0, measured)[first] == alone(0.0, measured)[first]
 
 
 def test_a_stationary_filter_is_its_linear_system_with_its_gain(slide, point):
@@ -218,7 +231,7 @@ def test_position_control_is_pid_inverse_dynamics_and_pressure_loops_in_turn(sli
     for k, measured in enumerate(seen(slide, point)):
         x, v, a = path(k * STEP)
         p = inverse(x, v, a + pid(x - measured["x"], STEP, full), 2.2e4)
-        full = bool(np.any((p <= inverse.low) | (p >= inverse.high)))
+        full = bool(np.all((p <= inverse.low) | (p >= inverse.high)))
         expected = loop(dict(zip(inverse.muscles, p.tolist(), strict=True)), measured)
         compared(law(k * STEP, measured), [*expected], [*expected.values()], rtol=1e-9)
     with pytest.raises(pam.InputError, match="give a stiffness for a pair"):

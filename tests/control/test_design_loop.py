@@ -182,6 +182,28 @@ def test_a_position_controller_does_not_wind_up_however_long_it_is_out_of_reach(
     assert after[0][0] < 5.9 * BAR
 
 
+def test_a_position_controller_comes_back_where_its_model_asks_for_too_much(long_muscle):
+    """The model's load needs more than the highest pressure, the true one hangs too high."""
+    plant = pam.HangingLoad(long_muscle, 100.0, feed=pam.feeds.IdealPressure())
+    controller = PositionController(plant, hold(0.05), PID(0.0, ki=1e4), sample_time=2e-3)
+    sent = [controller(0.0, {"x": 0.06})["muscle.pressure"] for _ in range(200)]
+    assert sent[0] == plant.inputs[0].max
+    assert sent[-1] < 0.99 * sent[0]
+
+
+def test_a_pair_that_cannot_be_as_stiff_as_wanted_still_integrates_its_position():
+    feed = pam.feeds.IdealPressure()
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, feed=feed)
+    pid, how = PID(0.0, ki=1e5), {"sample_time": 2e-3, "stiffness": 1e6}
+    controller = PositionController(plant, hold(0.0), pid, **how)
+    sent = [controller(0.0, {"x": -0.001}) for _ in range(20)]
+    ends = {v.name: v.max for v in plant.inputs}
+    assert any(sent[0][n] == ends[n] for n in ends)
+    inverse = InverseDynamics(plant)
+    a = [inverse.accelerations([0.0], [0.0], [[*u.values()]])[0] for u in sent]
+    assert np.diff(a) == pytest.approx(1e5 * 0.001 * 2e-3, rel=1e-6)
+
+
 def test_the_pressure_loop_closes_with_its_time_constant(hanging):
     loop = PressureLoop(hanging, time_constant=0.01)
 
