@@ -38,6 +38,8 @@ LEVELS = np.linspace(0.0, 1.0, 5)
 """Of the region's width: the values that one variable is given while the others stay."""
 STEPS = 30
 """Of Newton's method towards points where equations hold."""
+FLAT = 1e-3
+"""A slope at rest that counts as none, as a part of the steepest."""
 NONE, ROUNDING = 1e-7, 1e-12
 """What counts as zero: this part of the slopes there, and this part of a typical value."""
 
@@ -288,9 +290,20 @@ def _neutral(plant: System) -> tuple[list[int], Pattern]:
         moved = region.moved(z)
         lost = {i for i in chosen if moved[i, i]}
         if not lost:
-            return chosen, moved | (region.pattern & ~region.seen)
+            sums = _only_sums(region, z)
+            return [i for i in chosen if i not in sums], moved | (region.pattern & ~region.seen)
         chosen = [i for i in chosen if i not in lost]
     return [], region.pattern
+
+
+def _only_sums(region: _Region, z: Array) -> set[int]:
+    """States that no rate needs and whose own rates have no slope at rest (a way, a loss of energy:
+    v^2): they only sum up, for a position goes either way.
+    """
+    slopes = (region.at(points)[1] for points in (z, region.points))
+    steep, typical = (np.abs(each).max(axis=(0, 2)) for each in slopes)
+    unneeded = ~region.pattern[:, : len(region.pattern)].any(axis=0)
+    return {int(i) for i in np.flatnonzero(unneeded & (steep <= FLAT * typical))}
 
 
 def rate_of(plant: System, name: str) -> ca.SX:

@@ -54,6 +54,18 @@ def test_an_angle_rests_a_pressure_a_sensor_and_a_total_do_not():
     assert totals(plant) == ("air",)
 
 
+@pytest.mark.parametrize("loss", [lambda v: v**2, lambda v: ca.sqrt(v**2 + 1e-6) - 1e-3])
+def test_a_loss_or_a_way_sums_up_in_whatever_unit(loss):
+    """Neither goes back, where a wheel that counts the same motion does."""
+    plant = pam.Plant("lossy")
+    x, v, total = plant.state("x", unit="m"), plant.state("v"), plant.state("total", unit="m")
+    for state, rate in ((x, v), (v, plant.input("u") / 3), (total, loss(v))):
+        plant.der(state, rate)
+    plant.der(plant.state("wheel", unit="rad"), v / 0.05)
+    assert totals(plant) == ("total",)
+    assert [p.name for p in plant.resting()] == ["x", "wheel"]
+
+
 def test_what_an_input_moves_straight_has_no_acceleration_and_a_disturbance_moves_nothing():
     plant = pam.Plant("table")
     x, y, v = (plant.state(n, unit="m") for n in "xyv")
