@@ -19,14 +19,16 @@ from ..core.variables import Variable
 from ..plants.plant import Plant
 from .statement import (
     COSTS,
-    TIME,
     Avoid,
     Constraint,
     Duration,
-    Phase,
     Profile,
     Statement,
     Stop,
+    aim_and_weight,
+    budget_range,
+    duration_range,
+    ranged_outputs,
     require_expression,
     subject,
     times_seconds,
@@ -34,6 +36,8 @@ from .statement import (
 
 INF = math.inf
 End: TypeAlias = "float | Profile"
+KNOTS = 1000
+"""Of a profile: with more they lie closer than what is looked at."""
 _FORM = re.compile(r"(integral|square|final|peak)\((.+)\)$")
 
 
@@ -46,6 +50,8 @@ class Limit:
     low: End
     high: End
     nominal: float
+    axes: tuple[ca.SX, ...] = ()
+    """Of a forbidden region: what the expression is the length of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,8 @@ class Point:
     stop: Stop
     rest: bool
     limits: tuple[Limit, ...]
+    left: bool = False
+    """Whether a dwell ends here: what inputs are then is the next leg's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +105,24 @@ class Asked:
     """A statement, read for a motion whose legs take given times."""
 
     points: tuple[Point, ...]
+    always: tuple[Limit, ...]
+    """What holds on all legs and at all stops."""
     spans: tuple[Span, ...]
     sums: tuple[Sum, ...]
     goal: Goal
     times: dict[str, tuple[float, float, float]]
     """{"duration of" a leg: (it, shortest, longest)} [s]."""
     design: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def knots(self) -> list[float]:
+        """Times at which profiles have their values [s]."""
+        limits = (limit for span in self.spans for limit in span.limits)
+        ends = [end for limit in limits for end in (limit.low, limit.high)]
+        ends += [aim for _, _, aim in self.goal.tracked]
+        found = {e: e.t.tolist() for e in ends if isinstance(e, Profile)}
+        last = self.points[-1].time
+        return [t for each in found.values() if len(each) <= KNOTS for t in each if 0 < t < last]
 
 
 class _AsItIs:
@@ -123,34 +143,29 @@ def asked(plant: Plant, statement: Statement, durations: Sequence[float]) -> Ask
     route = [(f"stop {i}", stop) for i, stop in enumerate(stops, start=1)]
     if statement.cyclic is True:
         route.append(route[0])
+    elif statement.cyclic and not plant.mirror_map:
+        raise InputError(f"cyclic = 'mirrored': plant {plant.name!r} declares no mirror symmetry")
     points, legs = _laid_out(plant, statement, route, durations)
     common = _limits(plant, statement.bounds or {}, statement.constraints, _own(plant))
-    phases = list(statement.phases or [None] * (len(route) - 1))
-    lengths = statement.duration
-    each = lengths if isinstance(lengths, list) else [lengths] * (len(route) - 1)
+    each = statement.of_legs(len(route) - 1)
     spans, times = [], {}
     for leg in legs:
-        phase = None if leg.number is None else phases[leg.number]
-        limits = common
-        if isinstance(phase, Phase):
+        limits, wanted = common, leg.dwell
+        if leg.number is not None:
+            phase, wanted = each[leg.number]
             limits = _limits(plant, phase.bounds, phase.constraints, common)
         spans.append(Span(leg.begin, leg.end, (*limits.values(), *leg.held)))
-        wanted = leg.dwell if leg.number is None else each[leg.number]
-        wanted = phase.duration if phase is not None and phase.duration is not None else wanted
         if wanted is not None:
-            low, high = wanted if isinstance(wanted, tuple) else (wanted, wanted)
-            low, high = (
-                end if v is None else require_finite("duration", v, "s")
-                for v, end in ((low, 0.0), (high, INF))
-            )
-            times[f"duration of {leg.label}"] = (leg.end - leg.begin, low, high)
+            ends = duration_range(wanted, (0.0, INF))
+            times[f"duration of {leg.label}"] = (leg.end - leg.begin, *ends)
     sums = tuple(s for t, v in (statement.budgets or {}).items() for s in [_sum(plant, t, v)])
     design = {
         plant.variable(n).name: _ends(plant.variable(n), f"design[{n!r}]", v)
         for n, v in (statement.design or {}).items()
     }
     goal = _goal(plant, statement)
-    return Asked(tuple(points), tuple(spans), sums, goal, times, design)  # type: ignore[arg-type]
+    always = tuple(common.values())
+    return Asked(tuple(points), always, tuple(spans), sums, goal, times, design)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,17 +207,24 @@ def _laid_out(
             then = now + next(rest)
             margins = (stop.within * limit.nominal for limit in named)
             held = tuple(
-                replace(c, label=f"dwell at {c.label}", low=c.low - m, high=c.high + m)  # type: ignore[operator]
+                replace(c, label=f"dwell at {c.label}", low=_by(c.low, -m), high=_by(c.high, m))
                 for c, m in zip(named, margins, strict=True)
             )
             legs.append(_Leg(f"the dwell at {label}", now, then, None, stop.dwell, held))
             now = then
-            points.append(Point(now, label, stop, still, named))
+            points.append(Point(now, label, stop, still, named, left=True))
         if i < last:
             then = now + next(rest)
             legs.append(_Leg(f"leg {i + 1}", now, then, i))
             now = then
     return points, legs
+
+
+def _by(end: End, margin: float) -> End:
+    """An end of a limit, moved."""
+    if isinstance(end, Profile):
+        return Profile(end.t, end.values + margin, end.smooth)
+    return end + margin
 
 
 def _named(plant: Plant, label: str, stop: Stop) -> Iterator[Limit]:
@@ -214,9 +236,9 @@ def _named(plant: Plant, label: str, stop: Stop) -> Iterator[Limit]:
 
 # ---- limits -----------------------------------------------------------------------------------
 def _own(plant: Plant) -> dict[str, Limit]:
-    """The plant's own: ranges of states and inputs, path constraints."""
+    """The plant's own: ranges of states, inputs and outputs, path constraints."""
     found = {}
-    for v in (*plant.states, *plant.inputs, *plant.constraints):
+    for v in (*plant.states, *plant.inputs, *plant.constraints, *ranged_outputs(plant)):
         low, high = (float(v.start or 0.0),) * 2 if v.disturbance else (v.min, v.max)
         found[v.name] = Limit(v.name, plant.expression(v.name), low, high, v.nominal)
     return found
@@ -241,12 +263,15 @@ def _limits(
         for least, most, side in ends:
             old = found.get(key)
             changing = isinstance(least, Profile) or isinstance(most, Profile)
-            name = f"{key} {side} its profile" if changing else key
-            if changing or old is None:
-                found[name] = Limit(name, expression, least, most, variable.nominal)
+            if changing:  # each holds, also those of the whole motion beside those of a leg
+                label = f"{key} {side} its profile"
+                limit = Limit(label, expression, least, most, variable.nominal)
+                found[f"{len(found)} {label}"] = limit
+            elif old is None:
+                found[key] = Limit(key, expression, least, most, variable.nominal)
             else:
                 least, most = max(least, old.low), min(most, old.high)  # type: ignore[type-var]
-                found[name] = replace(old, low=least, high=most)
+                found[key] = replace(old, low=least, high=most)
     for i, given in enumerate(constraints):
         limit = _region(plant, given) if isinstance(given, Avoid) else _constraint(plant, given)
         found[f"{len(found)}.{i} {limit.label}"] = limit
@@ -254,25 +279,14 @@ def _limits(
 
 
 def _constraint(plant: Plant, given: Constraint) -> Limit:
-    argument = f"Constraint {given.name!r}"
-    require_expression(plant, argument, given.expression)
-    low, high = (
-        default if v is None else require_finite(argument, v, given.unit)
-        for v, default in ((given.low, -INF), (given.high, INF))
-    )
-    return Limit(given.name, given.expression, low, high, given.nominal)
+    require_expression(plant, f"Constraint {given.name!r}", given.expression)
+    return Limit(given.name, given.expression, *given.ends, given.nominal)
 
 
 def _region(plant: Plant, given: Avoid) -> Limit:
     """Outside of an ellipsoid: the distance from its centre in half widths is one or more."""
-    squares = ca.SX(0)
-    for name, (centre, width) in given.region.items():
-        unit, expression = (
-            ("s", TIME) if name == "time" else ((pair := subject(plant, name))[0].unit, pair[1])
-        )
-        middle, half = (require_finite(f"Avoid: {name}", v, unit) for v in (centre, width))
-        squares += ((expression - middle) / half) ** 2
-    return Limit(given.name, ca.sqrt(squares), 1.0, INF, 1.0)
+    axes = tuple(given.axes(plant))
+    return Limit(given.name, ca.norm_2(ca.vertcat(*axes)), 1.0, INF, 1.0, axes)
 
 
 def _ends(variable: Variable, argument: str, value: Any) -> tuple[End, End]:
@@ -318,11 +332,7 @@ def unit_of_sum(plant: Plant, term: str) -> str:
 
 def _sum(plant: Plant, term: str, value: Any) -> Sum:
     integrand, nominal, unit = _running(plant, term)
-    least, most = value if isinstance(value, tuple | list) else (None, value)
-    low, high = (
-        default if v is None else require_finite(f"budgets[{term!r}]", v, unit)
-        for v, default in ((least, -INF), (most, INF))
-    )
+    low, high = budget_range(term, value, unit)
     return Sum(f"budget of {term}", integrand, low, high, nominal)
 
 
@@ -342,7 +352,7 @@ def _goal(plant: Plant, statement: Statement) -> Goal:
             integrand += weight * value / nominal
     for name, wanted in (statement.track or {}).items():
         variable = plant.variable(name)
-        aim, weight = wanted if isinstance(wanted, tuple) else (wanted, 1.0)
+        aim, weight = aim_and_weight(name, wanted)
         value = plant.expression(variable.name) / variable.nominal
         if not isinstance(aim, Profile):
             aim = require_finite(f"track[{name!r}]", aim, variable.unit) / variable.nominal
@@ -350,6 +360,9 @@ def _goal(plant: Plant, statement: Statement) -> Goal:
         else:
             scaled = Profile(aim.t, aim.values / variable.nominal, aim.smooth)
             tracked.append((float(weight), value, scaled))
+    for argument in ("integrand", "final"):
+        if (given := getattr(statement, argument)) is not None:
+            require_expression(plant, argument, given)
     integrand += 0 if statement.integrand is None else statement.integrand
     final += 0 if statement.final is None else statement.final
     weights = statement.weights

@@ -34,6 +34,8 @@ LEAST = 2
 """Parts of a piece of the inputs, at least."""
 FINE = 65
 """Points of a cell at which a largest value is looked for."""
+NEAR = 2.0
+"""Half widths from the middle of a forbidden region at which one looks closely."""
 _TAUS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
 _WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 """Lobatto's rule with five points, exact to degree 7."""
@@ -125,10 +127,29 @@ class Driven:
         """Largest value of an expression: the motion is run again with points close together, for
         a peak is as narrow as a jump of an input makes it.
         """
+        return float(self._fine.values([expression]).max())
+
+    @cached_property
+    def _fine(self) -> Driven:
+        """The motion with FINE points in each cell; this one where only that has come through."""
         ends = self.t[:, [0, -1]]
         fine = self._run(ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * np.linspace(0.0, 1.0, FINE))
-        # else the coarser run has come through
-        return float((fine or self).values([expression]).max())
+        return fine or self
+
+    def nearest(self, axes: Sequence[ca.SX], cells: NDArray[np.bool_]) -> float:
+        """How near a point with these coordinates comes to their origin in some cells, on straight
+        lines between points that lie close together where it comes near.
+        """
+        for run in (self, self._fine):
+            at = run.values(axes)[:, cells]
+            way = np.diff(at)
+            at, square = at[..., :-1], np.sum(way**2, axis=0)
+            along = -np.sum(at * way, axis=0) / np.where(square, square, 1.0)
+            lines = at + np.clip(along, 0.0, 1.0) * way
+            distance = float(np.sqrt(np.sum(lines**2, axis=0)).min(initial=np.inf))
+            if distance > NEAR:
+                break
+        return distance
 
     def sides(self, time: float) -> list[tuple[Array, Array]]:
         """(states, inputs) at the ends of the cells that meet at a time."""

@@ -19,7 +19,7 @@ from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..plants.plant import Given, Plant, require_plant
 from ..plants.stillness import totals
-from .asked import Asked, Goal, Limit, Span, asked
+from .asked import Asked, Goal, Limit, Point, Span, asked
 from .driven import Driven, driven, roughly
 from .rest import begun, end_at, rest_at, rows_of
 from .statement import Profile, Statement
@@ -174,7 +174,9 @@ def judge(
     """
     require_plant(plant)
     wanted = asked(plant, statement, motion.durations)
-    times = [point.time for point in wanted.points]
+    _require_a_whole(plant, motion)
+    ends = [point.time for point in wanted.points]
+    times = [ends[0], *sorted([*ends[1:-1], *wanted.knots]), ends[-1]]
     try:
         further = None if claimed is None else claimed.t
         run, states = driven(plant, motion.start, motion.inputs, times, further)
@@ -191,6 +193,23 @@ def judge(
     objective = _objective(run, wanted.goal)
     deviation = _deviation(run, motion, states, claimed)
     return Judgement(tuple(ordered), objective, run.trajectory, "", *deviation)
+
+
+def _require_a_whole(plant: Plant, motion: Motion) -> None:
+    """InputError where a start or inputs are another plant's, or inputs end before the legs."""
+    breaks, sizes = motion.inputs.breaks, (len(plant.states), len(plant.inputs))
+    given = np.size(motion.start), motion.inputs.coefficients.shape[-1]
+    if given != sizes:
+        raise InputError(
+            f"the motion has {given[0]} states and {given[1]} inputs; {plant.name} has {sizes[0]} "
+            f"and {sizes[1]}"
+        )
+    end, near = sum(motion.durations), 1e-6 * sum(motion.durations)
+    if abs(breaks[0]) > near or breaks[-1] < end - near:
+        raise InputError(
+            f"inputs of the motion are given from {breaks[0]:g} to {breaks[-1]:g} s, and its legs "
+            f"last from 0 to {end:g} s; give inputs over the whole motion"
+        )
 
 
 def _deviation(
@@ -235,6 +254,8 @@ def _along(run: Driven, span: Span) -> Iterator[tuple[str, float]]:
     for limit, value in zip(span.limits, values, strict=True):
         low, high = (e(t) if isinstance(e, Profile) else e for e in (limit.low, limit.high))
         yield limit.label, _excess(value, low, high) / limit.nominal
+        if limit.axes:  # a thin region may lie between two points
+            yield limit.label, 1.0 - run.nearest(limit.axes, own)
 
 
 def _excess(value: Array | float, low: Array | float, high: Array | float) -> float:
@@ -246,19 +267,19 @@ def _excess(value: Array | float, low: Array | float, high: Array | float) -> fl
 
 def _stops(run: Driven, statement: Statement, wanted: Asked) -> Iterator[tuple[str, float]]:
     """Values at the stops, and rest there."""
-    for point, span in zip(wanted.points, (*wanted.spans, wanted.spans[-1]), strict=False):
+    for point in wanted.points:
         sides = run.sides(point.time)
         plant, p = run.plant, run.plant.vector("parameter")
         column = ca.vertcat(*(limit.expression for limit in point.limits))
         function = ca.Function("stop", [plant.x, plant.u, plant.p], [column])
-        for x, u in sides[-1:]:
+        for x, u in sides[:1] if point.left else sides[-1:]:
             values = np.asarray(function(x, u, p), float).ravel()
             for limit, value in zip(point.limits, values, strict=True):
                 yield limit.label, _at(limit, value, point.time)
         if point.rest:
             names = {_key(plant, n) for n in point.stop.values}
             rows = rows_of(plant, wanted.points, dict.fromkeys(names))
-            yield from rest_at(run, point, rows, _inputs_and_path(run, span))
+            yield from rest_at(run, point, rows, _of_inputs(run, wanted, point))
 
 
 def _key(plant: Plant, name: str) -> str:
@@ -269,9 +290,12 @@ def _at(limit: Limit, value: float, time: float) -> float:
     return _excess(value, end_at(limit.low, time), end_at(limit.high, time)) / limit.nominal
 
 
-def _inputs_and_path(run: Driven, span: Span) -> list[Limit]:
-    """What admissible inputs keep: their own ranges, and what depends on them."""
-    return [c for c in span.limits if ca.depends_on(c.expression, run.plant.u)]
+def _of_inputs(run: Driven, wanted: Asked, point: Point) -> list[Limit]:
+    """What admissible inputs keep at a stop: their own ranges, and what depends on them, of the
+    plant, of the whole motion and of what the stop names.
+    """
+    limits = (*wanted.always, *point.limits)
+    return [c for c in limits if ca.depends_on(c.expression, run.plant.u)]
 
 
 def _closed(run: Driven, statement: Statement) -> Iterator[tuple[str, float]]:
@@ -295,9 +319,8 @@ def _start(run: Driven, statement: Statement, wanted: Asked) -> list[Finding]:
     if statement.cyclic:
         return []
     first = wanted.points[0]
-    limits = _inputs_and_path(run, wanted.spans[0])
-    found = begun(run, first, statement.memory, limits)
-    return [Finding(label, by, said or not first.rest) for label, by, said in found]
+    found = begun(run, first, statement.memory, _of_inputs(run, wanted, first))
+    return [Finding(label, by, said) for label, by, said in found]
 
 
 # ---- the objective ------------------------------------------------------------------------------

@@ -128,13 +128,13 @@ def _holding(
 ) -> tuple[Array, Array]:
     """(admissible inputs that bring ``wanted`` next to zero, what is left of it, or of a limit)."""
     p = plant.vector("parameter")
-    own = {v.name: limit for v in plant.inputs for limit in limits if limit.label == v.name}
     free = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
     nominal = plant.vector("input", attribute="nominal")[free]
-    ends = [(own[plant.inputs[i].name].low, own[plant.inputs[i].name].high) for i in free]
-    low, high = (np.array([end_at(e, time) for e in side]) for side in zip(*ends, strict=True))
-    moving = ca.vertcat(*(plant.u[i] for i in free))
-    others = [c for c in limits if c.label not in own and ca.depends_on(c.expression, moving)]
+    own = [[c for c in limits if ca.is_equal(c.expression, plant.u[i])] for i in free]
+    low = np.array([max(end_at(c.low, time) for c in each) for each in own])
+    high = np.array([min(end_at(c.high, time) for c in each) for each in own])
+    moving, simple = ca.vertcat(*(plant.u[i] for i in free)), {c for each in own for c in each}
+    others = [c for c in limits if c not in simple and ca.depends_on(c.expression, moving)]
     column = ca.vertcat(wanted, *(c.expression / c.nominal for c in others))
     arguments = [plant.x, plant.u, plant.p, TIME]
     function = ca.Function("held", arguments, [column, ca.jacobian(column, moving)])
@@ -240,8 +240,10 @@ def begun(
     x, u = run.sides(point.time)[-1]
     nominal = plant.vector("state", attribute="nominal")
     names = [v.name for v in plant.states]
-    places = {p.name for p in plant.resting(_spoken(plant, [point]))}
-    said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
+    positions = plant.resting(_spoken(plant, [point]))
+    said = {plant.variable(n).name for n in point.stop.values if "(" not in n}
+    said -= {p.name for p in positions}
+    said |= {p.name for p in positions if p.velocities and said.issuperset(p.velocities)}
     memories = [v.name for v in plant.states if v.memory == "held"]
     given = {*memories, *totals(plant)}
     stores = {*store_names(plant)}
@@ -262,12 +264,14 @@ def begun(
             ends = (value, value) if isinstance(word, dict) else _left(plant, i, value, x, still)
         off = max(min(ends) - float(x[i]), float(x[i]) - max(ends), 0.0) / float(nominal[i])
         yield f"{point.label}: {name} at the start", off, name in said
-    moving = any(n.startswith("der(") for n in point.stop.values)
-    # what a stop names is as it says, wherever it goes; the rest has settled beside it
-    for group in (free, [i for i in kept if i not in free]):
+    moving = not point.rest or any(n.startswith("der(") for n in point.stop.values)
+    lags = [i for i in free if names[i] in settled_names(plant)] * (not point.rest)
+    # what a stop names is as it says, wherever it goes; the rest has settled beside it, and where
+    # the plant moves, what no input moves
+    for group in (lags, [i for i in free if i not in lags], [i for i in kept if i not in free]):
         for i, rate, far in zip(group, *_away(plant, x, still, group), strict=True):
-            off = max(rate, far)
-            yield f"{point.label}: {names[i]} settled", off, moving or names[i] in said
+            as_stated = names[i] in said or (moving and i not in lags)
+            yield f"{point.label}: {names[i]} settled", max(rate, far), as_stated
     for name, off in _unreached(plant, x, still):
         if name in plant.copies:
             continue

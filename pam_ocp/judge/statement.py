@@ -5,6 +5,7 @@ What a plan is asked for, what a planner reads and what a judge reads, each by i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias, TypedDict
@@ -13,7 +14,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, require_flag, require_instance, require_positive
+from ..core.errors import (
+    InputError,
+    require_finite,
+    require_flag,
+    require_instance,
+    require_positive,
+)
 from ..core.expressions import scalar_expression
 from ..core.registry import Registry
 from ..core.variables import Variable
@@ -90,6 +97,22 @@ class Constraint:
     nominal: float = 1.0
     unit: str = "1"
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """(low, high) as numbers; InputError where they limit nothing."""
+        argument = f"Constraint {self.name!r}"
+        require_positive(f"{argument}: nominal", self.nominal)
+        low, high = (
+            default if value is None else require_finite(argument, value, self.unit)
+            for value, default in ((self.low, -math.inf), (self.high, math.inf))
+        )
+        if low > high or (self.low is None and self.high is None):
+            raise InputError(
+                f"{argument}: low = {self.low}, high = {self.high}; give one of them, or both with "
+                "low <= high"
+            )
+        return low, high
+
 
 @dataclass(frozen=True)
 class Avoid:
@@ -108,6 +131,23 @@ class Avoid:
 
     region: Mapping[str, tuple[float, float]]
     name: str = "forbidden region"
+
+    def axes(self, plant: Plant) -> list[ca.SX]:
+        """Distances from the centre along each axis, in half widths."""
+        if not self.region:
+            raise InputError("Avoid: the region is empty; give {'x': (centre, half width)}")
+        found = []
+        for key, value in self.region.items():
+            if not (isinstance(value, Sequence) and len(value) == 2):
+                raise InputError(f"Avoid: {key} = {value!r}: give (centre, half width)")
+            unit, expression = "s", TIME
+            if key != "time":
+                variable, expression = subject(plant, key)
+                unit = variable.unit
+            centre = require_finite(f"Avoid: centre of {key}", value[0], unit)
+            width = require_positive(f"Avoid: half width of {key}", value[1], unit)
+            found.append((expression - centre) / width)
+        return found
 
 
 @dataclass(frozen=True)
@@ -248,11 +288,37 @@ class Statement:
             require_instance(f"phases[{i}]", phase, Phase, "give a Phase or None", none=True)
         remedy = "give a list of Constraint and Avoid"
         require_instance("constraints", self.constraints, lists, remedy)
+        for own in (self.constraints, *(p.constraints for p in self.phases or () if p)):
+            for each in own:
+                if not isinstance(each, Constraint | Avoid):
+                    raise InputError(f"constraints: {each!r} is neither a Constraint nor an Avoid")
+        if self.cyclic not in (None, False, True, "mirrored"):
+            raise InputError(f"cyclic = {self.cyclic!r}: choose True, False or 'mirrored'")
 
     @property
     def weights(self) -> Mapping[str, float]:
         """The terms of the objective by name."""
         return {self.minimise: 1.0} if isinstance(self.minimise, str) else self.minimise
+
+    def of_legs(self, count: int) -> list[tuple[Phase, Duration]]:
+        """What holds on each leg only, and how long it may take."""
+        phases = list(self.phases or [None] * count)
+        if len(phases) != count:
+            raise InputError(
+                f"phases holds {len(phases)} entries for {count} phases; give a Phase or None for "
+                "each"
+            )
+        given = self.duration
+        listed = isinstance(given, Sequence) and not isinstance(given, tuple | str)
+        each = list(given) if listed else [given] * count
+        if len(each) != count:
+            raise InputError(
+                f"duration holds {len(each)} entries for {count} phases; give one per phase"
+            )
+        own = [phase or Phase() for phase in phases]
+        return [
+            (p, d if p.duration is None else p.duration) for p, d in zip(own, each, strict=True)
+        ]
 
     @property
     def inputs_jump(self) -> bool:
@@ -260,6 +326,44 @@ class Statement:
         not.
         """
         return self.jumps and "rate" not in self.weights
+
+
+def duration_range(value: Any, free: tuple[float, float]) -> tuple[float, float]:
+    """(shortest, longest) of a leg [s]; free : where nothing is said."""
+    if value is None:
+        return free
+    if isinstance(value, tuple):
+        if len(value) != 2:
+            raise InputError(f"duration = {value}: give (shortest, longest) in seconds")
+        ends = zip(value, free, strict=True)
+        low, high = (end if v is None else require_positive("duration", v, "s") for v, end in ends)
+        if low > high:
+            raise InputError(f"duration = ({low:g}, {high:g}) s: the bounds are crossed")
+        return low, high
+    fixed = require_positive("duration", value, "s")
+    return fixed, fixed
+
+
+def budget_range(term: str, value: Any, unit: str) -> tuple[float, float]:
+    """(least, most) of a budget [unit]."""
+    pair = value if isinstance(value, tuple | list) else (None, value)
+    if len(pair) != 2 or (pair[0] is None and pair[1] is None):
+        raise InputError(f"budgets[{term!r}] = {value!r}: give the most, or (least, most)")
+    low, high = (
+        default if v is None else require_finite(f"budgets[{term!r}]", v, unit)
+        for v, default in zip(pair, (-math.inf, math.inf), strict=True)
+    )
+    if low > high:
+        raise InputError(f"budgets[{term!r}] = ({low:g}, {high:g}): the bounds are crossed")
+    return low, high
+
+
+def aim_and_weight(name: str, wanted: Any) -> tuple[Any, float]:
+    """What a variable is to follow, and how much that counts."""
+    pair = wanted if isinstance(wanted, tuple) else (wanted, 1.0)
+    if len(pair) != 2:
+        raise InputError(f"track[{name!r}] = {wanted!r}: give the aim, or (aim, weight)")
+    return pair[0], require_positive(f"track[{name!r}]: weight", pair[1])
 
 
 def times_seconds(unit: str, power: int = 1) -> str:
@@ -289,6 +393,11 @@ def subject(plant: Plant, name: str) -> tuple[Variable, ca.SX]:
         nominal=10 * state.nominal,
     )
     return variable, expression
+
+
+def ranged_outputs(plant: Plant) -> list[Variable]:
+    """The outputs whose values are limited."""
+    return [v for v in plant.outputs if math.isfinite(v.min) or math.isfinite(v.max)]
 
 
 def require_expression(plant: Plant, argument: str, expression: Any) -> None:
@@ -391,8 +500,9 @@ def _time(plant: Plant, symbols: Symbols) -> ca.SX:
 
 @running_cost("effort", unit="s", slower_is_less=True)
 def _effort(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Integral of the squared inputs, scaled by nominals."""
-    return ca.sumsqr(plant.u / plant.vector("input", attribute="nominal"))
+    """Integral of the squared inputs, scaled by nominals; disturbances are nobody's effort."""
+    chosen = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+    return ca.sumsqr((plant.u / plant.vector("input", attribute="nominal"))[chosen])
 
 
 @running_cost("air", unit="kg", nominal=1e-3, from_supply=True, economical=True)

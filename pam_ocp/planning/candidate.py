@@ -412,7 +412,7 @@ def _shape(problem: Problem) -> tuple[object, ...]:
         [v.name for v in (*plant.states, *plant.inputs)],  # openings in place of commands, say
         (goal.time, goal.rate, goal.peaks, goal.words, goal.only_time),
         [[c.label for c in node] for node in problem.nodes],
-        [[c.label for c in leg.path] for leg in problem.legs],
+        [[(c.label, c.nominal) for c in leg.path] for leg in problem.legs],
         [b.label for b in problem.budgets],
         len(problem.auxiliaries),
         list(problem.design),
@@ -431,8 +431,8 @@ def same_form(old: Problem, new: Problem) -> bool:
 def _require_same_form(old: Problem, new: Problem) -> None:
     if not same_form(old, new):
         raise InputError(
-            "the changed stops, bounds or budgets name other variables than those the planner was "
-            "built with; only numbers may change. Make a new Planner"
+            "the changed stops, bounds, budgets or track have other names, weights or within= than "
+            "those the planner was built with; only numbers may change. Make a new Planner"
         )
     if any(a is not b for a, b in zip(old.profiles, new.profiles, strict=True)):
         raise InputError("a Profile cannot change in a built planner; make a new Planner")

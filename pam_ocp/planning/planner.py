@@ -132,15 +132,17 @@ def plan(
     duration : of each leg between two stops: None (free), seconds, (shortest, longest), or a list
         with one of these per leg.
     minimise : one term, or {term: weight}. Terms: "time", "effort" (integral of the squared inputs
-        in units of nominal), "rate" (the same of their rates), "work" (mechanical, out of the
-        muscles [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles), and of any variable:
-        "integral(NAME)", "square(NAME)" (integral of the square), "final(NAME)" (at the end; a
-        negative weight asks for the most), "peak(NAME)" (largest value), in units of its nominal.
+        in units of nominal, without disturbances), "rate" (the same of their rates), "work"
+        (mechanical, out of the muscles [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles),
+        and of any variable: "integral(NAME)", "square(NAME)" (integral of the square),
+        "final(NAME)" (at the end; a negative weight asks for the most), "peak(NAME)" (largest
+        value), in units of its nominal.
     bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end, a :class:`Profile`
         for a bound that changes with time; narrows the plant's own bounds. Path constraints of the
         plant (never slack, pressure rates) always hold.
     rest : positions have zero velocity and acceleration at each stop, in whatever coordinates; what
-        an input sets at once may jump there, if admissible inputs would hold the plant.
+        an input sets at once may jump there, if admissible inputs (as the stop names them, where
+        it does) would hold the plant.
     memory : what states with a held memory (hysteresis) hold at the first stop: "virgin" (their
         start values), "above" or "below" (the side from which the plant came to rest there), or
         {state: value}; a cyclic motion closes them. What settles (creep) has settled there.
@@ -149,7 +151,8 @@ def plan(
     track : {NAME: aim or (aim, weight)}, an aim being a number or a Profile: adds the integral of
         weight ((value - aim)/nominal)^2 to the objective.
     budgets : {running term: most, or (least, most)} in SI, such as {"air": 1e-3} or
-        {"integral(force)": 50.0}; "time" bounds the duration of the whole motion.
+        {"integral(force)": 50.0} ("effort" and squares as they are minimised, in s); "time" bounds
+        the duration of the whole motion.
     design : {parameter of the plant: (low, high)}: chosen with the motion.
     integrand, final : further running cost, and cost of the end: CasADi expressions of the plant's
         symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.planning.TIME``.

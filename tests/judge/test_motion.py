@@ -213,6 +213,8 @@ def test_the_largest_value_is_found_between_points():
 
 
 LINE = pam.Profile([0.0, TIME], [0.0, WAY])
+HIGH = pam.Profile([0.0, TIME], [2.0, 2.0])
+SPIKE = pam.Profile([0.0, 0.3036, 0.3037, 0.3038, 1.0], [9.0, 9.0, 1.0, 9.0, 9.0])
 BENT = pam.Profile([0.0, 0.2, 0.5, 1.0], np.array([0.0, 0.2, 0.5, 1.0]) ** 3, smooth=True)
 VIA = [{"x": 0.0}, pam.Stop({"x": 0.5}, rest=False), {"x": WAY}]
 
@@ -227,11 +229,19 @@ def limit(**ends) -> pam.Constraint:
         ({"constraints": [pam.Avoid({"x": (0.5, 0.1)}, name="block")]}, "block", 1.0),
         ({"constraints": [pam.Avoid({"x": (0.5, 0.1), "time": (0.5, 0.2)}, "then")]}, "then", 1.0),
         ({"constraints": [pam.Avoid({"x": (0.5, 0.1), "time": (0.9, 0.2)}, "then")]}, "then", 0.0),
+        ({"constraints": [pam.Avoid({"x": (0.3, 1e-5)}, "thin")]}, "thin", 1.0),
+        ({"constraints": [pam.Avoid({"x": (0.3, 1e-5), "v": (1.0, 0.2)}, "thin")]}, "thin", 0.0),
         ({"constraints": [limit(high=0.9)]}, "place", 0.1 / 0.25),
         ({"constraints": [limit(low=0.2)]}, "place", 0.2 / 0.25),
         ({"bounds": {"v": (None, 1.5)}}, "v", 0.5 / V),  # between the points
         ({"bounds": {"power": (None, 1.0)}}, "power", (2 * A - 1) / P),  # before the jump alone
         ({"bounds": {"x": (None, LINE)}}, "x below its profile", 1 / 8 / X),  # 1 - 2 s^2 - (1 - s)
+        ({"bounds": {"v": (None, SPIKE)}}, "v below its profile", (4 * 0.3037 - 1) / V),
+        (
+            {"bounds": {"x": (None, LINE)}, "phases": [None, pam.Phase(bounds={"x": (0, HIGH)})]},
+            "x below its profile",
+            1 / 8 / X,
+        ),
         ({"bounds": {"u": (-9.0, 9.0)}}, "u", 0.0),
         ({"bounds": {"u": (-3.0, None)}}, "u", (A - 3) / U),
         ({"bounds": {"u": (None, 3.0)}}, "u", (A - 3) / U),
@@ -292,6 +302,48 @@ def test_a_dwell_lasts_and_holds_what_its_stop_names(place, dwell, label, by):
     assert "duration of leg 1" not in by_each
 
 
+def held_by_pull(force: float, inputs: list[float], durations: list[float], stops, **words):
+    """x'' = f + w, f' = u: what is found of a motion with (u, w) held on three equal parts."""
+    plant = pam.Plant("pulled")
+    x, v, f = plant.state("x"), plant.state("v"), plant.state("f")
+    u, w = plant.input("u"), plant.input("w", min=-4.0, max=4.0)
+    plant.der(x, v)
+    plant.der(v, f + w)
+    plant.der(f, u)
+    plant.output("pull", f + w, max=2.5)
+    pieces = np.array([[[0.0, w]] for w in inputs])
+    signals = PiecewisePolynomial(np.linspace(0.0, sum(durations), len(pieces) + 1), pieces)
+    motion = Motion(np.array([0.0, 0.0, force]), signals, tuple(durations))
+    return by_label(judge(plant, Statement(stops, **words), motion))
+
+
+@pytest.mark.parametrize(
+    ("named", "phase", "by"),
+    [
+        ({}, {}, 0.0),
+        ({"w": (-9.0, 0.0)}, {}, 0.0),
+        ({}, {"w": (0.0, 9.0)}, 0.0),
+        ({"w": 0.5}, {}, 0.15),
+        ({"pull": 0.5}, {}, 0.05),
+        ({"f": 1.0, "w": (0.0, 0.0)}, {}, 0.1),
+    ],
+)
+def test_what_holds_a_plant_at_a_stop_is_what_the_stop_says(named, phase, by):
+    """A force of 1 is held by w = -1; phases say nothing of stops."""
+    stops = [pam.Stop({"x": 0.0} | named), ANYHOW]
+    found = held_by_pull(1.0, [0.0], [1.0], stops, phases=[pam.Phase(bounds=phase)])
+    assert found.get("stop 1: der(v) at rest", 0.0) == pytest.approx(by, rel=0.02, abs=1e-9)
+
+
+def test_a_dwell_says_nothing_of_the_inputs_behind_it():
+    """w is 0 for a second, then 3: that is the next leg's, and more than the output may be."""
+    stops = [pam.Stop({"x": 0.0, "w": 0.0}, dwell=1.0), ANYHOW]
+    found = held_by_pull(0.0, [0.0, 3.0], [1.0, 1.0], stops)
+    assert {n: by for n, by in found.items() if by > 1e-9} == pytest.approx({"pull": 0.5})
+    late = held_by_pull(0.0, [0.0, 3.0, 3.0], [2.0, 1.0], stops)
+    assert late["dwell at stop 1: w"] == pytest.approx(3.0 - 1e-3)
+
+
 def test_a_mirrored_cycle_ends_in_its_image_and_what_only_sums_up_does_not_close():
     """x from 0.2 to 1.2, whose image is -0.2; the sum begins at 3, not at its start value 2."""
     plant = cart(total=True)
@@ -316,6 +368,8 @@ def test_a_disturbance_is_what_it_is_unless_the_statement_says_otherwise(bounds,
     judgement = judged_held(plant, [0.0, 0.0], [-0.5, 0.5], [{"x": 0.0}] * 2, bounds=bounds)
     assert judgement.constraint in ("d", "")
     assert judgement.violation == pytest.approx(by, abs=1e-9)
+    effort = judged_held(plant, [0.0, 0.0], [-0.5, 0.5], [ANYHOW] * 2, minimise="effort")
+    assert effort.objective == pytest.approx(0.5**2)  # nobody makes the disturbance
 
 
 @pytest.mark.parametrize(
@@ -465,6 +519,13 @@ def test_a_budget_is_of_what_adds_up_along_a_motion(term):
         judge(cart(), Statement(STOPS, budgets={term: 1.0}), bang_bang())
 
 
+ODD = {"cyclic": "mirrored"}
+
+
+def limit_of(nominal: float) -> pam.Constraint:
+    return pam.Constraint(CART.expression("x"), high=1.0, nominal=nominal)
+
+
 # ---- statements ----------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("words", "make"),
@@ -485,6 +546,21 @@ def test_a_budget_is_of_what_adds_up_along_a_motion(term):
             "not the plant's: x",
             lambda: found(bang_bang(), constraints=[pam.Constraint(cart().x[0])]),
         ),
+        ("not the plant's: x", lambda: found(bang_bang(), final=cart().x[0])),
+        ("neither a Constraint", lambda: found(bang_bang(), constraints=[None])),
+        ("nominal = -1 must be > 0", lambda: found(bang_bang(), constraints=[limit_of(-1.0)])),
+        ("give one of them", lambda: found(bang_bang(), constraints=[limit()])),
+        ("region is empty", lambda: found(bang_bang(), constraints=[pam.Avoid({})])),
+        ("x = 0 m must", lambda: found(bang_bang(), constraints=[pam.Avoid({"x": (0.5, 0.0)})])),
+        ("2 entries for 1 phases", lambda: found(bang_bang(), phases=[None, None])),
+        ("0 entries for 1 phases", lambda: found(bang_bang(), duration=[])),
+        ("(shortest, longest)", lambda: found(bang_bang(), duration=(0.1, 0.2, 0.3))),
+        ("give the most", lambda: found(bang_bang(), budgets={"effort": (1.0, 2.0, 3.0)})),
+        ("give the aim", lambda: found(bang_bang(), track={"x": (1.0, 2.0, 3.0)})),
+        ("'mirrored'", lambda: found(bang_bang(), cyclic="mirror")),
+        ("no mirror symmetry", lambda: judged_held(hardening_cart(), [0, 0], [0], [{}, {}], **ODD)),
+        ("from 0 to 1 s, and", lambda: found(replace(bang_bang(), durations=(2.0,)))),
+        ("3 states and 1 inputs; cart", lambda: found(replace(bang_bang(), start=np.zeros(3)))),
         ("has no muscle", lambda: COSTS["work"].expression(hardening_cart(), None)),
         ("'air' needs the outputs", lambda: COSTS["air"].expression(hardening_cart(), None)),
     ],

@@ -112,9 +112,36 @@ def test_a_memory_begins_where_it_comes_to_unless_it_is_said(memory, m, by):
     plant.der(x, v)
     plant.der(v, plant.input("u", min=-1.0, max=1.0))
     plant.der(mark, ca.fmax(x - mark, 0.0) / 0.01)
-    findings = judged_held(plant, [2.0, 0.0, m], [0.0], [{"x": 2.0}, {}], memory=memory).findings
-    found = {f.label: f.by for f in findings}
-    assert found.get("stop 1: m at the start", 0.0) == pytest.approx(by, abs=1e-6)
+    for rest in (True, False):  # also where the motion does not begin at rest
+        stops = [pam.Stop({"x": 2.0}, rest=rest), {}]
+        found = judged_held(plant, [2.0, 0.0, m], [0.0], stops, memory=memory)
+        assert found.violation == pytest.approx(by, abs=1e-6)
+        assert found.constraint in ("stop 1: m at the start", "") or by == 0.0
+
+
+@pytest.mark.parametrize(
+    ("start", "label", "by"),
+    [
+        ([0.0, 0.3, 0.0, 0.3, 1.0], "", 0.0),
+        ([0.0, 0.3, 0.5, 0.3, 1.0], "stop 1: crept settled", 0.5),
+        ([0.0, 0.3, 0.0, 0.7, 1.0], "stop 1: filtered settled", 0.4),
+        ([0.0, 0.3, 0.0, 0.3, 1.5], "stop 1: lost at the start", 0.5),
+    ],
+)
+def test_a_motion_that_begins_moving_has_a_past(start, label, by):
+    """A given velocity: what creeps and filters has followed it, what sums up begins at 1."""
+    plant = pam.Plant("moving")
+    x, v, crept = plant.state("x"), plant.state("v"), plant.state("crept", memory="settling")
+    filtered, lost = plant.state("filtered"), plant.state("lost", start=1.0)
+    for state, rate in ((x, v), (v, plant.input("u")), (crept, -crept / 2)):
+        plant.der(state, rate)
+    plant.der(filtered, (v - filtered) / 0.1)
+    plant.der(lost, v**2)
+    for rest in (True, False):
+        stops = [pam.Stop({"x": 0.0, "v": 0.3}, rest=rest), pam.Stop({}, rest=False)]
+        found = judged_held(plant, start, [0.0], stops)
+        assert found.violation == pytest.approx(by, abs=1e-6)
+        assert found.constraint == label or not label
 
 
 @pytest.mark.parametrize(

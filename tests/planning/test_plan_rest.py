@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
 from pam_ocp.operating.held import held, surroundings
+from pam_ocp.planning.problem.formulation import formulate
 
 METHOD = Collocation(10, 5)
 COARSE = Collocation(8, 3)
@@ -47,6 +48,44 @@ def test_a_motion_from_rest_to_rest_is_the_same_in_all_coordinates(coordinates):
     assert plan.duration == pytest.approx(2.0, rel=1e-6)
     ends = plan.trajectory.array([v.name for v in plan.plant.states if v.name != "x"])[[0, -1]]
     assert ends.sum(axis=1) == pytest.approx([0.0, 0.0], abs=1e-8)
+
+
+def pulled():
+    """x'' = f + w, where f lags behind u."""
+    plant = pam.Plant("pulled")
+    x, v, f = plant.state("x"), plant.state("v"), plant.state("f", min=-4.0, max=4.0)
+    u, w = (plant.input(n, min=-4.0, max=4.0) for n in "uw")
+    plant.der(x, v)
+    plant.der(v, f + w)
+    plant.der(f, (u - f) / 0.1)
+    return plant
+
+
+def test_the_inputs_that_the_first_stop_names_hold_the_plant_there():
+    stops, asked = [{"x": 0.0}, {"x": 1.0}], {"method": METHOD}
+    for named, force in (({"w": -1.0}, 1.0), ({"u": 0.5}, 0.5)):
+        plan = pam.plan(pulled(), [stops[0] | named, stops[1]], **asked)
+        assert plan.trajectory["f"][0] == pytest.approx(force, abs=1e-7)
+
+
+def test_a_dwell_is_two_stops_with_the_same_place():
+    """Other inputs hold the plant when it leaves than when it came, and the next leg's are free."""
+    asked = {"method": METHOD}
+    stay, ends = [None, pam.Phase(bounds={"x": (0.499, 0.501)}), None], [{"x": 0.0}, {"x": 1.0}]
+    dwell = pam.Stop({"x": 0.5, "w": (-9.0, 9.0)}, dwell=0.5)
+    plan = pam.plan(pulled(), [ends[0], dwell, ends[1]], **asked)
+    stops = [ends[0], {"x": 0.5}, {"x": 0.5}, ends[1]]
+    two = pam.plan(pulled(), stops, duration=[None, 0.5, None], phases=stay, **asked)
+    assert plan.duration == pytest.approx(two.duration, rel=1e-6)
+
+
+def test_a_dwell_keeps_no_limits_of_the_leg_behind_it():
+    plant = pulled()
+    own = pam.Constraint(plant.expression("w"), high=1.0, name="own")
+    stops = [{"x": 0.0}, pam.Stop({"x": 0.5}, dwell=0.5), {"x": 1.0}]
+    said = pam.judge.Statement(stops, phases=[None, pam.Phase(constraints=[own])])
+    paths = [[c.label for c in leg.path] for leg in formulate(plant, said).legs]
+    assert paths == [[], ["dwell at stop 2: x"], ["own"]]
 
 
 def test_generalised_coordinates_rest_as_the_place_does():

@@ -13,8 +13,10 @@ from searches import pushed
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Stop
+from pam_ocp.judge import Statement
 from pam_ocp.planning import Shooting
 from pam_ocp.planning.planner import SolveKeywords
+from pam_ocp.planning.problem.formulation import formulate
 
 POLYNOMIAL = Collocation(6, 6, "polynomial")
 
@@ -186,6 +188,24 @@ def test_a_constraint_of_ones_own_is_kept():
     assert plan.duration > 2 * np.sqrt(0.1) * 1.05
 
 
+def test_limits_of_one_name_are_two():
+    """A constraint that is called like an output, in a phase that bounds the output, and twice."""
+    plant = double_integrator(10.0)
+    own = Constraint(plant.expression("v"), high=2.0, name="power")
+    asked = {"constraints": [own, own], "phases": [Phase(bounds={"power": (None, 8.0)})]}
+    path = formulate(plant, Statement([{"x": 0.0}, {"x": 1.0}], **asked)).legs[0].path
+    assert {c.label: c.high for c in path} == {"power": 2.0, "power (2)": 2.0, "power (3)": 8.0}
+
+
+def test_the_range_of_an_output_is_kept():
+    """d/v + v/a: 10 m/s^2 up to 2 m/s."""
+    plant = double_integrator(10.0)
+    plant = plant.with_output("speed", plant.expression("v"), max=2.0)
+    plan = pam.plan(plant, [{"x": 0.0}, {"x": 1.0}], method=Collocation(14, 3))
+    assert plan.verified
+    assert plan.duration == pytest.approx(1 / 2 + 2 / 10, rel=1e-3)
+
+
 def test_a_budget_of_effort_costs_time():
     """Least time with integral u^2 <= E from rest to rest over one metre: T^3 = 12/E (u = 6/T^2
     ...).
@@ -275,6 +295,15 @@ def test_a_planner_solves_again_for_other_numbers(slide):
         planner(cyclic=True)
 
 
+def test_weights_and_margins_of_a_built_planner_stay():
+    stops = [{"x": 0.0}, Stop({"x": 1.0}, dwell=0.1)]
+    planner = pam.Planner(double_integrator(), stops, track={"x": (1.0, 2.0)})
+    with pytest.raises(InputError, match="only numbers may change"):
+        planner(track={"x": (1.0, 3.0)})
+    with pytest.raises(InputError, match="only numbers may change"):
+        planner(stops=[stops[0], Stop({"x": 1.0}, dwell=0.1, within=0.1)])
+
+
 @pytest.mark.parametrize("name", ["mass", "muscle1.lag", "muscle1.a1"])
 def test_sensitivities_agree_with_solving_again(slide, name):
     asked = {"duration": 0.2, "minimise": {"effort": 1.0, "rate": 1e-3}}
@@ -346,6 +375,8 @@ STOPS = [{"x": -0.01}, {"x": 0.01}]
         ({"phases": [None, None]}, "2 entries for 1 phases"),
         ({"bounds": {"x": (0.0, Profile([0, 1], [0, 1])), "v": (2.0, 1.0)}}, "crossed"),
         ({"constraints": [3]}, "neither a Constraint nor an Avoid"),
+        ({"track": {"x": (0.0, 1.0, 2.0)}}, "give the aim"),
+        ({"budgets": {"peak(x)": 1.0}}, r"square\(NAME\)$"),
         ({"constraints": [Avoid({})]}, "region is empty"),
         ({"constraints": [Constraint(ca.SX.sym("z"), high=1.0)]}, "not the plant's: z"),
         ({"track": {"x": "far"}}, "not a number"),
@@ -367,6 +398,16 @@ STOPS = [{"x": -0.01}, {"x": 0.01}]
 def test_what_cannot_be_meant_is_refused(slide, arguments, message):
     with pytest.raises(InputError, match=message):
         pam.plan(slide, **{"stops": STOPS, **arguments})
+
+
+def test_a_disturbance_that_changes_is_no_bound_of_a_plan():
+    plant = pam.Plant("blown")
+    x, v, u = plant.state("x"), plant.state("v"), plant.input("u", min=-2.0, max=2.0)
+    plant.der(x, v)
+    plant.der(v, u + plant.input("wind", disturbance=True))
+    for bound in (gust := Profile([0, 1], [0.0, 0.5]), (None, gust)):
+        with pytest.raises(InputError, match="wind is a disturbance, which a plan holds constant"):
+            pam.plan(plant, AT_REST, bounds={"wind": bound})
 
 
 def test_times_of_a_profile_rise():

@@ -10,10 +10,18 @@ from typing import Any
 
 import casadi as ca
 
-from ...core.errors import InputError, require_positive
+from ...core.errors import InputError
 from ...core.quantities import is_quantity
 from ...core.variables import Variable
-from ...judge.statement import COSTS, Cyclic, Statement, Stop, subject, times_seconds
+from ...judge.statement import (
+    COSTS,
+    Cyclic,
+    Statement,
+    Stop,
+    duration_range,
+    subject,
+    times_seconds,
+)
 from ...plants.plant import Plant, require_plant
 from ...plants.stillness import Position, rate_of, rest_rows, totals
 from .limits import (
@@ -21,6 +29,7 @@ from .limits import (
     common_limits,
     conditions_of,
     design_ranges,
+    distinct,
     key_of,
     left_by_the_past,
     narrowed,
@@ -40,7 +49,7 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
     require_plant(plant)
     symbols = Symbols()
     common = common_limits(plant, statement.bounds or {}, symbols)
-    common.path += conditions_of(plant, statement.constraints)
+    common.path = distinct([*common.path, *conditions_of(plant, statement.constraints)])
     stops = _stops(plant, statement)
     labels = [f"stop {i + 1}" for i in range(len(stops))]
     route = list(zip(labels, stops, strict=True))
@@ -54,7 +63,7 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
     motions = _motions(plant, statement, len(route) - 1, common, symbols)
     closing = closing_states(plant, statement.cyclic)
     holding = Holding(plant, common.variables, kept, symbols, statement.inputs_jump)
-    nodes, legs, values = _laid_out(plant, statement, route, motions, common.variables, holding)
+    nodes, legs, values = _laid_out(plant, statement, route, motions, common, holding)
     left = left_by_the_past(plant, statement, stops[0], common.variables)
     nodes[0] += tuple(holding.at(labels[0], left))
     if statement.cyclic is True:  # the last node is the first: its own conditions would stand twice
@@ -124,10 +133,11 @@ def _laid_out(
     statement: Statement,
     route: Sequence[tuple[str, Stop]],
     motions: Sequence[Leg],
-    bounds: Mapping[str, Range],
+    common: Limits,
     holding: Holding,
 ) -> tuple[list[tuple[Condition, ...]], list[Leg], list[dict[str, Any]]]:
     """Nodes, legs and the nodes' values; a dwell adds a leg behind its stop."""
+    bounds = common.variables
     nodes, legs, values = [], [], []
     holding.positions = resting_positions(plant, [stop for _, stop in route])
     for i, (label, stop) in enumerate(route):
@@ -144,13 +154,31 @@ def _laid_out(
             if statement.cyclic == "mirrored" and i == len(route) - 1:
                 raise InputError("cyclic = 'mirrored': give the dwell to stop 1, its image follows")
             within = _held(plant, conditions, stop)
-            path = (*(motions[i] if i < len(motions) else motions[-1]).path, *within)
-            legs.append(Leg(_duration(stop.dwell), path, dict(bounds), dwell=True))
-            nodes.append(conditions)
+            legs.append(
+                Leg(
+                    duration_range(stop.dwell, DURATIONS),
+                    (*common.path, *within),
+                    dict(bounds),
+                    dwell=True,
+                )
+            )
+            nodes.append(_left(plant, label, asked, bounds, holding))
             values.append(dict(stop.values))
         if i < len(motions):
             legs.append(motions[i])
     return nodes, legs, values
+
+
+def _left(
+    plant: Plant, label: str, stop: Stop, bounds: Mapping[str, Range], holding: Holding
+) -> tuple[Condition, ...]:
+    """Conditions at the end of a dwell: inputs of its own hold the plant there, and the inputs
+    behind it are those of the next leg.
+    """
+    own = replace(holding, instead={})
+    conditions = _conditions(plant, label, stop, bounds, own, ())
+    named, rest = conditions[: len(stop.values)], conditions[len(stop.values) :]
+    return (*(c for c in named if not ca.depends_on(c.expression, plant.u)), *rest)
 
 
 def _held(plant: Plant, conditions: Sequence[Condition], stop: Stop) -> list[Condition]:
@@ -201,7 +229,9 @@ def _conditions(
         conditions.append(
             Condition(f"{label}: {name}", expression, low, high, variable.nominal, variable)
         )
-    return conditions + (at_rest(plant, label, stop, holding, settled) if stop.rest else [])
+    if not stop.rest:
+        return conditions
+    return conditions + at_rest(plant, label, stop, holding, conditions, settled)
 
 
 # ---- legs -------------------------------------------------------------------------------------
@@ -209,46 +239,13 @@ def _motions(
     plant: Plant, statement: Statement, count: int, common: Limits, symbols: Symbols
 ) -> list[Leg]:
     """The legs between the stops, without dwells."""
-    durations = _durations(statement.duration, count)
-    phases = list(statement.phases or [None] * count)
-    if len(phases) != count:
-        raise InputError(
-            f"phases holds {len(phases)} entries for {count} phases; give a Phase or None for each"
-        )
     legs = []
-    for i, (phase, duration) in enumerate(zip(phases, durations, strict=True)):
-        limits = common
-        if phase is not None:
-            limits = narrowed(plant, common, f"phases[{i}].bounds", phase.bounds, symbols)
-            limits.path.extend(conditions_of(plant, phase.constraints))
-            duration = duration if phase.duration is None else _duration(phase.duration)
-        legs.append(Leg(duration, tuple(limits.path), limits.variables))
+    for i, (phase, duration) in enumerate(statement.of_legs(count)):
+        limits = narrowed(plant, common, f"phases[{i}].bounds", phase.bounds, symbols)
+        limits.path = distinct([*limits.path, *conditions_of(plant, phase.constraints)])
+        ends = duration_range(duration, DURATIONS)
+        legs.append(Leg(ends, tuple(limits.path), limits.variables))
     return legs
-
-
-def _durations(duration: Any, legs: int) -> tuple[Range, ...]:
-    if isinstance(duration, Sequence) and not isinstance(duration, tuple | str):
-        if len(duration) != legs:
-            raise InputError(
-                f"duration holds {len(duration)} entries for {legs} phases; give one per phase"
-            )
-        return tuple(_duration(d) for d in duration)
-    return (_duration(duration),) * legs
-
-
-def _duration(value: Any) -> Range:
-    if value is None:
-        return DURATIONS
-    if isinstance(value, tuple):
-        if len(value) != 2:
-            raise InputError(f"duration = {value}: give (shortest, longest) in seconds")
-        ends = zip(value, DURATIONS, strict=True)
-        low, high = (end if v is None else require_positive("duration", v, "s") for v, end in ends)
-        if low > high:
-            raise InputError(f"duration = ({low:g}, {high:g}) s: the bounds are crossed")
-        return low, high
-    fixed = require_positive("duration", value, "s")
-    return fixed, fixed
 
 
 def _require_a_motion(statement: Statement, stops: Sequence[Stop], legs: Sequence[Leg]) -> None:
@@ -287,8 +284,6 @@ def closing_states(plant: Plant, cyclic: Cyclic) -> dict[str, tuple[float, str]]
     sums = totals(plant)  # what only adds up never comes back
     if cyclic is True:
         return {v.name: (1.0, v.name) for v in plant.states if v.name not in sums}
-    if cyclic != "mirrored":
-        raise InputError(f"cyclic = {cyclic!r}: choose True, False or 'mirrored'")
     mirror = plant.mirror_map
     if not mirror:
         raise InputError(
@@ -383,8 +378,12 @@ class Holding:
         u, held = self.plant.u, self.instead[label]
         return [replace(c, expression=ca.substitute(c.expression, u, held)) for c in conditions]
 
-    def inputs(self, label: str, rows: Sequence[ca.SX]) -> list[Condition]:
-        """Conditions on what stands for the inputs in the rows of rest."""
+    def inputs(
+        self, label: str, rows: Sequence[ca.SX], named: Sequence[Condition]
+    ) -> list[Condition]:
+        """Conditions on what stands for the inputs in the rows of rest; named : what the stop says
+        besides, which holds under them, too.
+        """
         plant = self.plant
         values, conditions, jumping = [], [], []
         asked = ca.vertcat(*rows) if rows else ca.SX(0, 1)
@@ -412,20 +411,25 @@ class Holding:
             conditions += [
                 replace(
                     c,
-                    label=f"{label}: {c.label} where it is held",
+                    label=f"{label}: {c.label.removeprefix(f'{label}: ')} where it is held",
                     expression=ca.substitute(c.expression, plant.u, instead),
                 )
-                for c in self.path
+                for c in (*self.path, *named)
                 if ca.depends_on(c.expression, ca.vertcat(*jumping))
             ]
         return conditions
 
 
 def at_rest(
-    plant: Plant, label: str, stop: Stop, holding: Holding, settled: Sequence[Condition] = ()
+    plant: Plant,
+    label: str,
+    stop: Stop,
+    holding: Holding,
+    named: Sequence[Condition] = (),
+    settled: Sequence[Condition] = (),
 ) -> list[Condition]:
     """Rate and acceleration of every position are zero, where the stop says nothing else; and with
-    the same inputs what else has settled there.
+    the same inputs what else has settled there, and what the stop has ``named``.
     """
     conditions = []
     positions = holding.positions
@@ -447,7 +451,7 @@ def at_rest(
             Condition(f"{label}: {name} at rest", expression, 0.0, 0.0, variable.nominal, variable)
         )
     conditions += settled
-    beside = holding.inputs(label, [c.expression for c in conditions])
+    beside = holding.inputs(label, [c.expression for c in conditions], named)
     return holding.at(label, conditions) + beside
 
 

@@ -14,17 +14,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError, PlanWarning, require_finite, require_positive
+from ...core.errors import InputError, PlanWarning, require_finite
 from ...core.quantities import outside
 from ...core.variables import Variable
 from ...judge.statement import (
     COSTS,
-    TIME,
     Avoid,
     Constraint,
     Profile,
     Statement,
     Stop,
+    ranged_outputs,
     require_expression,
     subject,
 )
@@ -65,7 +65,7 @@ def common_limits(plant: Plant, bounds: Mapping[str, Any], symbols: Symbols) -> 
             variables[variable.name] = variable.min - beyond, variable.max + beyond
     path = [
         Condition(v.name, plant.expression(v.name), v.min, v.max, v.nominal, v)
-        for v in plant.constraints
+        for v in (*plant.constraints, *ranged_outputs(plant))
     ]
     return narrowed(plant, Limits(variables, path), "bounds", bounds, symbols)
 
@@ -87,16 +87,22 @@ def narrowed(
                 f"(low, high)}}"
             )
         low, high, changing = _constant_part(f"{argument}[{name!r}]", value, variable)
+        if variable.disturbance and changing:
+            raise InputError(
+                f"{argument}[{name!r}]: {key} is a disturbance, which a plan holds constant; give "
+                "a number, or state in the plant how it changes"
+            )
         for profile, side in changing:
             path.append(_beside(variable, expression, symbols.aim(key, profile), side))
-        if variable.disturbance and not changing:  # the user may say what it is
+        if variable.disturbance:  # the user may say what it is
             variables[key] = _inside(argument, variable, low, high)
         elif key in variables:
             least, most = variables[key]
             low, high = _inside(argument, variable, low, high)
             variables[key] = _crossing(argument, variable, max(low, least), min(high, most))
         else:
-            at = next((i for i, c in enumerate(path) if c.label == key), None)
+            alike = (i for i, c in enumerate(path) if (c.label, c.shown) == (key, variable))
+            at = next(alike, None)
             if at is None:
                 path.append(Condition(key, expression, low, high, variable.nominal, variable))
             else:
@@ -176,52 +182,37 @@ def range_of(argument: str, value: Any, variable: Variable) -> Range:
     return low, high
 
 
+def distinct(path: Sequence[Condition]) -> list[Condition]:
+    """The conditions with labels that differ: by these the mesh knows which of them to watch."""
+    found: dict[str, Condition] = {}
+    for condition in path:
+        label, count = condition.label, 1
+        while label in found:
+            count += 1
+            label = f"{condition.label} ({count})"
+        found[label] = condition if count == 1 else replace(condition, label=label)
+    return [*found.values()]
+
+
 def conditions_of(plant: Plant, given: Sequence[Constraint | Avoid]) -> list[Condition]:
-    found: list[Condition] = []
-    for constraint in given:
-        if isinstance(constraint, Constraint):
-            found.append(_kept_within(plant, constraint))
-        elif isinstance(constraint, Avoid):
-            found.append(_kept_outside(plant, constraint))
-        else:
-            raise InputError(f"constraints: {constraint!r} is neither a Constraint nor an Avoid")
-    return found
+    return [
+        (_kept_outside if isinstance(c, Avoid) else _kept_within)(plant, c)  # type: ignore[arg-type]
+        for c in given
+    ]
 
 
 def _kept_within(plant: Plant, given: Constraint) -> Condition:
-    argument = f"Constraint {given.name!r}"
-    require_expression(plant, argument, given.expression)
-    low, high = (
-        default if value is None else require_finite(argument, value, given.unit)
-        for value, default in ((given.low, -INF), (given.high, INF))
-    )
-    if low > high or (given.low is None and given.high is None):
-        raise InputError(
-            f"{argument}: low = {given.low}, high = {given.high}; give one of them, or both with "
-            "low <= high"
-        )
+    require_expression(plant, f"Constraint {given.name!r}", given.expression)
+    low, high = given.ends
     shown = Variable("value", "constraint", unit=given.unit, nominal=given.nominal)
     return Condition(given.name, given.expression, low, high, given.nominal, shown)
 
 
 def _kept_outside(plant: Plant, given: Avoid) -> Condition:
-    if not given.region:
-        raise InputError("Avoid: the region is empty; give {'x': (centre, half width)}")
-    distance = ca.SX(0)
-    for key, value in given.region.items():
-        if not (isinstance(value, Sequence) and len(value) == 2):
-            raise InputError(f"Avoid: {key} = {value!r}: give (centre, half width)")
-        if key == "time":
-            unit, expression = "s", TIME
-        else:
-            variable, expression = subject(plant, key)
-            unit = variable.unit
-        centre = require_finite(f"Avoid: centre of {key}", value[0], unit)
-        width = require_positive(f"Avoid: half width of {key}", value[1], unit)
-        distance += ((expression - centre) / width) ** 2
     shown = Variable("distance", "constraint")
     # the root grows evenly with the distance, so a solver far inside sees a slope of order one
-    return Condition(given.name, ca.sqrt(distance + 1e-12), 1.0, INF, 1.0, shown)
+    distance = ca.sqrt(sum(axis**2 for axis in given.axes(plant)) + 1e-12)
+    return Condition(given.name, distance, 1.0, INF, 1.0, shown)
 
 
 def design_ranges(plant: Plant, design: Mapping[str, Any]) -> dict[str, Range]:

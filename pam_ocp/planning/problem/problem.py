@@ -17,6 +17,8 @@ from ...judge.statement import (
     COSTS,
     TIME,
     Profile,
+    aim_and_weight,
+    budget_range,
     mechanical_power,
     muscles_of,
     require_expression,
@@ -314,7 +316,10 @@ def _running(
             return (expression / variable.nominal) ** 2, Variable("square", "output", unit="s")
         unit = times_seconds(variable.unit)
         return expression, Variable("integral", "output", unit=unit, nominal=variable.nominal)
-    raise UnknownNameError("objective", term, (*COSTS, "rate", *(f"{f}(NAME)" for f in FORMS)))
+    forms = ("integral(NAME)", "square(NAME)")
+    if not form and term != "rate":  # misspelt; budgets are of what adds up alone
+        forms = ("rate", *(f"{f}(NAME)" for f in FORMS))
+    raise UnknownNameError("objective", term, (*COSTS, *forms))
 
 
 def objective(
@@ -362,7 +367,7 @@ def objective(
         last + (0 if final is None else final),
         tuple(weight for weight, _ in symbols.peaks),
         bool(economical),
-        _in_words(weights, units, (track, integrand, final)),
+        _in_words(weights, units, track or {}, (integrand, final)),
     )
 
 
@@ -412,17 +417,21 @@ def _counted(variable: Variable) -> str:
 
 
 def _in_words(
-    weights: Mapping[str, float], units: Mapping[str, str], more: tuple[Any, Any, Any]
+    weights: Mapping[str, float],
+    units: Mapping[str, str],
+    track: Mapping[str, Any],
+    more: tuple[Any, Any],
 ) -> str:
-    """``time [s] + 0.001 rate + tracking``."""
+    """``time [s] + 0.001 rate + 2 tracking of x``."""
+    tracked = {f"tracking of {n}": aim_and_weight(n, wanted)[1] for n, wanted in track.items()}
     said = [
         ("" if weight == 1 else f"{weight:g} ")
         + term
         + (f" [{units[term]}]" if units.get(term) else "")
-        for term, weight in weights.items()
+        for term, weight in {**weights, **tracked}.items()
         if weight
     ]
-    names = ("tracking", "integrand", "final")
+    names = ("integrand", "final")
     return " + ".join(said + [n for n, given in zip(names, more, strict=True) if given is not None])
 
 
@@ -431,8 +440,7 @@ def _tracking(plant: Plant, symbols: Symbols, track: Mapping[str, Any]) -> ca.SX
     total = ca.SX(0)
     for name, wanted in track.items():
         variable = plant.variable(name)
-        aim, weight = wanted if isinstance(wanted, tuple) else (wanted, 1.0)
-        require_positive(f"track[{name!r}]: weight", weight)
+        aim, weight = aim_and_weight(name, wanted)
         error = plant.expression(variable.name) - symbols.aim(
             f"track[{name!r}]", aim, variable.unit
         )
@@ -448,15 +456,7 @@ def budget(
     """
     symbols = symbols or Symbols()
     integrand, variable = _running(plant, symbols, term)
-    pair = value if isinstance(value, tuple | list) else (None, value)
-    if len(pair) != 2 or (pair[0] is None and pair[1] is None):
-        raise InputError(f"budgets[{term!r}] = {value!r}: give the most, or (least, most)")
-    low, high = (
-        default if v is None else require_finite(f"budgets[{term!r}]", v, variable.unit)
-        for v, default in zip(pair, (-float("inf"), float("inf")), strict=True)
-    )
-    if low > high:
-        raise InputError(f"budgets[{term!r}] = ({low:g}, {high:g}): the bounds are crossed")
+    low, high = budget_range(term, value, variable.unit)
     label, nominal, inf = f"budget of {term}", variable.nominal, float("inf")
     counted = integrand if low == -inf else _running(plant, symbols, term, "large")[0]
     if low == -inf or not symbols.differ(integrand, counted):
