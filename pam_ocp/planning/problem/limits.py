@@ -196,8 +196,7 @@ def distinct(path: Sequence[Condition]) -> list[Condition]:
 
 def conditions_of(plant: Plant, given: Sequence[Constraint | Avoid]) -> list[Condition]:
     return [
-        (_kept_outside if isinstance(c, Avoid) else _kept_within)(plant, c)  # type: ignore[arg-type]
-        for c in given
+        _kept_outside(plant, c) if isinstance(c, Avoid) else _kept_within(plant, c) for c in given
     ]
 
 
