@@ -316,7 +316,7 @@ def _running(
             return (expression / variable.nominal) ** 2, Variable("square", "output", unit="s")
         unit = times_seconds(variable.unit)
         return expression, Variable("integral", "output", unit=unit, nominal=variable.nominal)
-    forms = ("integral(NAME)", "square(NAME)")
+    forms: tuple[str, ...] = ("integral(NAME)", "square(NAME)")
     if not form and term != "rate":  # misspelt; budgets are of what adds up alone
         forms = ("rate", *(f"{f}(NAME)" for f in FORMS))
     raise UnknownNameError("objective", term, (*COSTS, *forms))
