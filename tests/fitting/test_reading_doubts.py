@@ -153,9 +153,13 @@ def test_a_clock_put_back_in_autumn_runs_on_where_stamps_name_their_zone():
         assert not said
 
 
-def test_a_counter_of_24_bits_is_counted_on(plant: Any):
-    ticks = (16_777_000 + 10 * np.arange(N)) % 2**24
-    read, said = heard(pam.read_record, record(ticks, "time [ms]"), plant)
+@pytest.mark.parametrize(
+    ("bits", "head", "said"),
+    [(24, "time [ms]", {}), (32, "ticks", {"time": "ms"}), (16, "n", {"time": "count * 1 ms"})],
+)
+def test_a_counter_is_counted_on(plant: Any, bits: int, head: str, said: Any):
+    ticks = (2**bits - 200 + 10 * np.arange(N)) % 2**bits
+    read, said = heard(pam.read_record, record(ticks, head), plant, time=head, units=said)
     np.testing.assert_allclose(read.t - read.t[0], T, atol=1e-9)
     assert "begins anew" in said[ReadingWarning]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,11 @@ LBF = 0.45359237 * 9.80665
         (("Length (cm)", "pressure (bar)", "Force (kN)"), (1e-2, 1e5, 1e3)),
         (("muscle_length_mm", "gauge pressure [MPa]", "pulling force (N)"), (1e-3, 1e6, 1.0)),
         (("L in mm", "P in psi", "F in lbf"), (1e-3, LBF / 0.0254**2, LBF)),
+        (("Hossz [mm]", "Túlnyomás [bar]", "Erő [N]"), (1e-3, 1e5, 1.0)),
+        (("Délka [mm]", "Tlak [kPa]", "Síla [N]"), (1e-3, 1e3, 1.0)),
+        (("Длина, мм", "Давление, кгс/см2", "Усилие, Н"), (1e-3, 98066.5, 1.0)),
+        (("长度（mm）", "压力（kPa）", "拉力（N）"), (1e-3, 1e3, 1.0)),
+        (("Longueur [mm]", "p [kg/cm²]", "Effort [kgf]"), (1e-3, 98066.5, 9.80665)),
     ],
 )
 def test_headers_say_quantity_and_unit_in_the_usual_spellings(
@@ -92,6 +98,90 @@ def test_contraction_in_percent_needs_no_rest_length(header: str) -> None:
     read = read_table(table(length_m=None, **{header: [0.0, 5.0, 10.0, 15.0]}))
     assert read.contraction == pytest.approx([0.0, 0.05, 0.1, 0.15])
     assert read.rest_length is None
+
+
+def test_a_contraction_in_millimetres_is_of_the_rest_length() -> None:
+    for header in ("Verkürzung [mm]", "raccourcissement [mm]", "contraction_mm"):
+        columns = table(length_m=None, **{header: [0.0, 15.0, 30.0, 45.0]})
+        assert read_table(columns, rest_length=L0).contraction == pytest.approx(
+            [0, 0.05, 0.1, 0.15]
+        )
+        refused("give rest_length in metres", read_table, columns)
+
+
+@pytest.mark.parametrize("header", ["Druck (abs.) [bar]", "Ciśnienie bezwzględne [bar]"])
+def test_a_pressure_that_is_called_absolute_is_read_so(header: str) -> None:
+    absolute = [(p + 101325.0) / 1e5 for p in PRESSURES]
+    read = read_table(table(pressure_Pa=None, **{header: absolute}), rest_length=L0)
+    assert read.pressure == pytest.approx(PRESSURES)
+
+
+def test_a_mass_that_hangs_on_a_muscle_is_asked_for_its_weight() -> None:
+    columns = table(force_N=None, **{"mass [g]": scaled(FORCES, 9.80665e-3)})
+    asked = r"columns=\{'force': 'mass \[g\]'\}, units=\{'force': 'g \* 9.80665 N/kg'\}"
+    refused(asked, read_table, columns, rest_length=L0)
+    told = {"columns": {"force": "mass [g]"}, "units": {"force": "g * 9.80665 N/kg"}}
+    assert read_table(columns, rest_length=L0, **told).force == pytest.approx(FORCES)
+
+
+def test_all_columns_in_a_language_of_its_own_are_asked_for_at_once() -> None:
+    columns = {"Shinikizo [bar]": [2, 4], "Mkazo [%]": [0, 5], "Nguvu [N]": [400, 500]}
+    asked = {"pressure": "Shinikizo [bar]", "force": "Nguvu [N]", "contraction": "Mkazo [%]"}
+    refused(re.escape(f"columns={asked}"), read_table, columns)
+    assert read_table(columns, columns=asked).contraction == pytest.approx([0.0, 0.05])
+
+
+@pytest.mark.parametrize(
+    ("values", "said"), [((0, -5, -10, -15), "0 % - x"), ((100, 95, 90, 85), "100 % - x")]
+)
+def test_strains_and_relative_lengths_are_asked_for_the_way_they_count(values, said) -> None:
+    columns = table(length_m=None, **{"kappa [%]": values})
+    refused(re.escape(f"units={{'contraction': '{said}'}}"), read_table, columns)
+    read = read_table(columns, units={"contraction": said})
+    assert read.contraction == pytest.approx([0.0, 0.05, 0.1, 0.15])
+
+
+@pytest.mark.parametrize(
+    ("encoding", "heads"),
+    [
+        ("cp1250", "Hossz [mm];Nyomás [kPa];Erő [N]"),
+        ("koi8_r", "Длина [мм];Давление [кПа];Сила [Н]"),
+        ("big5", "長度 [mm];壓力 [kPa];拉力 [N]"),
+        ("cp949", "길이 [mm];압력 [kPa];힘 [N]"),
+    ],
+)
+def test_encodings_are_told_from_the_names_of_quantities(
+    encoding: str, heads: str, tmp_path: Path
+) -> None:
+    (tmp_path / "t.csv").write_bytes(f"{heads}\n300;200;400\n270;600;450\n".encode(encoding))
+    read = read_table(tmp_path / "t.csv", rest_length=L0)
+    assert read.contraction == pytest.approx([0.0, 0.1], abs=1e-12)
+    assert read.pressure == pytest.approx([2e5, 6e5])
+
+
+def test_a_frame_and_a_mapping_take_names_lines_to_skip_and_a_pivot() -> None:
+    pandas = pytest.importorskip("pandas")
+    head = ["length [mm]", "p [bar]", "F [N]"]
+    rows = [(0, 9, 9), (300, 2, 400), (270, 6, 450)]
+    bare = pandas.DataFrame(rows)
+    for source in (bare, dict(zip("abc", zip(*rows, strict=True), strict=True))):
+        read = read_table(source, columns=head, skip=1, rest_length=L0)
+        assert read.pressure == pytest.approx([2e5, 6e5])
+    named = pandas.DataFrame(rows[1:], columns=head)
+    wide = named.pivot(index=head[0], columns=head[1], values=head[2]).fillna(300.0)
+    for read in (
+        read_table(wide, rest_length=L0),
+        read_table(wide.rename_axis(columns=None), pivot=head, rest_length=L0),
+    ):
+        assert read.force == pytest.approx([300.0, 450.0, 400.0, 300.0])
+        assert read.pressure == pytest.approx([2e5, 6e5] * 2)
+    refused("is no pivot", read_table, named, pivot=head, rest_length=L0)
+
+
+def test_few_cells_whose_names_run_down_are_turned(tmp_path: Path) -> None:
+    text = "length [mm];300;285;270\np [bar];2;4;6\nF [N];400;500;450\n"
+    read = read_table(write(tmp_path, "down.csv", text), rest_length=L0)
+    assert read.pressure == pytest.approx([2e5, 4e5, 6e5])
 
 
 def test_columns_and_units_are_told_where_the_header_does_not() -> None:

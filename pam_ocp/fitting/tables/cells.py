@@ -27,27 +27,34 @@ def words_of(text: str) -> frozenset[str]:
 NAMES: dict[str, frozenset[str]] = {
     "length": words_of(
         """length, l, len, muscle length, active length, länge, laenge, muskellänge, longueur,
-        longitud, lunghezza, lengte, comprimento, längd, długość, длина, 长度, 長さ"""
+        longitud, lunghezza, lengte, comprimento, längd, długość, hossz, délka, lungime, uzunluk,
+        boy, pituus, длина, длина мышцы, довжина, μήκος, 长度, 長度, 長さ, 全長, 길이"""
     ),
     "contraction": words_of(
         """contraction, contraction ratio, contraction strain, relative contraction, kappa, κ, eps,
         epsilon, ε, kontraktion, kontraktionsgrad, verkürzung, verkuerzung, taux de contraction,
-        contracción, contraccion, contrazione, contractie, contração, 收缩率, 収縮率"""
+        contracción, contraccion, contrazione, contractie, contração, raccourcissement,
+        acortamiento, accorciamento, rövidülés, összehúzódás, kontrakció, skrócenie, zkrácení,
+        contracție, supistuma, сокращение, относительное сокращение, укорочение, скорочення,
+        收缩率, 收縮率, 収縮率, 收缩量, 収縮量, 수축률"""
     ),
     "pressure": words_of(
         """pressure, p, gauge pressure, pressure gauge, p gauge, muscle pressure, internal pressure,
         press, druck, überdruck, ueberdruck, muskeldruck, innendruck, pression, pression relative,
-        presión, presion, pressione, druk, tryck, pressão, ciśnienie, давление, 压力, 圧力"""
+        presión, presion, pressione, druk, tryck, pressão, ciśnienie, nadciśnienie, nyomás,
+        túlnyomás, tlak, přetlak, presiune, basınç, paine, trykk, давление, избыточное давление,
+        тиск, πίεση, 压力, 压强, 气压, 壓力, 圧力, ゲージ圧, 압력"""
     ),
     "absolute pressure": words_of(
         """absolute pressure, pressure absolute, pressure abs, p abs, pabs, abs pressure,
         absolutdruck, druck absolut, druck abs, pression absolue, presión absoluta, pressione
-        assoluta"""
+        assoluta, 绝对压力, 絶対圧, 絶対圧力"""
     ),
     "force": words_of(
         """force, f, pulling force, pull force, tension, tensile force, axial force, load cell,
         loadcell, kraft, zugkraft, muskelkraft, kraftsensor, force de traction, fuerza,
-        fuerza axial, forza, kracht, força, siła, сила, 力, 张力, 張力"""
+        fuerza axial, forza, kracht, força, siła, effort, erő, húzóerő, síla, forță, kuvvet, voima,
+        сила, усилие, сила тяги, δύναμη, 力, 拉力, 张力, 張力, 発生力, 힘"""
     ),
 }
 """Quantity: names by which a header calls it."""
@@ -111,7 +118,12 @@ _BRACKETED = re.compile(
 )
 _ABSOLUTE = re.compile(r"(?P<rest>.*[\])]|.*_[^\W_]+)[\s_]*\(?(?:abs|absolute|absolut)\)?$", re.I)
 """Behind the unit: ``p [bar] (abs)``, ``p_bar_abs``."""
-_SAYING_ABSOLUTE = words_of("abs, abs., absolute, absolut, absolue, absoluta, assoluta")
+_SAYING_ABSOLUTE = words_of(
+    """abs, absolute, absolut, absolue, absoluta, assoluta, abszolút, bezwzględne, absolutne,
+    absolutní, абсолютное, абсолютний, 绝对, 絶対"""
+)
+_NARROW = {0xFF01 + i: 0x21 + i for i in range(94)}
+"""Brackets and signs as wide as a Chinese character."""
 _TOPIC = re.compile(r"/(?:data|value)$")
 _COMMA = re.compile(r"(?P<name>.+?)\s*,\s*(?P<unit>[^,]+)$")
 _SUFFIXED = re.compile(r"(?P<name>.+?)(?:[_\s]+in)?[_\s]+(?P<unit>[^_\s]+)$")
@@ -121,26 +133,31 @@ def parse_header(header: str) -> tuple[str, str | None]:
     """(name, unit or None) of a header; the unit as core.calibration spells it where known."""
     if header.startswith("/"):  # a topic: /rig/pressure/data
         return plain(_TOPIC.sub("", header.strip("/ ")).replace("/", ".")), None
-    text = _ABSOLUTE.sub(r"abs \g<rest>", header.strip())
+    text = _ABSOLUTE.sub(r"abs \g<rest>", header.translate(_NARROW).strip())
+    match = _COMMA.match(text)
+    if match and (match["unit"].strip().lower() in SPELLINGS or _per(match["unit"])):
+        return _absolute(plain(match["name"]), spelled(match["unit"]))
     match = _BRACKETED.match(text)
     if match:
         name, said = match["name"] or match["left"], match["unit"] or match["right"] or ""
         if said.strip().isdigit() and said.strip() != "1" and match["name"]:
             return _absolute(plain(header), None)  # an index, as in position[0]
         return _absolute(plain(name), spelled(said.strip()) or None)
-    match = _COMMA.match(text)
-    if match and match["unit"].strip().lower() in SPELLINGS:
-        return _absolute(plain(match["name"]), spelled(match["unit"]))
     match = _SUFFIXED.match(text)
     if match and match["unit"].lower() in SPELLINGS and match["unit"] not in ("1", "-"):
         return _absolute(plain(match["name"]), spelled(match["unit"]))
     return _absolute(plain(header), None)
 
 
+def _per(text: str) -> bool:
+    """Whether this is a unit with a slash: kgf/cm2."""
+    return "/" in text and is_unit(text)
+
+
 def _absolute(name: str, said: str | None) -> tuple[str, str | None]:
     """The name says that a pressure is absolute: so does its unit then."""
     words = name.split()
-    rest = " ".join(w for w in words if w not in _SAYING_ABSOLUTE)
+    rest = " ".join(w for w in words if w.strip("().") not in _SAYING_ABSOLUTE)
     known = name in NAMES["absolute pressure"]
     if not known and (rest == name or not (rest in NAMES["pressure"] or measures(said, "Pa"))):
         return name, said

@@ -8,6 +8,7 @@ import difflib
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ from .cells import (
     is_number,
     is_stamp,
     is_unit,
+    measures,
     named_branch,
     parse_header,
     words_of,
@@ -63,6 +65,7 @@ def assigned(
     columns: Mapping[str, str],
     units: Mapping[str, str],
     ambient: float = AMBIENT,
+    rest_length: float | None = None,
 ) -> dict[str, Column]:
     """{quantity: column} of a table, from the user's words first, then from the headers."""
     for argument, given, known in (
@@ -80,9 +83,26 @@ def assigned(
         chosen = raw.header(quantity, names, columns)
         if chosen is not None:
             base, said = unit(QUANTITIES[quantity][0]), units.get(quantity)
-            scale = column_scale(raw, chosen, quantity, base, said, ambient, exact=True)
+            if quantity == "contraction" and measures(said or raw.unit(chosen), "m"):
+                scale = _shortening(raw, chosen, said, rest_length)
+            else:
+                scale = column_scale(raw, chosen, quantity, base, said, ambient, exact=True)
             found[quantity] = Column(chosen, quantity, quantity, scale, quantity in units)
     return found
+
+
+def _shortening(
+    raw: RawTable, header: str, wanted: str | None, rest_length: float | None
+) -> Scale | None:
+    """How a contraction in mm becomes a fraction of the rest length."""
+    scale = column_scale(raw, header, "contraction", unit("m"), wanted, exact=True)
+    if rest_length is None or scale is None:
+        raise InputError(
+            f"{raw.label}: column {header!r} holds by how much the muscle is shorter: give "
+            "rest_length in metres, as in read_table(..., rest_length=0.300)"
+        )
+    ratio = Unit(scale.unit, unit("1").exponents, scale.measured.factor / rest_length)
+    return replace(scale, measured=ratio)
 
 
 def column_scale(
@@ -114,9 +134,12 @@ def column_scale(
         what = f"a {name}" if name in QUANTITIES else name
         named = f"units[{name!r}] = {wanted!r}" if wanted else f"{where} is in {text}, which"
         remedy = "" if wanted else "correct the header or "
+        example = f"{reads} * 2 {shown}/{reads} - 0.3 {shown}"
+        if base.name == "N" and scale.measured.compatible(unit("kg")):
+            example = _WEIGHT.format(reads)
         raise InputError(
             f"{named} is no unit of {what} ({base.name}); {remedy}give a calibration: "
-            f"units={{{name!r}: '{reads} * 2 {shown}/{reads} - 0.3 {shown}'}}"
+            f"units={{{name!r}: {example!r}}}"
         )
     if wanted and said and is_unit(said):
         other = scale_of(where, said, None, None).measured
@@ -141,23 +164,34 @@ def require_columns(raw: RawTable, found: Mapping[str, Column]) -> None:
     quantity = missing[0]
     words = "length or contraction" if quantity == "length" else quantity
     example = {"pressure": "pressure_Pa", "force": "force_N", "length": "length_m"}[quantity]
-    taken = {column.header for column in found.values()}
-    near = _near_headers(quantity, [h for h in raw.columns if h not in taken], raw)
-    hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-    shown = repr(near[0]) if near else "..."
-    moved = bool(near) and parse_header(near[0])[0] in _DISPLACEMENTS
-    less = ", units={'length': '300 mm - x'} (the rest length less what it moved)" if moved else ""
-    same = " or constants={'contraction': '5 %'} where it is the same in all rows (from "
-    same += "the file's name: pattern='..._{contraction [%]}pct.csv')"
-    constant = same if quantity == "length" and not near else ""
+    used = {column.header for column in found.values()}
+    free = [h for h in raw.columns if h not in used]
+    near = {q: _near_headers(q, free, raw) for q in missing}
+    hint = f"did you mean {' or '.join(map(repr, near[quantity]))}? " if near[quantity] else ""
+    taken = {q: (near[q] or ["..."])[0] for q in missing}
+    length, pull = taken.get("length", ""), taken.get("force", "")
+    if measures(raw.unit(length), "1"):
+        taken = {"contraction" if q == "length" else q: h for q, h in taken.items()}
+    given = ", ".join(f"{q!r}: {h if h == '...' else repr(h)}" for q, h in taken.items())
+    less = ""
+    if parse_header(length)[0] in _DISPLACEMENTS:
+        less = ", units={'length': '300 mm - x'} (the rest length less what it moved)"
+    elif measures(raw.unit(pull), "kg"):
+        less = f", units={{'force': {_WEIGHT.format(raw.unit(pull))!r}}} (the weight of a mass)"
+    elif length == "...":
+        less = " or constants={'contraction': '5 %'} where it is the same in all rows (from "
+        less += "the file's name: pattern='..._{contraction [%]}pct.csv')"
     raise InputError(
         f"{raw.label} has no column for the {words} among {', '.join(map(repr, raw.columns))}: "
-        f"{hint}Name it {example!r} or give columns={{{quantity!r}: {shown}}}{less}{constant}"
+        f"{hint}Name it {example!r} or give columns={{{given}}}{less}"
     )
 
 
+_WEIGHT = "{} * 9.80665 N/kg"
+"""A calibration."""
 _DISPLACEMENTS = words_of(
-    "displacement, stroke, travel, shortening, hub, weg, verschiebung, course, carrera, corsa"
+    """displacement, stroke, travel, shortening, hub, weg, verschiebung, course, carrera, corsa,
+    elmozdulás, przemieszczenie, перемещение, ход, δl, dl, delta l, δx"""
 )
 
 
@@ -169,15 +203,12 @@ def _near_headers(quantity: str, headers: Iterable[str], raw: RawTable) -> list[
     near = [m for w in wanted for m in difflib.get_close_matches(w, plain, n=2, cutoff=0.6)]
     if near:
         return [plain[m] for m in near]
-    bases = [unit(QUANTITIES[w][0]) for w in wanted if w != "contraction"]
-    found = []
-    for header in headers:
-        said = raw.unit(header)
-        if said is None or not is_unit(said) or said.lower() in COUNTS:
-            continue
-        if any(scale_of("", said, None, None).measured.compatible(b) for b in bases):
-            found.append(header)
-    return found[:3]
+    units = {h: u for h in headers if (u := raw.unit(h)) and u.lower() not in COUNTS}
+    for base in (*(QUANTITIES[w][0] for w in wanted), *(["kg"] if quantity == "force" else [])):
+        found = [h for h, said in units.items() if measures(said, base)]
+        if found:
+            return found[:3]
+    return []
 
 
 def read_labels(raw: RawTable, columns: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
@@ -334,9 +365,12 @@ def _check_contraction(contraction: Series) -> None:
         )
     for i in (int(np.argmin(contraction.si)), int(np.argmax(contraction.si))):
         if not low <= contraction.si[i] <= high:
+            whole = 0 if contraction.si.min() < low else 100 if contraction.unit == "%" else 1
             raise InputError(
                 f"{contraction.shown(i)} is outside {low * 100:g} .. {high * 100:g} %; "
-                "contraction is (rest length - length)/rest length, positive when shorter"
+                "contraction is (rest length - length)/rest length, positive when shorter: give "
+                f"units={{'contraction': '{whole} {contraction.unit} - x'}} where it counts the "
+                "other way"
             )
 
 

@@ -374,7 +374,7 @@ class TableArguments(Reading):
 def table_of(raw: RawTable, words: TableArguments, seen: Understood | None = None) -> ForceTable:
     """The table that columns hold; ``seen`` is told what was understood until an error."""
     seen = seen or Understood(raw)
-    columns = assigned(raw, words.columns, words.units, words.ambient_pressure)
+    columns = assigned(raw, words.columns, words.units, words.ambient_pressure, words.rest_length)
     seen.meanings |= {column.header: (q, column.scale) for q, column in columns.items()}
     require_columns(raw, columns)
     seen.raw = raw = checked_cells(raw, tuple(columns.values()), words.missing)

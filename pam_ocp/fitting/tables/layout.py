@@ -14,7 +14,16 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
 from .blocks import periods, pivoted, side_by_side, stacked
-from .cells import is_empty, is_number, is_unit, parted, without_units
+from .cells import (
+    NAMES,
+    TIME_NAMES,
+    is_empty,
+    is_number,
+    is_unit,
+    parse_header,
+    parted,
+    without_units,
+)
 from .dialect import Grid, Unsaid, nothing_in
 from .raw import RawTable, Reading
 
@@ -115,7 +124,8 @@ def _trimmed(grid: Grid) -> Grid:
 def _upright(grid: Grid) -> Grid:
     """A grid whose names run down its left side, turned."""
     rows, width = grid.rows, max(map(len, grid.rows))
-    if not 2 <= len(rows) <= MOST_TURNED or width < 3 * len(rows) or width < 20:
+    few = width < 3 * len(rows) or width < 20
+    if not 2 <= len(rows) <= MOST_TURNED or (few and not _names_run_down(rows)):
         return grid
     for row in rows:
         rest = [c for c in row[2:] if not is_empty(c)]
@@ -127,6 +137,12 @@ def _upright(grid: Grid) -> Grid:
     ]
     said = (*grid.dialect, "names run down")
     return replace(grid, rows=turned, lines=list(range(1, width + 1)), dialect=said, text=False)
+
+
+def _names_run_down(rows: Sequence[Sequence[Any]]) -> bool:
+    """Whether rows begin with the names of three quantities."""
+    begins = {parse_header(str(row[0]))[0] for row in rows}
+    return sum(not begins.isdisjoint(names) for names in (*NAMES.values(), TIME_NAMES)) >= 3
 
 
 def _bare(grid: Grid, names: Sequence[str | None] | None) -> tuple[Grid, dict[int, str]]:

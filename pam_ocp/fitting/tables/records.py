@@ -251,7 +251,8 @@ def record_parts(
     seen.raw = replace(raw, columns={**seen.raw.columns, **raw.columns})
     t, kind, doubts = read_clock(raw, header, words.units.get("time"))
     seen.clock = clock_words(header, kind, t[~np.isnan(t)])
-    factor = unit(raw.unit(header) or "s").factor if not kind else 1.0
+    scale = column_scale(raw, header, "time", unit("s"), words.units.get("time"))
+    factor = float(np.ptp(scale.si(np.array([0.0, 1.0])))) if scale and not kind else 1.0
     used = {c.header: raw.columns[c.header] for c in columns}
     timed = replace(raw, columns={**used, header: t.tolist()})
     timed = complete(timed, [header, *used], words.empty)

@@ -43,6 +43,7 @@ from .cells import (
     TIME_NAMES,
     decimal_of,
     is_empty,
+    is_number,
     is_unit,
     parse_header,
     parted,
@@ -77,9 +78,9 @@ def _loaded(source: Any, how: Reading) -> RawTable:
         raw = _load_file(source, how)
     elif isinstance(source, Mapping):
         columns = {str(n): np.ravel(v).tolist() for n, v in source.items()}
-        raw = _bare(RawTable("the table", columns))
+        raw = _of_columns(columns, "the table", how)
     elif hasattr(source, "columns") and hasattr(source, "to_numpy"):
-        raw = _from_frame(source, "the DataFrame")
+        raw = _from_frame(source, "the DataFrame", how)
     elif isinstance(source, np.ndarray):
         raw = _from_tree(source, "the array", how)
     else:
@@ -140,11 +141,42 @@ def naming(source: Any) -> AbstractContextManager[None]:
 
 
 # ---- mappings and frames -------------------------------------------------------------------------
-def _from_frame(frame: Any, label: str) -> RawTable:
+def _from_frame(frame: Any, label: str, how: Reading) -> RawTable:
     names = [_column_name(c) for c in frame.columns]
     require_distinct(names, label)
     columns = {n: _cells(frame.iloc[:, i]) for i, n in enumerate(names)}
-    return _bare(RawTable(label, {**_index(frame.index, names), **columns}))
+    across = getattr(frame.columns, "name", None)
+    return _of_columns({**_index(frame.index, names), **columns}, label, how, across=across)
+
+
+def _of_columns(
+    columns: Mapping[str, Sequence[Any]],
+    label: str,
+    how: Reading,
+    dialect: tuple[str, ...] = (),
+    notes: tuple[str, ...] = (),
+    across: Any = None,
+) -> RawTable:
+    """Columns with names, or a pivot, whose names are numbers. across : what these are."""
+    names = list(columns)
+    if how.names is not None:
+        given = given_names(label, how.names, len(names))
+        columns = {n: columns[old] for n, old in zip(given, names, strict=True) if n}
+    elif how.pivot is not None or _names_values(columns):
+        corner = f"{names[0]} \\ {across}" if across else names[0]
+        rows = list(zip(*columns.values(), strict=True))[how.skip :]
+        grid = Grid(label, [[corner, *names[1:]], *rows], list(range(len(rows) + 1)))
+        return tabulated(grid, how)
+    require_distinct(list(columns), label)
+    kept = {n: list(c)[how.skip :] for n, c in columns.items()}
+    return _bare(RawTable(label, kept, dialect=dialect, notes=notes))
+
+
+def _names_values(columns: Mapping[str, Sequence[Any]]) -> bool:
+    """Whether columns of one length are called by numbers, behind one that is not."""
+    names = list(columns)
+    even = len({len(c) for c in columns.values()}) == 1
+    return even and len(names) > 2 and [n for n in names if not is_number(n)] == names[:1]
 
 
 def _column_name(name: Any) -> str:
@@ -201,13 +233,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
         grid = replace(found, rows=found.rows[how.skip :], lines=found.lines[how.skip :])
         raw = tabulated(grid, how)
         return replace(raw, dialect=(*said, *raw.dialect))
-    names = list(found)
-    if how.names is not None:
-        given = given_names(label, how.names, len(names))
-        found = {n: found[old] for n, old in zip(given, names, strict=True) if n}
-    require_distinct(list(found), label)
-    columns = {n: list(c)[how.skip :] for n, c in found.items()}
-    return _bare(RawTable(label, columns, dialect=said, notes=notes))
+    return _of_columns(found, label, how, said, notes)
 
 
 # ---- files ---------------------------------------------------------------------------------------
@@ -279,10 +305,13 @@ def _decoded(content: bytes, name: str, encoding: str | None = None) -> str:
             text = max((content.decode(e, "replace") for e in ENCODINGS), key=_names_in)
     if "\0" in text:
         raise InputError(f"{name} is no text file; save the table as CSV")
-    return text
+    return text.replace("\u2212", "-")  # the typesetter's minus
 
 
-ENCODINGS = ("cp1252", "cp1251", "cp1250", "shift_jis", "gb18030", "euc_jp", "mac_roman")
+ENCODINGS = (
+    *("cp1252", "cp1251", "cp1250", "shift_jis", "gb18030", "euc_jp", "mac_roman"),
+    *("big5", "cp949", "koi8_r", "cp1253", "cp1254"),
+)
 """What texts that are no Unicode are written in, the likelier ones first. Of ten headers in these
 chardet 7 and charset-normalizer 3 name the encoding of four, for a table holds few words; names of
 quantities tell all ten.
@@ -291,7 +320,7 @@ quantities tell all ten.
 
 def _names_in(text: str) -> int:
     """How many words at the beginning are names of quantities with letters beyond ASCII."""
-    words = re.split(r"[\t;,|\n\r\"\[\](){}/:]|  ", text[:4000].lower())
+    words = re.split(r"[\t;,|\n\r\"\[\](){}（）/:]|  ", text[:4000].lower())
     known = frozenset().union(*NAMES.values(), TIME_NAMES)
     return sum(not w.isascii() and w.strip() in known for w in words)
 
@@ -396,7 +425,7 @@ _READERS: dict[str, Callable[[Path, Reading], RawTable]] = {
     ".hdf5": lambda path, how: _from_tree(read_hdf5(path), path.name, how),
     ".json": lambda path, how: _from_tree(_json(content_of(path)), path.name, how),
     ".jsonl": lambda path, how: _from_tree(_json(content_of(path)), path.name, how),
-    ".parquet": lambda path, how: _from_frame(read_frame(path), path.name),
+    ".parquet": lambda path, how: _from_frame(read_frame(path), path.name, how),
     ".xlsx": _read_sheet,
     ".xlsm": _read_sheet,
     ".xlsb": _read_calamine,
