@@ -52,6 +52,19 @@ def test_the_covariance_is_the_sandwich_with_the_correlation_written_out() -> No
     np.testing.assert_allclose(found.covariance[np.ix_(order, order)], expected, rtol=1e-6)
 
 
+def test_the_order_does_not_hang_on_rounding_where_all_orders_begin_alike() -> None:
+    p, kappa = np.tile(np.linspace(1, 6, 6), 10), np.tile(np.repeat(np.linspace(0, 0.2, 5), 6), 2)
+    branch = ("inflation",) * 30 + ("deflation",) * 30
+    cells = ForceTable(1e5 * p, kappa, np.ones(60), branch=branch, floor=None)
+    jacobian = np.stack([cells.pressure / 1e5, kappa, np.ones(60)], axis=1)
+    orders = sequences(cells)
+    assert len(orders) > 1
+    for seed in (19, 154):
+        r = np.random.default_rng(seed).standard_normal(60)
+        found = [serial_errors(c * jacobian, c * r, orders) for c in (1.0, 3.3, 7.0, 1e3)]
+        assert len({f and f.order for f in found}) == 1
+
+
 def test_the_restricted_likelihood_is_that_of_error_contrasts() -> None:
     """Of K^T y with K^T X = 0, a normal density, its variance maximised (Patterson,
     Thompson 1971).

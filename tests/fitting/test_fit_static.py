@@ -20,6 +20,7 @@ from static_tables import PUBLISHED, TRUTH, fit_20, grid, measured, six, six_by_
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force
+from pam_ocp.fitting.experiments.cells import design_cells
 from pam_ocp.fitting.static.least_squares import nonlinear_coefficients
 from pam_ocp.muscles.law import LAWS, ForceLaw, SixParameterLaw, coefficient
 from pam_ocp.muscles.laws.user_defined import own_law, polynomial_law
@@ -117,6 +118,32 @@ def test_a_weight_of_root_two_counts_a_cell_twice(fit: ForceFit) -> None:
     assert weighted.law.values == pytest.approx(doubled.law.values, rel=1e-8)
     assert weighted.squares == pytest.approx(doubled.squares, rel=1e-10)
     assert weighted.law.values != pytest.approx(fit.law.values, rel=1e-3)
+
+
+def test_a_common_factor_of_the_weights_changes_nothing(fit: ForceFit) -> None:
+    weights = 1 / (1 + fit.table.pressure / 1e5)
+    one, many = (fit_force(fit.table, weights=c * weights) for c in (1.0, 1e3))
+    assert many.interval("a3") == pytest.approx(one.interval("a3"), rel=1e-6)
+    bands = [np.ravel(f.predict(3e5, [0.05, 0.1]).prediction) for f in (one, many)]
+    assert bands[1] == pytest.approx(bands[0], rel=1e-6)
+    said = {"candidates": ([2e5, 4e5, 6e5], [0.05, 0.1, 0.15])}
+    designs = [design_cells(f, 2, **said) for f in (one, many)]
+    assert designs[1].stderr_after == pytest.approx(designs[0].stderr_after, rel=1e-6)
+    assert many.warnings == one.warnings
+
+
+def test_a_new_measurement_scatters_as_the_cells_do_on_average() -> None:
+    random = np.random.default_rng(6)
+    p, kappa = (a.ravel() for a in np.meshgrid(np.linspace(1e5, 6e5, 9), np.linspace(0, 0.2, 7)))
+    size = 1 + 4 * p / 6e5
+    force = 2e-3 * p * (1 - 3 * kappa) + 300.0 + random.normal(0, size)
+    found = fit_force(ForceTable(p, kappa, force), "polynomial-1-1", weights=100 / size)
+    band = found.predict(3e5, 0.1)
+    half = [(high - low) / 2 for low, high in (band.prediction, band.confidence)]
+    t = student.ppf(0.975, found.dof)
+    assert np.sqrt(half[0] ** 2 - half[1] ** 2) == pytest.approx(
+        t * np.sqrt(np.mean(size**2)), rel=0.2
+    )
 
 
 def test_held_coefficients_stay_and_the_rest_is_linear_least_squares(fit: ForceFit) -> None:

@@ -279,9 +279,10 @@ def _known(
             raise InputError("covariance and fixed belong to a law; a fit has its own")
         if noise is None and not known.dof:
             raise InputError("noise is missing: the fit has no degrees of freedom to tell it")
-        size = known.sigma if noise is None else require_positive("noise", noise, "N")
+        told = None if noise is None else require_positive("noise", noise, "N")
+        size = told or known.usual * known.sigma
         linear = known.linearisation
-        scale = max(float(known.linearisation.scale), 1e-9) if noise is None else size
+        scale = size / known.usual if told else max(float(linear.scale), 1e-9)
         # a robust fit sees its data with more scatter than one measurement has
         jacobian = linear.jacobian * size / scale
         if linear.serial is not None and linear.rank == len(known.free):

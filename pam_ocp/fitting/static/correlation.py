@@ -99,9 +99,10 @@ def serial_errors(
     found = [(_likelihood(basis, residuals, o), o) for o in orders if o.follows.any()]
     if not found:
         return None
-    (values, squares), order = max(found, key=lambda pair: float(pair[0][0].max()))
     top = max(float(v.max()) for (v, _), _ in found)
-    alone, follow = np.exp(values[0] - top), [np.mean(np.exp(v - top)) for (v, _), _ in found]
+    follow = [float(np.mean(np.exp(v - top))) for (v, _), _ in found]
+    (values, squares), order = found[int(np.argmax(follow))]  # the largest of all is often rho = 0
+    alone = np.exp(values[0] - top)
     probability = float(np.mean(follow) / (alone + np.mean(follow)))
     if probability < NEGLECTED:
         return None

@@ -162,11 +162,11 @@ class ForceFit(Optimum):
         """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
 
         p, kappa : numbers, or texts with a unit ("3 bar", "10 %"). ``prediction`` is for a
-        measurement of weight 1. Where the one nonlinear coefficient of a law is hardly known, the
-        bands are those of the profile likelihood: all that laws reach which fit as well as its
-        interval allows, no narrower than ``stderr`` says. A muscle only pulls: where the law is
-        below zero the force is 0, and ``slack`` true (``law.tension`` tells the law itself).
-        Outside of the data ``outside`` is true, and a ValidityWarning says so.
+        measurement as uncertain as the cells are on average. Where the one nonlinear coefficient of
+        a law is hardly known, the bands are those of the profile likelihood: all that laws reach
+        which fit as well as its interval allows, no narrower than ``stderr`` says. A muscle only
+        pulls: where the law is below zero the force is 0, and ``slack`` true (``law.tension`` tells
+        the law itself). Outside of the data ``outside`` is true, and a ValidityWarning says so.
 
         Raises InputError for what no muscle can be (a contraction of 10, for 10 %).
         """
@@ -182,8 +182,8 @@ class ForceFit(Optimum):
         if self._bends:
             low, high = self._swept_band(pressure, contraction, level, low, high)
         serial = self.linearisation.serial
-        spread = self.sigma * (1.0 if serial is None else serial.spread)
-        new = t * spread if self.dof else np.inf  # a measurement of weight 1
+        spread = self.usual * self.sigma * (1.0 if serial is None else serial.spread)
+        new = t * spread if self.dof else np.inf
         wide = (force - np.hypot(force - low, new), force + np.hypot(high - force, new))
         return Prediction.of_law(force, error, (low, high), wide, level, away)
 

@@ -85,6 +85,13 @@ class Optimum(Estimates):
         """Factor of each residual; ones without weights."""
         return np.ones(len(self.cells)) if self.weights is None else self.weights
 
+    @property
+    def usual(self) -> float:
+        """Standard deviation of a measurement as uncertain as the cells on average, over ``sigma``
+        (which goes with the common factor of the weights).
+        """
+        return float(np.sqrt(np.mean(self.root_weights**-2.0)))
+
     def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
         return sensitivity(self.law, self.free, p, kappa)

@@ -117,7 +117,7 @@ def floor_doubts(fit: Optimum) -> list[str]:
     floor, found = fit.table.floor_found, []
     if floor is not None and floor.matters:
         found.append(f"{floor}{_carried(fit, floor.value) if floor.shifted else ''}")
-    far = SURE * fit.sigma if fit.dof else float("inf")
+    far = SURE * fit.usual * fit.sigma if fit.dof else float("inf")
     tension = fit.cells.force - fit.residuals
     pushed = tension < -far
     if pushed.any():
