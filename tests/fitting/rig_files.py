@@ -137,6 +137,9 @@ def texts(folder: Path) -> list[Case]:
     add("excel.csv", "sep=;\n" + text(plain, ";", german))
     left_out = "2 rows of words below the numbers left out"
     add("footer.csv", text([*plain, ["mean", "", ""], ["end of file"]]), says=left_out)
+    numbered = [["no.", *HEAD], *([i, *r] for i, r in enumerate(rows()))]
+    sums = [["Mean:", 280.0, 3.1, 500.0], ["Std", 17.0, 2.0, 400.0]]
+    add("sums.csv", text([*numbered, *sums]), says="2 rows that sum up left out ('Mean:'")
     add("bars.psv", text(plain, " | "))
     lab = "LabVIEW Measurement\t\t\nSeparator\tTab\t\n***End_of_Header***\t\t\n"
     add("labview.lvm", lab + text(plain, "\t"))
@@ -312,6 +315,10 @@ def records(folder: Path) -> list[Case]:
     add("iso.csv", [s.isoformat(timespec="milliseconds") + "Z" for s in stamps], "timestamp")
     dates = [f"{s:%d.%m.%Y %H:%M:%S}.{s.microsecond // 1000:03d}" for s in stamps]
     add("german_dates.csv", dates, "Datum", between=";")
+    add("hungarian.csv", [f"{s:%Y. %m. %d. %H:%M:%S.%f}" for s in stamps], "time")
+    month = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
+    matlab = [f"{s:%d}-{month[s.month - 1]}-{s:%Y %H:%M:%S.%f}" for s in stamps]
+    add("matlab_dates.csv", matlab, "time")
     add("two_columns.csv", [[f"{s:%d.%m.%Y}", f"{s:%H:%M:%S.%f}"] for s in stamps], "Datum|Uhrzeit")
     half = ("AM", "PM")  # %p is empty in some locales
     american = [f"{s:%m/%d/%Y %I:%M:%S.%f} {half[s.hour // 12]}" for s in stamps]

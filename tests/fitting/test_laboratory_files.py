@@ -97,6 +97,13 @@ def test_stray_and_cut_lines_are_dropped_on_request_counted_and_said(tmp_path: P
     assert len(record) == 299
 
 
+def test_a_second_table_below_is_no_bad_line(tmp_path: Path) -> None:
+    text = "time [s],p [bar]\n" + lines(T, BAR) + "Calibration\nu [V],p [bar]\n1,2\n2,4\n"
+    refused(
+        "line 303 names columns anew", pam.read_record, written(tmp_path, text), bad_lines="drop"
+    )
+
+
 def test_more_bad_lines_than_rows_are_no_table(tmp_path: Path) -> None:
     text = "t [s],p [bar]\n" + "0.1,2\n0.2,3\nfoo\nbar\nbaz\n" * 20 + "0.3,1\n0.4,1\n" * 5
     with pytest.raises(InputError, match=r"at most 50 %|needs a header and at least one row"):

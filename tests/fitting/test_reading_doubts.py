@@ -307,6 +307,8 @@ def test_what_can_be_both_is_doubted_with_the_keyword(tmp_path: Path):
         ({"kappa": 0.3 * (1 - CELLS["contraction"])}, "rises with the contraction"),
         ({"kappa": -0.6 * CELLS["contraction"]}, "rises with the contraction"),
         ({"p": np.where(ROW == 7, 9999, CELLS["pressure"])}, "missing=[...]"),
+        ({"F_N": np.where(ROW == 7, 0, CELLS["force"])}, "0 N at 3 bar, 5 % (row 8 of those read)"),
+        ({"F_N": np.where(ROW == 7, 7777, CELLS["force"])}, "7777 N at 3 bar, 5 % (row 8 of those"),
     ],
 )
 def test_a_table_in_a_unit_that_cannot_be_is_doubted_and_read(changed: Any, words: str):

@@ -233,8 +233,8 @@ def _written(decimal: str, group: str) -> re.Pattern[str]:
 _NUMBERS = {".": _written(".", ","), ",": _written(",", ".")}
 """Decimal sign: numbers written with it, thousands in groups allowed."""
 _STAMP = re.compile(
-    r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}([T ]+\d{1,2}:\d{2}.*)?$"
-    r"|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}([T ,]+\d{1,2}:\d{2}.*)?$"
+    r"\d{4}[-/.] ?\d{1,2}[-/.] ?\d{1,2}\.?([T ]+\d{1,2}:\d{2}.*)?$"
+    r"|\d{1,2}[-/.](\d{1,2}|[a-z]{3})[-/.]\d{2,4}([T ,]+\d{1,2}:\d{2}.*)?$"
     r"|\d{1,3}:\d{2}(:\d{2})?([.,:]\d+)?( ?[AP]M)?$",
     re.IGNORECASE,
 )

@@ -50,11 +50,13 @@ _TIME = (
     r"\s*(?P<half>[APap][Mm])?"
     r"\s*(?:Z|UTC|(?P<zone>[+-]\d{2}(?::?\d{2})?)|(?P<called>[A-Z]{3,4}))?(?:\[[\w/+-]+\])?"
 )
+_MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _YEAR_FIRST = re.compile(
-    rf"(?P<y>\d{{4}})[-/.](?P<a>\d{{1,2}})[-/.](?P<b>\d{{1,2}})(?:[T ,]+{_TIME})?$"
+    rf"(?P<y>\d{{4}})[-/.] ?(?P<a>\d{{1,2}})[-/.] ?(?P<b>\d{{1,2}})\.?(?:[T ,]+{_TIME})?$"
 )
 _YEAR_LAST = re.compile(
-    rf"(?P<a>\d{{1,2}})(?P<sign>[-/.])(?P<b>\d{{1,2}})[-/.](?P<y>\d{{2,4}})(?:[T ,]+{_TIME})?$"
+    rf"(?P<a>\d{{1,2}})(?P<sign>[-/.])(?P<b>\d{{1,2}}|(?i:{'|'.join(_MONTHS)}))[-/.](?P<y>\d{{2,4}})"
+    rf"(?:[T ,]+{_TIME})?$",
 )
 ZONES = {
     **{"GMT": 0, "WET": 0, "WEST": 1, "BST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2},
@@ -117,6 +119,9 @@ def _parsed(cell: Any) -> _Stamp | None:
     match = _YEAR_LAST.match(text)
     if match:
         year = int(match["y"]) + (2000 if len(match["y"]) == 2 else 0)
+        if match["b"].isalpha():  # as MATLAB writes it
+            month = _MONTHS.index(match["b"].lower()) + 1
+            return (year, month, int(match["a"]), "y"), _of_day(match)
         return (year, int(match["a"]), int(match["b"]), match["sign"]), _of_day(match)
     match = _OF_DAY.match(text)
     return (None, _of_day(match)) if match else None

@@ -39,6 +39,10 @@ FAR_APART = 2.0
 """The same of a value that is none of the usual sentinels, but returns and cannot be."""
 MIXED = 25.0
 """Times the usual force per pressure: beyond, pressures are in several units."""
+HALF = 0.5
+"""Of the force at less pressure and no less contraction: no muscle pulls so little."""
+MOST_COMPARED = 1000
+"""Cells of which each is compared with all others."""
 OUTSIDE = 0.2
 """Of a variable's range: what is measured may lie so far beyond it."""
 DECLARED = 10.0
@@ -383,7 +387,34 @@ def doubts_of_table(
                 "columns={'length': ...} or units={'" + strained.argument + "': ...}"
             )
         )
-    return found
+    return found or _out_of_order(pull, p, contraction, force)
+
+
+def _out_of_order(pull: Column, p: Array, contraction: Array, force: Array) -> list[Doubt]:
+    """The cell that contradicts most others: of two the one with more pressure and no more
+    contraction pulls more.
+    """
+    if p.size > MOST_COMPARED:
+        return []
+    over = (p[:, None] >= p) & (contraction[:, None] <= contraction)
+    wrong = over & (force > 0.2 * force.max()) & (force[:, None] < HALF * force)
+    if not wrong.any():
+        return []
+    count = wrong.sum(axis=0) + wrong.sum(axis=1)
+    odd = int(np.argmax(count))
+    other = int(np.argmax(wrong[odd] | wrong[:, odd]))
+    said = [
+        f"{force[i]:g} N at {p[i] / 1e5:.3g} bar, {100 * contraction[i]:.3g} % (row {i + 1} of "
+        "those read)"
+        for i in (odd, other)
+    ]
+    return [
+        Doubt(
+            f"{pull.header!r} is {said[0]} beside {said[1]}, where a muscle pulls more with more "
+            "pressure and less contraction: correct it, or say missing=[...] if it marks a missing "
+            "value"
+        )
+    ]
 
 
 def _from_zero(p: Array, contraction: Array, force: Array, strong: NDArray[np.bool_]) -> float:

@@ -23,6 +23,7 @@ from .cells import (
     parse_header,
     parted,
     without_units,
+    words_of,
 )
 from .dialect import Grid, Unsaid, nothing_in
 from .raw import RawTable, Reading
@@ -336,7 +337,14 @@ def _body(
         end -= 1
     if end < len(rows):
         notes.append(f"{len(rows) - end} rows of words below the numbers left out")
-        rows = rows[:end]
+    whole = end
+    while end > 1 and _sums_up(rows[end - 1]):
+        end -= 1
+    if end < whole and not any(map(_sums_up, rows[:end])):
+        said = next(str(c) for c in rows[end] if _sums_up([c]))
+        notes.append(f"{whole - end} rows that sum up left out ({said!r} in line {lines[end]})")
+        whole = end
+    rows = rows[:whole]
     last = len(rows) - 1
     made: list[Sequence[Any]] = []
     where: list[int] = []
@@ -349,6 +357,11 @@ def _body(
         if len(row) == width and (numeric is None or _fits(grid, row, numeric)):
             made.append(row)
             where.append(lines[i])
+        elif numeric is not None and len(row) == width and _names_columns(grid, row, numeric):
+            raise Unsaid(
+                f"{grid.label}: line {lines[i]} names columns anew: below it stands another table; "
+                "save each in a file of its own"
+            )
         elif numeric is not None:
             bad.append(lines[i])
         elif len(row) < width and i == last >= CUT_OFF:
@@ -368,6 +381,26 @@ def _body(
         shown = ", ".join(map(str, bad[:5])) + (", ..." if len(bad) > 5 else "")
         notes.append(f"{len(bad)} of {len(rows)} lines are no rows and left out (line {shown})")
     return made, where, tuple(notes)
+
+
+_SUMS = words_of(
+    """mean, average, avg, std, stdev, std dev, sd, min, max, minimum, maximum, median, sum, total,
+    mittel, mittelwert, standardabweichung, stabw, summe, moyenne, écart type, somme, media,
+    promedio, średnia, suma, átlag, szórás, průměr, среднее, сумма, 平均, 平均值, 标准差, 合計"""
+)
+
+
+def _sums_up(row: Sequence[Any]) -> bool:
+    """Whether a row says that it is a mean, a sum or the like of others."""
+    texts = (c.strip(" :.=").lower().replace("-", " ") for c in row if isinstance(c, str))
+    return any(text in _SUMS for text in texts)
+
+
+def _names_columns(grid: Grid, row: Sequence[Any], numeric: Sequence[bool]) -> bool:
+    """Whether words with a unit stand in all columns of numbers."""
+    cells = [str(c) for c, n in zip(row, numeric, strict=False) if n and not is_empty(c)]
+    words = len(cells) == sum(numeric) and not any(map(grid.holds, cells))
+    return words and any(is_unit(parse_header(c)[1] or "") for c in cells)
 
 
 def _without_heads(
