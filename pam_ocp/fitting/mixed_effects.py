@@ -49,9 +49,11 @@ class Scatter:
         level, size = require_level(level), np.diag(self.covariance)
         if self.dof < 1:
             return np.sqrt(size), np.zeros_like(size), np.full_like(size, np.inf)
-        tail, whole = (1 - level) / 2, size + self.own
+        tail, free = (1 - level) / 2, size > 0
+        whole = size + self.own
+        if self.dof > 1:  # squares without the factor |B|^1/2, which moved the optimum
+            whole *= np.maximum(1 - whole / (self.dof * np.where(free, size, np.inf)), 0)
         ends = [self.dof / chdtri(self.dof, q) for q in (tail, 1 - tail)]
-        free = size > 0
         low, high = (np.sqrt(np.where(free, np.maximum(e * whole - self.own, 0), 0)) for e in ends)
         return np.sqrt(size), low, high
 
@@ -99,7 +101,7 @@ def between(
         b = _first(a, x, group, own) if begin is None else begin / np.outer(scale, scale)
         b = b * np.outer(free, free)
     for _ in range(STEPS if dof > 0 and free.any() else 0):
-        new = _step(a, x, group, b) * dof / (dof - 1 if dof > 1 else 1)
+        new = _step(a, x, group, b) * (n / (n - 1) if dof > 1 else 1)
         if diagonal:
             new = np.diag(np.diag(new))
         whole = np.sqrt(np.maximum(np.diag(new), np.diag(b)) + own)

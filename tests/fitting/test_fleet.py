@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import refused
+from scipy.stats import chi2
 
 import pam_ocp as pam
 from pam_ocp import InputError, UnknownNameError
@@ -129,6 +130,20 @@ def test_restricted_maximum_likelihood_of_balanced_units_is_the_analysis_of_vari
     assert found.covariance[0, 0] == pytest.approx(np.var(z, ddof=1) * 39 / 38 - own, rel=0.01)
     assert found.means[0, 0] == pytest.approx(z.mean())
     assert found.errors[0, 0, 0] == pytest.approx((found.covariance[0, 0] + own) / 40)
+
+
+@pytest.mark.parametrize("records", [[2, 2, 2, 1, 1, 1, 1, 1, 1], [2] * 9, [3, 1, 4, 1, 5]])
+def test_the_scatter_of_records_counts_each_muscle_s_mean_once(records):
+    group = np.repeat(np.arange(len(records)), records)
+    z = np.random.default_rng(8).normal(5.0, 2.0, group.size)
+    means = np.bincount(group, z) / records
+    squares, dof = float(np.sum((z - means[group]) ** 2)), group.size - len(records)
+    a = np.full((group.size, 1, 1), 1e8)  # next to no error of their own
+    found = between(a, 1e8 * z[:, None], group, np.array([True]))
+    assert found.covariance[0, 0] == pytest.approx(squares / (dof - 1), rel=1e-2)
+    _, low, high = found.spreads(0.95)
+    ends = np.sqrt(squares / chi2.ppf([0.975, 0.025], dof))
+    assert [low[0], high[0]] == pytest.approx(ends, rel=1e-2)
 
 
 def test_variances_are_drawn_together_only_where_they_agree():
