@@ -145,6 +145,7 @@ def test_strains_and_relative_lengths_are_asked_for_the_way_they_count(values, s
     ("encoding", "heads"),
     [
         ("cp1250", "Hossz [mm];Nyomás [kPa];Erő [N]"),
+        ("cp1250", "Długość in mm;Ciśnienie in kPa;Siła in N"),
         ("koi8_r", "Длина [мм];Давление [кПа];Сила [Н]"),
         ("big5", "長度 [mm];壓力 [kPa];拉力 [N]"),
         ("cp949", "길이 [mm];압력 [kPa];힘 [N]"),

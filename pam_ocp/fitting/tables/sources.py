@@ -320,9 +320,9 @@ quantities tell all ten.
 
 def _names_in(text: str) -> int:
     """How many words at the beginning are names of quantities with letters beyond ASCII."""
-    words = re.split(r"[\t;,|\n\r\"\[\](){}（）/:]|  ", text[:4000].lower())
+    words = re.split(r"[\t;,|\n\r\"{}:]|  ", text[:4000])
     known = frozenset().union(*NAMES.values(), TIME_NAMES)
-    return sum(not w.isascii() and w.strip() in known for w in words)
+    return sum(not w.isascii() and parse_header(w)[0] in known for w in words)
 
 
 def _from_text(text: str, label: str, suffix: str, how: Reading) -> RawTable:
