@@ -177,6 +177,9 @@ def test_a_frame_and_a_mapping_take_names_lines_to_skip_and_a_pivot() -> None:
         assert read.force == pytest.approx([300.0, 450.0, 400.0, 300.0])
         assert read.pressure == pytest.approx([2e5, 6e5] * 2)
     refused("is no pivot", read_table, named, pivot=head, rest_length=L0)
+    channels = read_record({"time": [0.0, 1.0], "1": [5.0, 6.0], "2": [7.0, 8.0]})
+    assert channels["column_2"] == pytest.approx([7.0, 8.0])
+    refused("differ in length", read_table, {"p": [1, 2], "1": [3]}, pivot=head)
 
 
 def test_few_cells_whose_names_run_down_are_turned(tmp_path: Path) -> None:

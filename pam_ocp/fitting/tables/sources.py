@@ -162,7 +162,9 @@ def _of_columns(
     if how.names is not None:
         given = given_names(label, how.names, len(names))
         columns = {n: columns[old] for n, old in zip(given, names, strict=True) if n}
-    elif how.pivot is not None or _names_values(columns):
+    elif len({len(c) for c in columns.values()}) == 1 and (
+        how.pivot is not None or (not how.columns and _names_values(names))
+    ):
         corner = f"{names[0]} \\ {across}" if across else names[0]
         rows = list(zip(*columns.values(), strict=True))[how.skip :]
         grid = Grid(label, [[corner, *names[1:]], *rows], list(range(len(rows) + 1)))
@@ -172,11 +174,10 @@ def _of_columns(
     return _bare(RawTable(label, kept, dialect=dialect, notes=notes))
 
 
-def _names_values(columns: Mapping[str, Sequence[Any]]) -> bool:
-    """Whether columns of one length are called by numbers, behind one that is not."""
-    names = list(columns)
-    even = len({len(c) for c in columns.values()}) == 1
-    return even and len(names) > 2 and [n for n in names if not is_number(n)] == names[:1]
+def _names_values(names: Sequence[str]) -> bool:
+    """Whether numbers stand behind the name of a quantity."""
+    named = any(parse_header(names[0])[0] in known for known in NAMES.values())
+    return named and len(names) > 2 and all(map(is_number, names[1:]))
 
 
 def _column_name(name: Any) -> str:
