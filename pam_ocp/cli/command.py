@@ -130,9 +130,17 @@ def option(name: str, metavar: str | None, help: str | None = None, **more: Any)
     return Option((name,), {"metavar": metavar, "help": help, **more})
 
 
+class _Joined(argparse.Action):
+    """Keeps the values of an option that is repeated, where argparse has the last alone."""
+
+    def __call__(self, _: Any, options: Any, values: Any, __: Any = None) -> None:
+        before = getattr(options, self.dest)
+        setattr(options, self.dest, values if before is self.default else [*before, *values])
+
+
 def several(name: str, metavar: str, help: str | None = None, **more: Any) -> Option:
-    """One or more."""
-    return option(name, metavar, help, nargs="+", **more)
+    """One or more, together or one by one."""
+    return option(name, metavar, help, **{"nargs": "+", "action": _Joined, **more})
 
 
 def repeated(name: str, metavar: str, help: str, **more: Any) -> Option:
@@ -216,6 +224,8 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
         name, equals, value = text.partition("=")
         if not equals or not value or not name.strip():
             raise InputError(f"{option} {text}: give NAME=VALUE, as mass=2kg or mass=2.0")
+        if name.strip() in found:
+            raise InputError(f"{option} {text}: {name.strip()} is given twice; give it once")
         found[name.strip()] = value
     return found
 

@@ -50,6 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _run(arguments)
             sys.stdout.flush()
             return code
+        except KeyboardInterrupt:
+            _tell_error("interrupted")
+            return 130
         except BrokenPipeError:  # the reader (head, less) has seen enough
             _discard_output()
             return 0
@@ -84,9 +87,6 @@ def _run(arguments: Sequence[str] | None) -> int:
     except PamError as error:
         _tell_error(f"pam-ocp {options.command}: {command_words(str(error), options)}")
         return 2
-    except KeyboardInterrupt:
-        _tell_error("interrupted")
-        return 130
 
 
 def _done(options: argparse.Namespace) -> int:

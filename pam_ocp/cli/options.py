@@ -146,7 +146,7 @@ READING = (
     option("--encoding", "NAME", "of a text, as cp1252"),
     count("--skip", "N", "lines at the beginning to leave out"),
     option("--delimiter", "C", "between cells, if detected wrongly"),
-    option(
+    several(
         "--missing",
         "VALUE",
         "what marks a missing value (default: 9999, -999, 1e30 and their like where they "

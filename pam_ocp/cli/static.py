@@ -63,6 +63,8 @@ LOSS = option(
     "squares (default); bisquare, where some cells are measured wrong; huber; l1",
     default="squares",
 )
+RANKED = ("name", "parameters", "rmse", "aic", "bic", "left_out_rmse", "problem")
+"""What a ranking says of each law."""
 LAW = option("--law", "LAW", "force law", default="six-parameter")
 FIXED = several(
     "--fixed",
@@ -188,10 +190,10 @@ def _fit(options: argparse.Namespace) -> int:
     else:
         fixed = _fixed(options.fixed, laws)
         fitted = pam.fit_force(table, laws[0], loss=options.loss, fixed=fixed)
-    branches = _branch_lines(fitted) if options.branches else []
+    branches = _branches(fitted) if options.branches else None
     tell(options, fitted.report(), lambda: fit_data(fitted))
     if branches:
-        tell(options, "\n".join(branches))
+        tell(options, *branches)
 
     def save(path: Path) -> Path:
         known = table.rest_length if length is None else length
@@ -238,21 +240,24 @@ def _ranked(options: argparse.Namespace, table: ForceTable, laws: Sequence[str])
         raise InputError("--loss: several laws are ranked by least squares; give one --law with it")
     chosen = [*LAWS, "polynomial-1-3"] if laws == ["all"] else laws
     comparison = pam.compare_laws(table, chosen, fixed=_fixed(options.fixed, chosen))
-    tell(options, f"{comparison}\n")
+    ranking = [{n: getattr(law, n) for n in RANKED} for law in comparison.laws]
+    tell(options, f"{comparison}\n", {"ranking": ranking})
     best = comparison.best.fit
     if best is None:
         raise FitError(f"none of the laws could be fitted: {comparison.best.problem}")
     return best
 
 
-def _branch_lines(fitted: ForceFit) -> list[str]:
+def _branches(fitted: ForceFit) -> tuple[str, dict[str, Any]]:
+    """Fits of the branches, and the hysteresis: for people, and as plain data."""
     table, fixed = fitted.table, {n: float(fitted.law.values[n]) for n in fitted.held}
-    lines = []
-    for name, fit in pam.fitting.fit_branches(
-        table, type(fitted.law), fixed=fixed, loss=fitted.terms.loss
-    ).items():
-        lines += ["", f"[[Branch {name}]]", *fit.report().splitlines()]
-    return [*lines, "", str(pam.fitting.hysteresis(table))]
+    fits = pam.fitting.fit_branches(table, type(fitted.law), fixed=fixed, loss=fitted.terms.loss)
+    width = pam.fitting.hysteresis(table)
+    text = "".join(f"\n[[Branch {name}]]\n{fit.report()}\n" for name, fit in fits.items())
+    return f"{text}\n{width}", {
+        "branches": {name: fit_data(fit) for name, fit in fits.items()},
+        "hysteresis": {n: getattr(width, n) for n in ("mean", "stderr", "largest")},
+    }
 
 
 # ---- several muscles -----------------------------------------------------------------------------

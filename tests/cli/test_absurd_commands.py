@@ -49,6 +49,7 @@ COMMANDS = {
     "fit DMSP-20-300_static.csv --rest-length '3 bar'": "--rest-length = '3 bar'",
     f"{FIT} --diameter '20 bar'": "--diameter = '20 bar': this measures something else than 'm'",
     f"{FIT} --fixed a9=1": "did you mean 'a6'",
+    f"{FIT} --fixed a1=1 a1=2": "--fixed a1=2: a1 is given twice",
     f"{FIT} --fixed a1": "--fixed a1: give NAME=VALUE",
     f"{FIT} --loss cauchy": "choose 'squares', 'huber', 'l1' or 'bisquare'",
     f"{FIT} --branches": "the table has no branches",

@@ -3,13 +3,14 @@
 import json
 import logging
 import shutil
+import signal
 import subprocess
 
 import pytest
 from cli_tools import run
 
 import pam_ocp as pam
-from pam_ocp.cli.main import _parser
+from pam_ocp.cli import main
 from pam_ocp.core.progress import counted, heard, listening
 
 TABLE = "DMSP-20-300_static.csv"
@@ -17,7 +18,7 @@ FIT = f"fit {TABLE} --rest-length '300 mm'"
 
 
 def test_every_command_has_the_same_habits():
-    (commands,) = (a for a in _parser()._actions if a.dest == "command")
+    (commands,) = (a for a in main._parser()._actions if a.dest == "command")
     for name, command in commands.choices.items():
         options = {o for a in command._actions for o in a.option_strings}
         assert {"--quiet", "--verbose", "--time-limit"} <= options, name
@@ -58,6 +59,25 @@ def test_a_fit_in_json_is_the_fit_and_names_what_it_wrote(capsys, tmp_path):
     assert said["written"] == [str(file)]
 
 
+def test_an_option_of_several_values_may_be_repeated(capsys):
+    both = json.loads(run(capsys, f"{FIT} --fixed a3=-40 --fixed a6=-300 --json")[1])
+    assert both["coefficients"]["a3"]["value"] == -40.0
+    assert both["coefficients"]["a6"]["value"] == -300.0
+
+
+def test_a_ranking_in_json_has_every_law_the_best_first(capsys):
+    said = json.loads(run(capsys, f"{FIT} --law six-parameter --law five-parameter --json")[1])
+    assert [law["name"] for law in said["ranking"]] == ["five-parameter", "six-parameter"]
+    assert said["law"] == said["ranking"][0]["name"]
+    assert said["rmse"] == said["ranking"][0]["rmse"]
+
+
+def test_ctrl_c_before_a_command_has_begun_is_no_traceback(capsys, monkeypatch):
+    monkeypatch.setattr(main, "_parser", lambda: signal.raise_signal(signal.SIGINT))
+    assert main.main(["muscles"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_several_tables_fitted_together_are_those_of_python(capsys, tmp_path):
     given = f"fit-forces {TABLE} DMSP-10-250_static.csv --shared a3 --json"
     lengths = ("--rest-length", "DMSP-20=300 mm", "DMSP-10=0.25")
@@ -88,7 +108,7 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(capsys, tmp_path, monk
 def test_completion_is_a_script_of_its_shell_that_knows_every_command(capsys, tmp_path, shell):
     code, out, _ = run(capsys, "completion", shell)
     assert code == 0
-    (commands,) = (a for a in _parser()._actions if a.dest == "command")
+    (commands,) = (a for a in main._parser()._actions if a.dest == "command")
     assert all(name in out for name in commands.choices)
     if shutil.which(shell):
         (tmp_path / "script").write_text(out)

@@ -39,6 +39,10 @@ def test_fit_takes_columns_units_and_held_coefficients(table, capsys):
     assert "a6: -300 N (held)" in shown
     assert "[[Branch deflation]]" in shown
     assert float(re.search(r"less inflation ([\d.]+)", shown)[1]) == pytest.approx(8.0, abs=1.0)
+    assert main(["fit", str(table), *READ, "--branches", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert set(said["branches"]) == {"inflation", "deflation"}
+    assert said["hysteresis"]["mean"] == pytest.approx(8.0, abs=1.0)
 
 
 def test_fit_takes_the_names_of_columns_of_a_file_without_headers(table, tmp_path, capsys):
