@@ -286,6 +286,9 @@ run(start={"x": "5 mm"})  # works
 run(start={"x": 5})  # did you mean 5 mm
 run(inputs=3e5)  # give {name: value}
 run(inputs={"muscle.command": "3 bar"})  # works
+run(inputs={"muscle.command": np.array(3e5)})  # works
+run(inputs={"muscle.command": range(300000, 300002)}, t=[0, 0.01], duration=None)  # works
+run(inputs={"muscle.command": (1e5, 3e5)})  # 1 samples for 1 times
 run(inputs={"muscle.command": 3.0})  # warns: 3 bar
 run(inputs={"muscle.command": [1, 2]}, t=[0, 0.01], duration=None)  # warns: 2 bar
 run(inputs={"muscle.command": None})  # is not a number
@@ -414,6 +417,15 @@ pam.Trajectory([0, 2, 1], {"x": [1, 2, 3]})  # not at sample 2
 motion().row(10**6)  # index = 1000000: give a whole number from
 motion().named("states")  # choose one of state, input
 motion().at(5.0)  # leaves the record
+motion().at([])  # t is empty; give at least one time
+motion()[1:3]  # names no column; other times: at(t), a sample: row(index)
+pam.Trajectory(np.array(["2026-01-01"], "M8[s]"), {"x": [0]})  # numbers only: these are datetime64
+pam.Trajectory([0], {"x": np.array([1], "m8[ms]")})  # numbers only: these are timedelta64
+pam.Trajectory([0], {"x": [1]}, [pam.Variable("x", "output")] * 2)  # two columns are named 'x'
+motion().compare(pam.Trajectory(motion().t, {"x": motion().t}))  # works
+motion().compare(
+    pam.Trajectory([0, 1], {"x": [0, 1]}, [pam.Variable("x", "state", unit="Pa")])
+)  # x is in m here and in Pa there
 motion().save("m.mp4")  # one of .csv, .npz, .parquet
 motion().plot([])  # names is empty
 run(inputs=pam.simulate(slide(), duration=0.01))  # holds no column 'muscle.command'

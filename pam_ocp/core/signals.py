@@ -199,15 +199,15 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
     if isinstance(value, tuple) and len(value) == 2:
         times = np.atleast_1d(require_numbers(label, value[0], "s"))
         samples = np.atleast_1d(require_numbers(label, value[1], variable.unit))
-    elif is_quantity(value) or np.ndim(value) == 0:
+    elif is_quantity(value) or (not isinstance(value, list | tuple) and np.ndim(value) == 0):
         constant = np.full((1, 1, 1), variable.check(value))
         return PiecewisePolynomial(np.array([t[0], t[-1]]), constant)
     else:
         times, samples = t, require_numbers(label, value, variable.unit)
     variable.doubt(samples)
-    if samples.shape != times.shape or samples.ndim != 1 or len(samples) < 2:
+    if np.shape(samples) != np.shape(times) or np.ndim(samples) != 1 or len(samples) < 2:
         raise InputError(
-            f"input {variable.name}: {samples.size} samples for {times.size} times; "
+            f"input {variable.name}: {np.size(samples)} samples for {np.size(times)} times; "
             "give a number, one value per time, a (times, values) pair, or a function of time"
         )
     if not np.all(np.diff(times) > 0):

@@ -134,6 +134,8 @@ class Trajectory:
         for variable in self.variables:
             if variable.name not in columns:
                 raise UnknownNameError("column", variable.name, columns)
+            if variable.name in self._columns:
+                raise InputError(f"two columns are named {variable.name!r}; rename one")
             column = _column(variable.name, columns[variable.name], variable.unit)
             if column.shape != self.t.shape:
                 raise InputError(
@@ -153,6 +155,8 @@ class Trajectory:
 
         Raises UnknownNameError with the nearest names.
         """
+        if not isinstance(name, str):
+            raise InputError(f"{name!r} names no column; other times: at(t), a sample: row(index)")
         if name in self._columns:
             return next(v for v in self.variables if v.name == name)
         for variable in self.variables:
@@ -194,6 +198,8 @@ class Trajectory:
         Inputs follow ``signals`` or else ``interpolation``; all else is joined by straight lines.
         """
         times = np.ravel(require_numbers("t", t, "s"))
+        if not times.size:
+            raise InputError("t is empty; give at least one time")
         slack = 1e-9 * (1 + abs(self.t[-1]))
         if times.min() < self.t[0] - slack or times.max() > self.t[-1] + slack:
             raise InputError(
@@ -257,7 +263,12 @@ class Trajectory:
         sampled = other if np.array_equal(self.t, other.t) else other.at(self.t)
         rows = []
         for name in shared:
-            variable = self.variable(name)
+            variable, unit = self.variable(name), other.variable(name).unit
+            said = {variable.unit, unit} - {"1"}  # which stands for a unit that nobody gave, too
+            if len({units.unit(u).exponents for u in said}) > 1:
+                raise InputError(
+                    f"{name} is in {variable.unit} here and in {unit} there; name what to compare"
+                )
             difference = sampled[name] - self[name]
             rows.append(
                 Deviation(
@@ -367,12 +378,12 @@ class Trajectory:
         if not header or header[0].partition(" [")[0] != "time":
             seen = str(header[:1])[:MOST_NAME]
             raise InputError(f"{path.name}: the first column is {seen}, it must be 'time [s]'")
+        if not lines or any(len(line) != len(header) for line in lines):
+            raise InputError(f"{path.name}: the rows do not all have {len(header)} cells")
         try:
             data = np.array([[float(c) for c in line] for line in lines])
         except ValueError as error:
             raise InputError(f"{path.name}: {error}; every cell must be a number") from None
-        if data.ndim != 2 or data.shape[1] != len(header):
-            raise InputError(f"{path.name}: the rows do not all have {len(header)} cells")
         variables, between = [], None
         if HELD in header:
             between = interpolation_of(data[:, header.index(HELD)], path.name)
@@ -498,7 +509,7 @@ class Comparison:
     @property
     def largest(self) -> float:
         """The largest difference of all, scaled by nominals."""
-        return max(d.relative for d in self.deviations)
+        return float(np.max([d.relative for d in self.deviations]))  # NaN, where one is
 
     def __getitem__(self, name: str) -> Deviation:
         for deviation in self.deviations:
@@ -519,6 +530,8 @@ class Comparison:
 def _column(name: str, values: Any, unit: str) -> Array:
     """A copy of numbers, gaps (NaN) among them; texts with units are numbers, too."""
     try:
+        if np.asarray(values).dtype.kind in "mM":  # NumPy makes nanoseconds of dates, or others
+            raise TypeError
         return np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
         return np.array(require_numbers(name, values, unit))

@@ -66,7 +66,8 @@ class FmuCheck:
     @property
     def largest(self) -> float:
         """The largest deviation of all, scaled by nominals; 0 when nothing was compared."""
-        return max((d for mode in self.deviations.values() for d in mode.values()), default=0.0)
+        found = [d for mode in self.deviations.values() for d in mode.values()]
+        return float(np.max(found, initial=0.0))  # NaN, where one is
 
     def to_dict(self) -> dict[str, Any]:
         """The verdict and its figures as plain data, for JSON."""
@@ -76,7 +77,9 @@ class FmuCheck:
             "ok": self.ok,
             "platforms": list(self.platforms),
             "findings": list(self.findings),
-            "largest": {mode: max(found.values()) for mode, found in self.deviations.items()},
+            "largest": {
+                mode: float(np.max([*found.values()])) for mode, found in self.deviations.items()
+            },
             "deviations": {mode: dict(found) for mode, found in self.deviations.items()},
         }
 

@@ -63,6 +63,12 @@ def test_a_deviation_counts_whichever_way_it_goes():
     assert str(comparison).splitlines()[1].split()[0] == "x"
 
 
+def test_a_gap_is_no_agreement_of_two_motions():
+    other = record()
+    other["muscle.command"][1] = np.nan
+    assert np.isnan(record().compare(other).largest)
+
+
 @pytest.mark.parametrize(
     ("t", "columns", "message"),
     [

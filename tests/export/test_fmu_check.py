@@ -17,7 +17,7 @@ from numpy.polynomial import chebyshev, polynomial
 import pam_ocp as pam
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.export import check_fmu, source
-from pam_ocp.export.check import check_fmus
+from pam_ocp.export.check import FmuCheck, check_fmus
 
 DESCRIPTION = "modelDescription.xml"
 
@@ -51,6 +51,13 @@ def test_a_wrong_trajectory_is_found_out(slide_unit):
     assert not found.ok
     assert "NOT well" in str(found)
     assert check_fmu(slide_unit, other, parameters={"mass": 2.01}).ok
+
+
+def test_what_cannot_be_compared_is_no_agreement():
+    found = {"ModelExchange": {"x": 1e-9, "v": float("nan")}}
+    check = FmuCheck(Path("load.fmu"), "2.0", 1e-6, (), deviations=found)
+    assert np.isnan(check.largest)
+    assert np.isnan(check.to_dict()["largest"]["ModelExchange"])
 
 
 def test_damaged_fmus_are_found_out(fmus):
