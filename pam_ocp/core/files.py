@@ -330,7 +330,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The content of a TOML file; InputError when there is none, or it is no TOML."""
     content = content_of(path, MOST_TOML_BYTES)
     with reading(path, "a TOML file", "mend it there, or write it anew"):
-        text = content.decode("utf-8")
+        text = content.decode("utf-8-sig")
         bare = _TOML_TEXT.sub("s", text)
         parts = max((found[0].count(".") for found in _TOML_KEY.finditer(bare)), default=0) + 1
         if parts > MOST_PARTS:

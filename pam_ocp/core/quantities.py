@@ -63,7 +63,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
             raise InputError(f"{where} is not a number")
         return given
     match = _QUANTITY.match(value)
-    if match is None or match[2][:1] in tuple(".,0123456789"):  # "1.000.5"
+    if match is None or re.match(r"(?!1/)[.,\d]", match[2]):  # "1.000.5", but "60 1/min"
         raise InputError(f"{where} = {value!r} is not a number; give {example}")
     number, name = float(match[1]), match[2]
     if math.isinf(number):

@@ -62,7 +62,7 @@ _KINDS: tuple[tuple[tuple[int, ...], dict[str, float]], ...] = (
 """(exponents, {symbol: factor to SI}). Offsets (degC, absolute scales) are not needed here."""
 _SYMBOLS = {name: (kind, factor) for kind, symbols in _KINDS for name, factor in symbols.items()}
 
-_PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
 
 
 def _symbol(name: str) -> tuple[tuple[int, ...], float] | None:
@@ -75,7 +75,9 @@ def _symbol(name: str) -> tuple[tuple[int, ...], float] | None:
     return _SYMBOLS[plain][0], prefix * _SYMBOLS[plain][1]
 
 
-_TOKEN = re.compile(r"(?P<symbol>[A-Za-z%µ]+|1)(?P<power>-?\d+)?$")
+_TOKEN = re.compile(r"(?P<symbol>[A-Za-z%]+|1)(?P<power>-?\d+)?$")
+
+_TYPESET = str.maketrans({"²": "2", "³": "3", "µ": "u", "μ": "u", "°": "deg", "·": ".", " ": None})
 
 
 @cache
@@ -86,7 +88,7 @@ def unit(name: str) -> Unit:
     with the denominator in brackets when it has several factors.
     Raises UnknownNameError when a symbol is not known.
     """
-    numerator, _, denominator = name.replace(" ", "").partition("/")
+    numerator, _, denominator = name.translate(_TYPESET).partition("/")
     exponents = [0] * len(BASE)
     factor = 1.0
     for part, sign in ((numerator, 1), (denominator.strip("()"), -1)):
@@ -94,7 +96,7 @@ def unit(name: str) -> Unit:
             match = _TOKEN.match(token)
             known = match and _symbol(match["symbol"])
             if match is None or known is None:
-                raise UnknownNameError("unit", name, _SYMBOLS)
+                raise UnknownNameError("unit", name, [*_SYMBOLS, "N.m", "N.s", "rad/s"])
             power = sign * int(match["power"] or 1)
             base, scale = known
             exponents = [e + power * b for e, b in zip(exponents, base, strict=True)]

@@ -73,6 +73,12 @@ def test_a_toml_file_that_asks_for_too_much_is_refused(text, words, tmp_path):
     refused(words, read_toml, tmp_path / "a.toml")
 
 
+def test_the_mark_that_editors_of_windows_put_first_is_no_content(tmp_path):
+    file = tmp_path / "plan.toml"
+    file.write_text("minimise = 'time'", "utf-8-sig")
+    assert read_toml(file) == {"minimise": "time"}
+
+
 def test_brackets_and_dots_within_texts_are_no_depth(tmp_path):
     text = "[" * 100 + "." * 100
     file = tmp_path / "a.toml"

@@ -6,6 +6,7 @@ import pytest
 from conftest import refused
 
 from pam_ocp import UnknownNameError, Variable
+from pam_ocp.core.quantities import quantity
 from pam_ocp.core.units import unit
 
 
@@ -19,6 +20,9 @@ from pam_ocp.core.units import unit
         ("m3/(s.Pa)", {"kg": -1, "m": 4, "s": 1}, 1.0),
         ("mm/s2", {"m": 1, "s": -2}, 1e-3),
         ("1/s", {"s": -1}, 1.0),
+        ("cm³", {"m": 3}, 1e-6),
+        ("µm/s²", {"m": 1, "s": -2}, 1e-6),
+        ("N·m/°", {"kg": 1, "m": 2, "s": -2, "rad": -1}, 180 / math.pi),
         ("%", {}, 0.01),
         ("1", {}, 1.0),
     ],
@@ -30,6 +34,11 @@ def test_units_reduce_to_si_base_units(name, exponents, factor):
 
 def test_unknown_unit_names_the_nearest():
     refused("kPa", unit, "KPa", error=UnknownNameError)
+    refused("N.m", unit, "Nm", error=UnknownNameError)
+
+
+def test_a_frequency_is_read_as_its_unit_is_shown():
+    assert quantity("f", "90 1/min", "1/s") == pytest.approx(1.5)
 
 
 def test_a_variable_shows_its_value_in_the_unit_people_read():
