@@ -154,8 +154,11 @@ def small(png: bytes) -> bytes:
 
 def make(folder: Path, names: list[str] | None = None, anew: bool = False) -> list[Path]:
     """Run examples, two at a time."""
+    known = [name for group in groups().values() for name in group]
+    chosen = names or known
+    if unknown := set(chosen) - {*known}:
+        raise SystemExit(f"unknown examples {sorted(unknown)}; known: {', '.join(known)}")
     folder.mkdir(parents=True, exist_ok=True)
-    chosen = names or [name for group in groups().values() for name in group]
     # before the threads: Python 3.11 parses in one alone
     made = [notebook(EXAMPLES / f"{name}.py") for name in chosen]
     with ThreadPoolExecutor(2) as pool:

@@ -7,10 +7,11 @@ around one symbolic CasADi model. SI units inside; pressures are gauge; contract
 
 from __future__ import annotations
 
+import sys
 import warnings
 from typing import Any
 
-from .core.lazy import from_stub
+from .core.lazy import MovedModules, from_stub
 
 __version__ = "0.2.0"
 
@@ -147,6 +148,19 @@ _MOVED: dict[str, str] = {
     "tvlqr": "control",
 }
 """{name that was here before: its subpackage}."""
+
+sys.meta_path.append(
+    MovedModules(
+        __name__,
+        {
+            "muscles.laws.thick_wall": "muscles.laws.braid",
+            "muscles.muscle": "muscles.pneumatic_muscle",
+            "planning.problem.profile": "judge.statement",
+            "planning.problem.wording": "judge.statement",
+            "plants.elastic": "plants.hanging",
+        },
+    )
+)
 
 _SINCE_0_3 = frozenset(
     {

@@ -7,6 +7,9 @@ import importlib
 import importlib.util
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from importlib.abc import Loader
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -72,6 +75,26 @@ def _face(
         return sorted({*vars(sys.modules[module]), *homes})
 
     return __getattr__, __dir__
+
+
+class MovedModules(Loader):
+    """Finds modules that stand elsewhere now, for pickles that name them.
+
+    homes : {name of the module below ``package``: the one that has its names now}.
+    """
+
+    def __init__(self, package: str, homes: Mapping[str, str]) -> None:
+        self.homes = {f"{package}.{old}": f"{package}.{new}" for old, new in homes.items()}
+
+    def find_spec(self, name: str, *_: Any) -> ModuleSpec | None:
+        return ModuleSpec(name, self) if name in self.homes else None
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """One as any other."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        home = load(self.homes[module.__name__])
+        vars(module)["__getattr__"] = partial(getattr, home)
 
 
 def from_stub(

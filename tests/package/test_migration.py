@@ -1,5 +1,6 @@
 """Every old name that docs/migration.md lists does what the page says of it."""
 
+import pickle
 import re
 from pathlib import Path
 
@@ -35,6 +36,12 @@ def test_a_name_that_has_moved_works_and_says_where_it_stands(name):
     with pytest.warns(DeprecationWarning, match=rf"is pam_ocp\.{place} since"):
         old = getattr(pam, name)
     assert old is getattr(getattr(pam, MOVED[name]), name)
+
+
+@pytest.mark.parametrize("old", ["plants.elastic.SeriesLoad", "muscles.muscle.Muscle"])
+def test_a_pickle_of_version_0_2_finds_its_class(old):
+    module, _, name = old.rpartition(".")
+    assert pickle.loads(f"cpam_ocp.{module}\n{name}\n.".encode()) is getattr(pam, name)
 
 
 def test_a_campaign_under_its_former_name_says_the_new_one(tmp_path):
