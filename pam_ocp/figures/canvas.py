@@ -35,6 +35,13 @@ MARKS = ("o", "s", "^", "D", "v", "P")
 """Beside the colours, so that lines are told apart in print."""
 
 
+def ink() -> str:
+    """The colour of letters: dark on paper, light in a dark style."""
+    from matplotlib import rcParams
+
+    return str(rcParams["text.color"])
+
+
 def axis_label(*variables: Variable) -> str:
     """Quantity and display unit of a panel that shows these variables, which have one unit."""
     names = {v.name.rpartition(".")[2] for v in variables}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..control.analysis import BodeCloud, Margins, ModeMap, Stroke, frequency_response
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
-from .canvas import COLOURS, caption, draw, name_beside, panels
+from .canvas import COLOURS, caption, draw, ink, name_beside, panels
 
 if TYPE_CHECKING:
     import control
@@ -55,7 +55,7 @@ def plot_tracking(
                 draw(ax, run, name, colour, **style)
         if not error and name in wanted:
             goal = np.array([wanted[name](t) for t in first.t]) / variable.display_factor
-            ax.plot(first.t, goal, color="#222222", lw=1.0, ls="--", label="reference")
+            ax.plot(first.t, goal, color=ink(), lw=1.0, ls="--", label="reference")
         unit = "" if variable.display_unit == "1" else f" [{variable.display_unit}]"
         ax.set_ylabel(f"error of {name}{unit}" if error else variable.label)
     figure.legend(

@@ -16,7 +16,7 @@ from ..core.stop import turns
 from ..core.units import significant
 from ..core.variables import Variable
 from ..planning.result import Plan
-from .canvas import COLOURS, axis_label, caption, legible, name_beside, over_time, panels
+from .canvas import COLOURS, axis_label, caption, ink, legible, name_beside, over_time, panels
 from .paper import paper_width
 
 if TYPE_CHECKING:
@@ -31,13 +31,12 @@ _COPY = re.compile(r"\.(draw|deviation)\d+$")
 _EFFORTS = {"N", "N.m", "N/m", "N.m/rad"}
 """Units of outputs that always have a panel."""
 GREY = "#8a8f94"
-_OTHERS = ("#333333", *COLOURS[2:])
 
 
 def colours_of(names: Sequence[str]) -> dict[str, str]:
     """One colour per muscle, the same in all panels; others in turn, one for each owner."""
     numbered = {n: m for n in names if (m := re.match(r"muscle(\d*)\.", n))}
-    others = _OTHERS if numbered else (*_OTHERS, *COLOURS[:2])
+    others = (ink(), *COLOURS[2:]) if numbered else (ink(), *COLOURS[2:], *COLOURS[:2])
     owners = {n: n.rpartition(".")[0] or n for n in names if n not in numbered}
     turns = {
         owner: others[i % len(others)] for i, owner in enumerate(dict.fromkeys(owners.values()))

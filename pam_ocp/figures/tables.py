@@ -105,8 +105,8 @@ def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
             found[f"{prefix}{name}"] = value
         elif isinstance(value, np.number | np.bool_):
             found[f"{prefix}{name}"] = value.item()
-        elif hasattr(value, "causality") and hasattr(value, "name"):  # a variable: by its name
-            found[f"{prefix}{name}"] = value.name
+        elif hasattr(value, "causality") and hasattr(value, "name"):  # a variable
+            found |= {f"{prefix}{name}": value.name, f"{prefix}unit": value.unit}
         elif isinstance(value, Mapping) and not prefix:
             found |= _flat(value, f"{name}.")
     return found
@@ -193,6 +193,9 @@ def plot_table(thing: Any) -> Figure:
     rows = table.rows[:MOST_ROWS]
     named = [j for j in range(len(table.head)) if any(isinstance(r[j], str) for r in rows)]
     labels = [str(r[named[0]]) if named else str(i + 1) for i, r in enumerate(rows)]
+    units = [r[table.head.index("unit")] for r in rows] if "unit" in table.head else []
+    if units:
+        labels = [f"{n} [{unit}]" for n, unit in zip(labels, units, strict=True)]
     numbers = [
         j
         for j in range(len(table.head))
@@ -211,6 +214,8 @@ def plot_table(thing: Any) -> Figure:
         values = [float(r[j]) if _finite(r[j]) else 0.0 for r in rows]
         ax.barh(range(len(rows)), values, color=COLOURS[0], height=0.6)
         ax.set_xlabel(table.head[j])
+        if len(set(units)) > 1 and max(values) > 0:  # sizes that have nothing in common
+            ax.set_xscale("log")
         ax.set_yticks(range(len(rows)), labels if first(ax) else [""] * len(rows))
         ax.invert_yaxis()
     return figure

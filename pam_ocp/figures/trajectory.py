@@ -23,6 +23,7 @@ from .canvas import (
     caption,
     colour_scale,
     draw,
+    ink,
     layered,
     legible,
     name_beside,
@@ -159,9 +160,9 @@ def _draw_forces(fit: ForceFit, upper: Axes, title: str) -> None:
         upper.plot(100 * grid, model, "-", color=colour, lw=1.0)
     upper.set_ylim(bottom=-0.03 * float(table.force.max()))
     heading = title or f"{fit.law.title}: RMSE {fit.rmse:.2f} N over {len(table.taut)} cells"
-    upper.plot([], [], "o", color="#555555", ms=4, label="measured")
-    upper.plot([], [], "x", color="#555555", ms=3, label="slack (not fitted)")
-    upper.plot([], [], "-", color="#555555", lw=1, label="fitted law")
+    upper.plot([], [], "o", color=ink(), ms=4, label="measured")
+    upper.plot([], [], "x", color=ink(), ms=3, label="slack (not fitted)")
+    upper.plot([], [], "-", color=ink(), lw=1, label="fitted law")
     caption(upper, y="pulling force [N]", title=heading, names="best")
 
 

@@ -1,7 +1,9 @@
 """Pictures of plans: what is drawn is what the plan holds."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import pam_ocp as pam
@@ -100,6 +102,12 @@ def test_the_figure_shows_motion_limits_stops_and_activity(quickest):
     assert min(b[0] for b in bars) == 0.0
     assert max(b[1] for b in bars) == pytest.approx(2.0)
     assert [t.get_text() for t in chart.get_yticklabels()] == ["u min", "u max"]
+
+
+def test_a_dark_style_has_light_lines(quickest):
+    with plt.style.context("dark_background"):
+        (line,) = quickest.plot().axes[0].get_lines()[:1]
+    assert min(to_rgb(line.get_color())) > 0.5
 
 
 def test_a_touched_limit_of_a_state_is_shaded():

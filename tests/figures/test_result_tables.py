@@ -49,6 +49,10 @@ def test_a_comparison_in_files_holds_its_numbers(load_motion, load_10kg, tmp_pat
     for d, row, plain in zip(found.deviations, rows, said, strict=True):
         assert row["variable"] == plain["variable"] == d.variable.name
         assert float(row["largest"]) == plain["largest"] == d.largest
+        assert row["unit"] == plain["unit"] == d.variable.unit
+    panel = found.plot().axes[0]  # of metres and pascals, none of them hidden by the others
+    assert panel.get_xscale() == "log"
+    assert [t.get_text() for t in panel.get_yticklabels()][:2] == ["x [m]", "v [m/s]"]
     assert "<h1>Comparison" in found.save(tmp_path / "c.html").read_text()
     assert found.save(tmp_path / "c.txt").read_text() == f"{found}\n"
     with pytest.raises(pam.InputError, match=r"end the name in one of \.csv"):
