@@ -170,8 +170,9 @@ plant().with_values(mass=[1, 2])  # is not a number
 plant().with_values(3)  # give values by name
 plant().with_values(masse=2)  # did you mean
 plant().with_values({"muscle.force": 1})  # follows from the others
+pam.AntagonisticSlide(NAME, pre_contraction="10 %")  # works
+pam.AntagonisticSlide(NAME, pre_contraction="10 mm")  # measures something else than '1'
 pam.AntagonisticSlide(NAME, pre_contraction=10)  # did you mean 10 %
-pam.AntagonisticSlide(NAME, pre_contraction="10 %")  # measures something
 pam.HangingLoad(NAME, feed=pam.feeds.Regulator(max_pressure="6 bar"))  # works
 pam.HangingLoad(NAME, feed=pam.feeds.Regulator("50 ms"))  # works
 pam.feeds.Regulator(0)  # must be > 0
@@ -404,6 +405,10 @@ pam.operating.equilibrium_branch(
     plant(), "muscle.command", 3e5, 4e5, step=0
 )  # step = 0 must be > 0
 pam.operating.equilibria(plant(), x=0.03, seed=-1)  # seed = -1: give
+looped({"muscle.command": 3e5}, noise={"x": "0.01 mm"})  # works
+looped({"muscle.command": 3e5}, noise={"x": "0.01 bar"})  # something else than 'm'
+pam.Profile(["0 s", "10 ms"], [0, 0.01])  # works
+pam.Profile([0, 1], ["1 mm", "2 mm"])  # something else than a plain number
 pam.operating.Allocation(plant())  # give an AntagonisticSlide or AntagonisticJoint
 pam.operating.pressures_of(
     [1e5, 2e5], [1e4, 2e4, 3e4]

@@ -371,15 +371,15 @@ class Sensors:
             if name not in self.names:
                 raise UnknownNameError("measured variable of the real side", name, self.names)
         given = noise if noise is not None else {} if side.measured else expected
-        self.noise = {
-            alias.get(n, n): require_positive(f"noise[{n!r}]", s, zero=True)
-            for n, s in given.items()
-        }
-        unknown = [n for n in self.noise if n not in self.names]
+        unknown = [n for n in given if alias.get(n, n) not in known]
         if unknown:
             raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")
-        self._random = np.random.default_rng(require_count("seed", seed, 0))
         known |= {n: known[full] for n, full in alias.items()}
+        self.noise = {
+            alias.get(n, n): require_positive(f"noise[{n!r}]", s, known[n].unit, zero=True)
+            for n, s in given.items()
+        }
+        self._random = np.random.default_rng(require_count("seed", seed, 0))
         for name in instruments or {}:
             if name not in known:
                 raise UnknownNameError("measured variable of the real side", name, self.names)

@@ -19,6 +19,7 @@ from ..core.errors import (
     require_finite,
     require_flag,
     require_instance,
+    require_numbers,
     require_positive,
 )
 from ..core.expressions import scalar_expression
@@ -196,14 +197,15 @@ class Profile:
     smooth: bool = False
 
     def __init__(self, t: ArrayLike, values: ArrayLike, smooth: bool = False) -> None:
-        times, samples = np.asarray(t, float), np.asarray(values, float)
+        times = np.asarray(require_numbers("Profile.t", t, "s"))
+        samples = np.asarray(require_numbers("Profile.values", values))
         if times.ndim != 1 or times.shape != samples.shape or len(times) < 2:
             raise InputError(
                 f"Profile: {times.shape} times and {samples.shape} values; give two lists of equal "
                 "length, at least two entries each"
             )
-        if not (np.all(np.isfinite(samples)) and np.all(np.diff(times) > 0)):
-            raise InputError("Profile: the times must rise and all values be finite")
+        if not np.all(np.diff(times) > 0):
+            raise InputError("Profile: the times must rise")
         if smooth and len(times) < 4:
             raise InputError(f"Profile: smooth=True needs at least 4 values, not {len(times)}")
         for name, value in (("t", times), ("values", samples), ("smooth", bool(smooth))):

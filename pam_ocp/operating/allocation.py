@@ -9,7 +9,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, PamError, broadcast, require_numbers
+from ..core.errors import (
+    InputError,
+    PamError,
+    broadcast,
+    require_ends,
+    require_finite,
+    require_numbers,
+)
 from ..core.stop import locked, verb
 from ..numerics.newton import iterate
 from ..plants.plant import Plant
@@ -47,15 +54,11 @@ def common_and_difference(p1: ArrayLike, p2: ArrayLike) -> tuple[Array, Array]:
     return (one + two) / 2, (one - two) / 2
 
 
-def _alike(**pressures: Any) -> list[Array]:
-    """Pressures [Pa] as arrays that go together."""
-    arrays = {name: np.asarray(require_numbers(name, p, "Pa")) for name, p in pressures.items()}
-    try:
-        np.broadcast_shapes(*(a.shape for a in arrays.values()))
-    except ValueError:
-        shapes = ", ".join(f"{n} has shape {a.shape}" for n, a in arrays.items())
-        raise InputError(f"{shapes}: give one of each, or arrays that broadcast") from None
-    return list(arrays.values())
+def _alike(*units: str, **values: Any) -> list[Array]:
+    """Values in these units (pressures, where none is given) as arrays of one shape."""
+    asked = zip(values.items(), units or ["Pa"] * len(values), strict=True)
+    numbers = {name: require_numbers(name, v, unit) for (name, v), unit in asked}
+    return [np.array(a) for a in broadcast(**numbers)]
 
 
 @verb
@@ -104,6 +107,8 @@ class Allocation:
                 f"Allocation needs a pair, muscle1 and muscle2, which {plant.name!r} has not; give "
                 "an AntagonisticSlide or AntagonisticJoint"
             )
+        turns = plant.variable(self.position).unit == "rad"
+        self._units = ("rad", "N.m", "N.m/rad") if turns else ("m", "N", "N/m")
         self._pressures = [plant.variable(f"muscle{i}.pressure") for i in (1, 2)]
         self._function = self._build()
 
@@ -144,7 +149,7 @@ class Allocation:
 
         Raises AllocationError when the equations have no solution.
         """
-        wanted = broadcast(position=position, effort=effort, stiffness=stiffness)
+        wanted = _alike(*self._units, position=position, effort=effort, stiffness=stiffness)
         z, target = wanted[0].ravel(), np.array([wanted[1].ravel(), wanted[2].ravel()])
         start = np.array([np.full(z.shape, (v.min + v.max) / 2) for v in self._pressures])
 
@@ -172,7 +177,7 @@ class Allocation:
         self, position: ArrayLike, p1: ArrayLike, p2: ArrayLike, *, taut: bool = True
     ) -> NDArray[np.bool_]:
         """Whether pressures lie within the plant's range and (``taut``) both muscles pull."""
-        z, one, two = broadcast(position=position, p1=p1, p2=p2)
+        z, one, two = _alike(self._units[0], "Pa", "Pa", position=position, p1=p1, p2=p2)
         p = np.array([one.ravel(), two.ravel()])
         good = np.ones(p.shape[1], bool)
         for variable, row in zip(self._pressures, p, strict=True):
@@ -187,7 +192,7 @@ class Allocation:
     ) -> tuple[float, float]:
         """Smallest and largest effort at a position over the range of pressures."""
         (low1, high1), (low2, high2) = self._box(pressures)
-        z = np.full(2, float(position))
+        z = np.full(2, require_finite("position", position, self._units[0]))
         asked, _, _ = self._call(z, np.array([[low1, high1], [high2, low2]]))
         return float(asked[0, 0]), float(asked[0, 1])
 
@@ -205,7 +210,9 @@ class Allocation:
         own. Raises AllocationError when the effort is out of reach.
         """
         box = self._box(pressures)
-        ends = self._ends(float(position), float(effort), box, taut)
+        position = require_finite("position", position, self._units[0])
+        effort = require_finite("effort", effort, self._units[1])
+        ends = self._ends(position, effort, box, taut)
         if ends is None:
             least, most = self.effort_range(position, pressures=pressures)
             raise AllocationError(
@@ -213,16 +220,13 @@ class Allocation:
                 f"{least:.4g} .. {most:.4g} within the pressures"
                 + (", and less when both muscles must pull" if taut else "")
             )
-        asked, _, _ = self._call(np.full(2, float(position)), np.array(ends).T)
+        asked, _, _ = self._call(np.full(2, position), np.array(ends).T)
         return float(asked[1].min()), float(asked[1].max())
 
     def _box(self, pressures: tuple[float, float] | None) -> list[tuple[float, float]]:
         if pressures is None:
             return [(v.min, v.max) for v in self._pressures]
-        low, high = pressures
-        if not low < high:
-            raise InputError(f"pressures = ({low:g}, {high:g}) Pa: the lower must be the smaller")
-        return [(low, high)] * 2
+        return [require_ends("pressures", pressures, "Pa")] * 2
 
     def _ends(
         self, z: float, effort: float, box: list[tuple[float, float]], taut: bool

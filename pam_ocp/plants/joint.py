@@ -92,7 +92,7 @@ class AntagonisticJoint(Plant):
     ) -> None:
         super().__init__(name, "a joint between two pneumatic muscles, flexor and extensor")
         loads = as_loads(loads)
-        pre_contraction = require_finite("pre_contraction", pre_contraction)
+        pre_contraction = require_finite("pre_contraction", pre_contraction, "1")
         first = as_muscle(muscle)
         muscles = (first, first if muscle2 is None else as_muscle(muscle2, "muscle2"))
         arms = (moment_arm, moment_arm if moment_arm2 is None else moment_arm2)

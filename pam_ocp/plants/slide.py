@@ -64,7 +64,7 @@ class AntagonisticSlide(Plant):
         super().__init__(name, "an antagonistic pair of pneumatic muscles on a slide")
         loads = as_loads(loads)
         mass = require_positive("mass", mass, "kg")
-        pre_contraction = require_finite("pre_contraction", pre_contraction)
+        pre_contraction = require_finite("pre_contraction", pre_contraction, "1")
         first = as_muscle(muscle)
         muscles = (first, first if muscle2 is None else as_muscle(muscle2, "muscle2"))
         farthest = min(reach(m, pre_contraction) for m in muscles)

@@ -535,7 +535,7 @@ def limit_of(nominal: float) -> pam.Constraint:
         ("lists of equal length", lambda: pam.Profile([0.0, 1.0], [1.0])),
         ("lists of equal length", lambda: pam.Profile([[0.0, 1.0]] * 2, [[1.0, 2.0]] * 2)),
         ("must rise", lambda: pam.Profile([0.0, 0.0], [1.0, 2.0])),
-        ("must rise", lambda: pam.Profile([0.0, 1.0], [1.0, np.nan])),
+        ("must be finite", lambda: pam.Profile([0.0, 1.0], [1.0, np.nan])),
         ("at least 4 values", lambda: pam.Profile([0.0, 1.0, 2.0], [0.0, 0.0, 0.0], smooth=True)),
         ("phases", lambda: Statement(STOPS, phases=[3])),
         ("constraints", lambda: Statement(STOPS, constraints=3)),

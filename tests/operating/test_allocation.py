@@ -79,12 +79,23 @@ def test_co_contraction_coordinates_go_there_and_back():
     )
 
 
+def test_what_is_asked_may_have_units(joint):
+    pair = Allocation(joint)
+    texts, numbers = pair.pressures("9 deg", "5 N.m", "30 N.m/rad"), (np.pi / 20, 5.0, 30.0)
+    assert np.array(texts) == pytest.approx(np.array(pair.pressures(*numbers)))
+    assert pair.stiffness_range("9 deg", "5 N.m", pressures=("0.5 bar", "6 bar")) == pytest.approx(
+        pair.stiffness_range(np.pi / 20, 5.0, pressures=RANGE)
+    )
+    with pytest.raises(InputError, match=r"effort = '5 N': this measures something else"):
+        pair.pressures(0.0, "5 N", 30.0)
+
+
 def test_what_is_out_of_reach_says_how_far_one_can_go(joint):
     with pytest.raises(
         AllocationError, match=r"effort 80 is out of reach at theta = 0: -44\.7 \.\. 44\.7"
     ):
         Allocation(joint).stiffness_range(0.0, 80.0)
-    with pytest.raises(InputError, match="the lower must be the smaller"):
+    with pytest.raises(InputError, match="the first the smaller"):
         Allocation(joint).effort_range(0.0, pressures=(6e5, 1e5))
 
 
