@@ -160,7 +160,7 @@ CALLS: dict[str, tuple[Call, str]] = {
         "a.csv is a force table, no record in time",
     ),
     "a sample time of 0": (controls("lqr", sample_time=0.0), "sample_time = 0 s must be > 0"),
-    "noise below 0": (controls("lqr", study={"noise": -1.0}), "noise['x'] = -1 must be >= 0"),
+    "noise below 0": (controls("lqr", study={"noise": -1.0}), "noise['x'] = -1 m must be >= 0"),
     "a step of 5 m": (controls("lqr", study={"step": 5.0}), "x: reference = 5000 mm is outside"),
     "no operating point": (controls("lqr", state={"point": {}}), "choose one in the tab Plant"),
     "a horizon of 0": (controls("mpc", gains={"horizon": 0}), "horizon = 0: give a whole number"),
