@@ -52,7 +52,8 @@ def test_bad_arguments_of_the_closed_loop_are_named(slide):
 @pytest.mark.slow
 def test_the_fmu_as_the_plant_gives_the_same_closed_loop(slide, tmp_path):
     fmu = pam.export_fmu(slide, tmp_path / "slide.fmu", platforms="native")
-    feedback = lqr(slide, slide.equilibrium(x=0.003, stiffness=2.2e4), integral={"x": 50.0})
+    there = slide.equilibrium(x=0.003, stiffness=2.2e4)
+    feedback = lqr(slide, there, integral={"x": 50.0}, sample_time=2e-3)
     shared = {"duration": 0.3, "sample_time": 2e-3, "parameters": {"mass": 2.6}, "parts": 2}
     plant, unit = (closed_loop(feedback, side, **shared).trajectory for side in (slide, fmu))
     assert plant["x"][-1] != pytest.approx(plant["x"][0], abs=1e-3)
