@@ -8,7 +8,6 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from importlib.abc import Loader
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
@@ -77,7 +76,7 @@ def _face(
     return __getattr__, __dir__
 
 
-class MovedModules(Loader):
+class MovedModules:
     """Finds modules that stand elsewhere now, for pickles that name them.
 
     homes : {name of the module below ``package``: the one that has its names now}.
@@ -87,7 +86,8 @@ class MovedModules(Loader):
         self.homes = {f"{package}.{old}": f"{package}.{new}" for old, new in homes.items()}
 
     def find_spec(self, name: str, *_: Any) -> ModuleSpec | None:
-        return ModuleSpec(name, self) if name in self.homes else None
+        loader: Any = self  # importlib.abc takes as long to load as all the rest of the package
+        return ModuleSpec(name, loader) if name in self.homes else None
 
     def create_module(self, spec: ModuleSpec) -> None:
         """One as any other."""

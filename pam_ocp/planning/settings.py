@@ -35,7 +35,8 @@ class Settings:
     least_step: float = 0.01
     """Of the path, before it counts as blocked."""
     reentry: float = 0.6
-    """Place of the path from which a finer mesh is approached where it is not solved at once."""
+    """Place of the path from which a plan that is given is led on where it is not solved at once,
+    and from which shooting is tried where the next place is not."""
     coarsest: int = 10
     """Intervals of a leg that the mesh sequence begins with where work, air or exergy counts: from
     a rough guess fine meshes take hundreds of iterations or fail there (measured)."""

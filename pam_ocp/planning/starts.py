@@ -130,8 +130,6 @@ def in_series(plant: Plant) -> bool:
 
 
 # ---- side by side -------------------------------------------------------------------------------
-PAYS = 1.0
-"""Seconds of work left from which on other processes are started."""
 PLACE: ContextVar[Place] = ContextVar("place of starts", default=None)
 """Where starts are solved: as a time limit it holds for all searches within a verb, those on
 coarser meshes too.
@@ -224,6 +222,7 @@ class _Forked:
 
     def count(self, first: float) -> int:
         """How many processes pay; 0: none beside this one."""
+        from ..core.cases import PAYS
         from ..core.workers import forks, nested, processors
 
         pays = first * len(self.tasks) >= PAYS and forks() and not nested()

@@ -464,7 +464,7 @@ UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
 @pytest.fixture
 def two_processors(monkeypatch):
     """Starts are solved by two workers, however little work they are; the processes begun."""
-    monkeypatch.setattr("pam_ocp.planning.starts.PAYS", 0.0)
+    monkeypatch.setattr("pam_ocp.core.cases.PAYS", 0.0)
     monkeypatch.setattr("pam_ocp.core.workers.processors", lambda: 2)
     begun, started = [], _Worker.started.__func__
 
@@ -487,7 +487,7 @@ def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, two_proces
     assert two_processors
     assert ended(two_processors)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pam_ocp.planning.starts.PAYS", np.inf)
+        patch.setattr("pam_ocp.core.cases.PAYS", np.inf)
         alone = pam.plan(by_valve, **UP, starts=4)
     assert len(alone.statistics["starts"]) == len(beside.statistics["starts"]) == 4
     for one, two in zip(alone.statistics["starts"], beside.statistics["starts"], strict=True):
