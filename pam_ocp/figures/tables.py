@@ -213,8 +213,9 @@ def plot_table(thing: Any) -> Figure:
     for ax, j in zip(axes[0], numbers, strict=True):
         values = [float(r[j]) if _finite(r[j]) else 0.0 for r in rows]
         ax.barh(range(len(rows)), values, color=COLOURS[0], height=0.6)
-        ax.set_xlabel(table.head[j])
-        if len(set(units)) > 1 and max(values) > 0:  # sizes that have nothing in common
+        timed = table.head[j] == "time"
+        ax.set_xlabel("time [s]" if timed else table.head[j])
+        if len(set(units)) > 1 and max(values) > 0 and not timed:  # nothing in common
             ax.set_xscale("log")
         ax.set_yticks(range(len(rows)), labels if first(ax) else [""] * len(rows))
         ax.invert_yaxis()
