@@ -9,6 +9,7 @@ have brought about is what its surroundings bring about by themselves.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
@@ -36,6 +37,8 @@ HELD = 1e-9
 """What is left of what should vanish, in nominals, where inputs hold a plant."""
 STEPS = 20
 """Of Newton's method towards such inputs."""
+STEP = 1e-4
+"""Difference of an input, in nominals, from which slopes are taken."""
 LEVELS, WIDE = 41, 100.0
 """Of each input, from end to end of its range, or as far as so many nominals."""
 BISECTIONS = 40
@@ -125,8 +128,12 @@ def _holding(
     near: Array,
     limits: Sequence[Limit],
     time: float,
+    also: Callable[[Array], Array] | None = None,
 ) -> tuple[Array, Array]:
-    """(admissible inputs that bring ``wanted`` next to zero, what is left of it, or of a limit)."""
+    """(admissible inputs that bring ``wanted`` next to zero, what is left of it, or of a limit).
+
+    also : what is to vanish as well, by all inputs; its slopes are differences.
+    """
     p = plant.vector("parameter")
     free = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
     nominal = plant.vector("input", attribute="nominal")[free]
@@ -148,10 +155,13 @@ def _holding(
         value, slope = (np.asarray(e, float) for e in function(x, u, p, time))
         value, slope = value.ravel(), slope * nominal
         beyond = np.maximum(floor - value[rows:], 0.0) - np.maximum(value[rows:] - roof, 0.0)
-        return (
-            np.concatenate([value[:rows], beyond]),
-            np.vstack([slope[:rows], np.where(beyond[:, None] != 0, -slope[rows:], 0.0)]),
-        )
+        value = np.concatenate([value[:rows], beyond])
+        slope = np.vstack([slope[:rows], np.where(beyond[:, None] != 0, -slope[rows:], 0.0)])
+        if also is None:
+            return value, slope
+        base, steps = also(u), STEP * np.eye(u.size)[free] * nominal[:, None]
+        differences = np.array([also(u + step) - base for step in steps]).T / STEP
+        return np.concatenate([value, base]), np.vstack([slope, differences])
 
     high = np.maximum(high, low + 1e-9 * nominal)
     box = (low / nominal, high / nominal)
@@ -160,8 +170,9 @@ def _holding(
     middle = np.where(known, (np.where(known, low, 0.0) + np.where(known, high, 0.0)) / 2, starts)
     tried: list[tuple[float, int, Array]] = []
     guesses = [np.clip(guess / nominal, *box) for guess in (near[free], starts, middle)]
-    for method in (_newton, _scanning, _least_squares):  # the first need no SciPy, and mostly do
-        for guess in guesses:
+    methods = (_newton, _scanning, _least_squares)  # the first need no SciPy, and mostly do
+    for method in methods if also is None else (_newton,):
+        for guess in guesses if also is None else guesses[:1]:
             w = method(at, guess, box)
             tried.append((float(np.abs(at(w)[0]).max(initial=0.0)), len(tried), w))
             if tried[-1][0] < HELD:
@@ -184,7 +195,9 @@ def _newton(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
         value, slope = at(w)
         if np.abs(value).max(initial=0.0) < HELD or not np.isfinite(slope).all():
             break
-        w = np.clip(w - np.linalg.lstsq(slope, value, rcond=1e-12)[0], *box)
+        before, w = w, np.clip(w - np.linalg.lstsq(slope, value, rcond=1e-12)[0], *box)
+        if np.abs(w - before).max(initial=0.0) < HELD:
+            break
     return w
 
 
@@ -232,50 +245,102 @@ def end_at(end: float | Profile, time: float) -> float:
 # ---- before the first stop ----------------------------------------------------------------------
 def begun(
     run: Driven, point: Point, memory: Memory, limits: Sequence[Limit]
-) -> Iterator[tuple[str, float, bool]]:
+) -> list[tuple[str, float, bool]]:
     """(what the plant had not come to before the motion, by how much in nominals, whether the stop
-    says so).
+    says so), under those of the inputs that can have held it which leave least.
     """
     plant = run.plant
     x, u = run.sides(point.time)[-1]
+    before = _Before.of(plant, point, require_memory(plant, memory), x)
     nominal = plant.vector("state", attribute="nominal")
-    names = [v.name for v in plant.states]
-    positions = plant.resting(_spoken(plant, [point]))
-    said = {plant.variable(n).name for n in point.stop.values if "(" not in n}
-    said -= {p.name for p in positions}
-    said |= {p.name for p in positions if p.velocities and said.issuperset(p.velocities)}
-    memories = [v.name for v in plant.states if v.memory == "held"]
-    given = {*memories, *totals(plant)}
-    stores = {*store_names(plant)}
-    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies} - stores]
-    rates = plant.function(plant.x, plant.u, plant.p)[0]
-    free = [i for i in kept if names[i] not in said]
-    every = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
-    unsaid = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in free))
-    still = _still(plant, x, u, (every, unsaid), limits, point.time)
-    word = require_memory(plant, memory)
-    for i, name in enumerate(names):
-        if name not in given - plant.copies:
-            continue
-        value = float(plant.states[i].start or 0.0)
-        ends = value, value  # totals begin at their start values
-        if name in memories:
-            value = _remembered(plant, i, word, x, still)
-            ends = (value, value) if isinstance(word, dict) else _left(plant, i, value, x, still)
-        off = max(min(ends) - float(x[i]), float(x[i]) - max(ends), 0.0) / float(nominal[i])
-        yield f"{point.label}: {name} at the start", off, name in said
-    moving = not point.rest or any(n.startswith("der(") for n in point.stop.values)
-    lags = [i for i in free if names[i] in settled_names(plant)] * (not point.rest)
-    # what a stop names is as it says, wherever it goes; the rest has settled beside it, and where
-    # the plant moves, what no input moves
-    for group in (lags, [i for i in free if i not in lags], [i for i in kept if i not in free]):
-        for i, rate, far in zip(group, *_away(plant, x, still, group), strict=True):
-            as_stated = names[i] in said or (moving and i not in lags)
-            yield f"{point.label}: {names[i]} settled", max(rate, far), as_stated
-    for name, off in _unreached(plant, x, still):
-        if name in plant.copies:
-            continue
-        yield f"{point.label}: {name} as its surroundings leave it", off, name in said
+    rates = plant.function(plant.x, plant.u, plant.p)[0] / (SPEED * nominal)
+    groups = [ca.vertcat(*(rates[i] for i in rows)) for rows in (before.kept, before.free)]
+    limits = [c for c in limits if c.nominal]
+    still, held = _still(plant, x, u, groups, limits, point.time)
+    found = list(before.left(still))
+    if not held.numel() or np.abs(before.slid_off(still)).max(initial=0.0) < STAYS:
+        return found
+    # a plant may be held by more inputs than one, and memories are left as they are by some alone
+    still, _ = _holding(plant, held, x, still, limits, point.time, before.slid_off)
+    either = found, list(before.left(still))
+    return min(
+        either, key=lambda each: max((off for _, off, said in each if not said), default=0.0)
+    )
+
+
+@dataclass(frozen=True)
+class _Before:
+    """A plant that is to have rested before it stands at a point.
+
+    kept : states that rest has to hold; free : those of them that the point does not name;
+    memories : what they hold is what positions left in them.
+    """
+
+    plant: Plant
+    point: Point
+    memory: str | Mapping[str, float]
+    x: Array
+    said: frozenset[str]
+    memories: tuple[int, ...]
+    kept: tuple[int, ...]
+    free: tuple[int, ...]
+
+    @classmethod
+    def of(cls, plant: Plant, point: Point, memory: str | Mapping[str, float], x: Array) -> _Before:
+        names = [v.name for v in plant.states]
+        positions = plant.resting(_spoken(plant, [point]))
+        said = {plant.variable(n).name for n in point.stop.values if "(" not in n}
+        said -= {p.name for p in positions}
+        said |= {p.name for p in positions if p.velocities and said.issuperset(p.velocities)}
+        memories = [i for i, v in enumerate(plant.states) if v.memory == "held"]
+        given = {*(names[i] for i in memories), *totals(plant)}
+        stores = {*store_names(plant)}
+        kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies} - stores]
+        free = [i for i in kept if names[i] not in said]
+        columns = (tuple(memories), tuple(kept), tuple(free))
+        return cls(plant, point, memory, x, frozenset(said), *columns)
+
+    def left(self, still: Array) -> Iterator[tuple[str, float, bool]]:
+        """What had not come to rest under these inputs."""
+        plant, point, said, free = self.plant, self.point, self.said, self.free
+        names = [v.name for v in plant.states]
+        yield from self._given(still)
+        moving = not point.rest or any(n.startswith("der(") for n in point.stop.values)
+        lags = [i for i in free if names[i] in settled_names(plant)] * (not point.rest)
+        # what a stop names is as it says, wherever it goes; the rest has settled beside it, and
+        # where the plant moves, what no input moves
+        others = [i for i in free if i not in lags], [i for i in self.kept if i not in free]
+        for group in (lags, *others):
+            for i, rate, far in zip(group, *_away(plant, self.x, still, group), strict=True):
+                as_stated = names[i] in said or (moving and i not in lags)
+                yield f"{point.label}: {names[i]} settled", max(rate, far), as_stated
+        for name, off in _unreached(plant, self.x, still):
+            if name not in plant.copies:
+                yield f"{point.label}: {name} as its surroundings leave it", off, name in said
+
+    def _given(self, still: Array) -> Iterator[tuple[str, float, bool]]:
+        """Of totals, which begin at their start values, and of memories."""
+        off = dict(zip(self.memories, self.memories_off(still, self.memories), strict=True))
+        for i, v in enumerate(self.plant.states):
+            if v.name in totals(self.plant):
+                off[i] = (float(self.x[i]) - float(v.start or 0.0)) / v.nominal
+            if i in off and v.name not in self.plant.copies:
+                yield f"{self.point.label}: {v.name} at the start", abs(off[i]), v.name in self.said
+
+    def memories_off(self, still: Array, memories: Sequence[int]) -> Array:
+        """By how much memories are above what rest under these inputs may have left."""
+        found = []
+        for i in memories:
+            low = high = _remembered(self.plant, i, self.memory, self.x, still)
+            if not isinstance(self.memory, Mapping):
+                low, high = sorted(_left(self.plant, i, low, self.x, still))
+            here = float(self.x[i])
+            found.append((here - np.clip(here, low, high)) / self.plant.states[i].nominal)
+        return np.array(found, float)
+
+    def slid_off(self, still: Array) -> Array:
+        """The same of memories that are no stores: these rest with all else."""
+        return self.memories_off(still, [i for i in self.memories if i not in self.kept])
 
 
 def _remembered(
@@ -349,20 +414,19 @@ def _still(
     groups: Sequence[ca.SX],
     limits: Sequence[Limit],
     time: float,
-) -> Array:
-    """Inputs under which the first of some groups that can be held stands still, or the last, as
-    far as there are any.
+) -> tuple[Array, ca.SX]:
+    """(inputs under which the first of some groups that can be held stands still, or the last, as
+    far as there are any, that group).
     """
-    still = np.asarray(u, float)
-    if not any(not v.disturbance for v in plant.inputs):
-        return still
-    for wanted in groups:
+    still, held = np.asarray(u, float), ca.SX(0, 1)
+    for wanted in groups if any(not v.disturbance for v in plant.inputs) else ():
         if not wanted.numel():
             continue
-        still, left = _holding(plant, wanted, x, u, [c for c in limits if c.nominal], time)
+        held = wanted
+        still, left = _holding(plant, wanted, x, u, limits, time)
         if left.max(initial=0.0) < HELD:
             break
-    return still
+    return still, held
 
 
 def _away(plant: Plant, x: Array, u: Array, kept: Sequence[int]) -> tuple[Array, Array]:

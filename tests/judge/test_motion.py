@@ -655,3 +655,23 @@ def test_a_verdict_by_its_figures(words, verified, unstable):
     assert (verdict.verified, bool(verdict), verdict.unstable) == (verified, verified, unstable)
     assert ("errors grow" in str(verdict)) == unstable
     assert ("control.tvlqr" in str(verdict)) == (unstable or words == {"apart": 2e-3})
+
+
+@pytest.mark.parametrize(("slid", "fits"), [(0.3, 1), (1.0, 1), (1.3, 1), (1.5, 0), (-0.1, 0)])
+def test_a_memory_whose_envelope_grows_with_the_inputs_is_left_by_any_that_hold(slid, fits):
+    """v' = a - b - z, where z has come from below and was let down to its envelope c (a + b): inputs
+    of 0 to 4 hold the cart where z is between 0 and 8 c/(1 + c) = 1.33.
+    """
+    c, plant = 0.2, pam.Plant("cart")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s2")
+    a, b = (plant.input(name, unit="m/s2", min=0.0, max=4.0) for name in "ab")
+    z = plant.state("z", min=-2.0, max=2.0, memory="held")  # in 1 m/s2
+    plant.der(x, v)
+    plant.der(v, a - b - z)
+    beyond = ca.fmax(z - c * (a + b), 0) + ca.fmin(z + c * (a + b), 0)
+    plant.der(z, 10 * v - 20 * beyond)
+    lines = {name: ([0.0, 0.5], [2.0, 2.0]) for name in "ab"}  # the motion begins with others
+    motion = Motion.of(plant, {"x": 0.0, "z": slid}, lines, [0.5])
+    statement = Statement([{"x": 0.0}, {"x": 0.0}], memory="below", duration=0.5)
+    said = {f.label for f in judge(plant, statement, motion).findings if f.by > 1e-3}
+    assert ("stop 1: z at the start" not in said) == bool(fits)
