@@ -485,14 +485,14 @@ def _rows(program: Program, moved: Program) -> tuple[Row, ...]:
         id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)
     }
 
-    def limited(row: Row, condition: Condition | Budget) -> Condition | Budget:
+    def limited(row: Row, index: int, condition: Condition | Budget) -> Condition | Budget:
         if id(condition) in image:
             return image[id(condition)]
         assert isinstance(condition, Condition)  # looked at between the points
-        interval = intervals[row.members[0]]
+        interval = intervals[row.member(index)]
         return between_points(condition, problem.legs[interval.leg], dict(interval.watched))
 
     return tuple(
-        replace(row, conditions=tuple(limited(row, c) for c in row.conditions))
+        replace(row, conditions=tuple(limited(row, i, c) for i, c in enumerate(row.conditions)))
         for row in program.rows
     )

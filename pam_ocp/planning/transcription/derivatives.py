@@ -175,7 +175,7 @@ def stage_blocks(program: Program) -> list[Block]:
     found = []
     for group in program.groups:
         unknowns, rows, n = [], [], len(group.members)
-        size = len(group.stage.conditions)
+        size = len(group.stage.conditions())
         for j, k in enumerate(group.members):
             own = every[places.begins[k] : places.begins[k + 1]]
             unknowns.append(np.concatenate([every[places.begin(k)], own, common]))

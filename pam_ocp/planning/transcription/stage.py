@@ -93,19 +93,21 @@ class Stage:
     leg: Leg
     form: Form
     degree: int
-    watched: tuple[tuple[str, float], ...] = ()
-    """See :class:`Interval`."""
+    watched: tuple[str, ...] = ()
+    """What is checked between the points; see :class:`Interval`."""
 
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
+    def conditions(self, margins: Mapping[str, float] | None = None) -> tuple[Condition, ...]:
         """Of the rows of path values: at each point, at the start, between the points, then those
-        of auxiliaries.
+        of auxiliaries. margins : of what is watched, in nominals, by label.
         """
-        points = len(self.form.state_taus(self.degree))
-        between = (c for conditions, taus in self._between for c in conditions * len(taus))
-        jumping = self._jumping
+        points, held = len(self.form.state_taus(self.degree)), margins or {}
+        between = (
+            _held_back(c, held.get(c.label, 0.0)) if c.label in self.watched else c
+            for conditions, taus in self._between
+            for c in conditions * len(taus)
+        )
         auxiliary = self._auxiliary * self.form.cost_points(self.degree)
-        return (*self.leg.path * points, *jumping, *between, *auxiliary)
+        return (*self.leg.path * points, *self._jumping, *between, *auxiliary)
 
     @property
     def _auxiliary(self) -> tuple[Condition, ...]:
@@ -147,16 +149,15 @@ class Stage:
         that depend on it."""
         inputs = [self._bound(v) for v in self.problem.plant.inputs]
         path = self.problem.depends_on_inputs(self.leg)
-        names = dict(self.watched)
-        return tuple(c for c in (*inputs, *path) if _limited(c) and c.label not in names)
+        return tuple(c for c in (*inputs, *path) if _limited(c) and c.label not in self.watched)
 
     @property
     def _watched(self) -> tuple[Condition, ...]:
-        """What was seen beyond its limits between the points, held back by its margin."""
+        """What was seen beyond its limits between the points."""
         plant = self.problem.plant
         known = {c.label: c for c in self.leg.path}
         known |= {v.name: self._bound(v) for v in (*plant.states, *plant.inputs)}
-        return tuple(_held_back(known[n], margin) for n, margin in self.watched if n in known)
+        return tuple(known[n] for n in self.watched if n in known)
 
     def _bound(self, variable: Variable) -> Condition:
         """The bounds of a state or an input as a condition."""

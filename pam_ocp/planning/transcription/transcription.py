@@ -47,7 +47,11 @@ class Row:
         """Of one row, in words."""
         if not self.members:
             return ""
-        return f"in interval {self.members[index // len(self.conditions)] + 1}"
+        return f"in interval {self.member(index) + 1}"
+
+    def member(self, index: int) -> int:
+        """The interval that one row belongs to."""
+        return self.members[index // (self.size // len(self.members))]
 
     def soft(self) -> NDArray[np.bool_]:
         """Which rows a user could relax: no dynamics, no closing of a cycle, no auxiliaries."""
@@ -247,7 +251,11 @@ def _stages(
         made.groups.append(Group(tuple(members), at, defects.shape[0], stage))
         if path.numel():
             made.constraints.append(path)
-            made.rows.append(Row("path", "path", path.numel(), stage.conditions, tuple(members)))
+            conditions = stage.conditions()
+            if stage.watched:
+                margins = (dict(mesh.intervals[k].watched) for k in members)
+                conditions = tuple(c for each in margins for c in stage.conditions(each))
+            made.rows.append(Row("path", "path", path.numel(), conditions, tuple(members)))
         at += defects.numel() + path.numel()
         made.cost += ca.sum2(cost)
         if problem.budgets:
@@ -266,15 +274,16 @@ def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
     guarded = [v.name for v in problem.plant.inputs] if mesh.form.guarded else []
     for k, interval in enumerate(mesh.intervals):
         leg = problem.legs[interval.leg]
-        bounded = [*guarded, *(n for n, _ in interval.watched if n in leg.bounds)]
+        labels = tuple(sorted(n for n, _ in interval.watched))
+        bounded = [*guarded, *(n for n in labels if n in leg.bounds)]
         for stage, members in found:
-            same = (stage.degree, stage.watched) == (interval.degree, interval.watched)
+            same = (stage.degree, stage.watched) == (interval.degree, labels)
             bounds = all(stage.leg.bounds[n] == leg.bounds[n] for n in bounded)
             if same and bounds and stage.leg.path == leg.path:
                 members.append(k)
                 break
         else:
-            found.append((_stage(problem, leg, mesh.form, interval.degree, interval.watched), [k]))
+            found.append((_stage(problem, leg, mesh.form, interval.degree, labels), [k]))
     return found
 
 
