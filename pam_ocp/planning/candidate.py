@@ -62,9 +62,9 @@ class Checked:
     @property
     def dynamic(self) -> float:
         """What a motion that is more exact would mend: the replay's error, and what waypoints,
-        closing and budgets see of it.
+        closing, budgets and limits at the points of the mesh see of it.
         """
-        return max(self.replay.error, self.replay.missed)
+        return max(self.replay.error, self.replay.missed, self.replay.at_points)
 
     def explained(self, tolerance: float) -> Checked:
         """The same, with what the intervals deviate by where the replay does by more than that."""

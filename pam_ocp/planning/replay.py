@@ -128,6 +128,8 @@ class Replay:
     """Largest violation of what is no bound: at the stops, of the closing, of a budget."""
     local: float = float("nan")
     """Sum of the :func:`interval_errors`, where somebody asked for it."""
+    at_points: float = 0.0
+    """Largest violation of a limit at the points of the mesh, where the plan itself keeps it."""
 
 
 def chosen_plant(problem: Problem, solution: Solution) -> Plant:
@@ -218,7 +220,7 @@ def replayed(
     deviation = np.abs(motion.array(names)[::per] - samples.array(names)) / nominal
     worst = names[int(np.argmax(deviation.max(axis=0)))]
     check = _Check(problem, plant, mesh, solution, motion.t, motion.array(names).T, per)
-    beyond = check.along()
+    beyond, at_points = check.along()
     others = {**check.at_stops(), **check.closing(), **check.budgets()}
     every = [*(pair for each in beyond for pair in each.items()), *others.items()]
     label, violation = max(every, key=lambda pair: pair[1], default=("", 0.0))
@@ -231,6 +233,7 @@ def replayed(
         check.objective(),
         beyond,
         max(others.values(), default=0.0),
+        at_points=at_points,
     )
 
 
@@ -304,8 +307,19 @@ class _Check:
         """Of expressions at columns of times, states and inputs."""
         return values_along(self.problem, self.plant, expressions, self._arguments(t, x, u))
 
-    def _legs(self) -> Iterator[tuple[Leg, NDArray[np.intp], Array, Array, Array]]:
-        """(leg, interval of each point, times, states, inputs)."""
+    @cached_property
+    def _points(self) -> NDArray[np.bool_]:
+        """(gaps, places) what is a point of the mesh where its interval holds limits."""
+        found = np.zeros(self._gaps[0].shape, bool)
+        found[:: self.per, 0] = True
+        found[np.append(True, self._last[:-1]), 0] = False  # the start of an interval
+        found[self._last, -1] = True
+        return found
+
+    def _legs(
+        self,
+    ) -> Iterator[tuple[Leg, NDArray[np.bool_], NDArray[np.intp], Array, Array, Array]]:
+        """(leg, whether each place is a point, its interval, times, states, inputs)."""
         t, x, u = self._gaps
         of_leg = np.array([interval.leg for interval in self.mesh.intervals])[self._interval]
         once = np.ones(t.shape, bool)
@@ -314,12 +328,15 @@ class _Check:
             own = once & (of_leg == i)[:, None]
             if own.any():
                 of = np.broadcast_to(self._interval[:, None], t.shape)
-                yield leg, of[own], t[own], x[:, own], u[:, own]
+                yield leg, self._points[own], of[own], t[own], x[:, own], u[:, own]
 
-    def along(self) -> tuple[dict[str, float], ...]:
-        """For each interval {bound or path condition: by how much it is exceeded} in nominals."""
+    def along(self) -> tuple[tuple[dict[str, float], ...], float]:
+        """(for each interval {bound or path condition: by how much it is exceeded} in nominals, the
+        most of that at the mesh's points).
+        """
         found: list[dict[str, float]] = [{} for _ in self.mesh.intervals]
-        for leg, of, t, x, u in self._legs():
+        most = 0.0
+        for leg, at, of, t, x, u in self._legs():
             variables = (*self.plant.states, *self.plant.inputs)
             labels = [v.name for v in variables] + [c.label for c in leg.path]
             scale = np.array([v.nominal for v in variables])[:, None]
@@ -332,13 +349,14 @@ class _Check:
                 values = np.vstack([values, path / nominal])
             low, high = (np.array(side)[:, None] for side in zip(*pairs, strict=True))
             excesses = _excess(values, low, high)
+            most = max(most, float(excesses[:, at].max(initial=0.0)))
             first = np.flatnonzero(np.diff(of, prepend=-1))  # of each interval
             worsts = np.maximum.reduceat(excesses, first, axis=1)
             for row, place in np.argwhere(worsts > 0):
                 label, k, worst = labels[row], of[first[place]], float(worsts[row, place])
                 # two conditions may bear one name
                 found[k][label] = max(worst, found[k].get(label, 0.0))
-        return tuple(found)
+        return tuple(found), most
 
     def _node(self, i: int) -> tuple[Array, ...]:
         """Arguments at a node: at the start of the interval behind it,

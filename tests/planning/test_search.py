@@ -412,6 +412,12 @@ def test_both_ends_of_a_dwell_are_looked_at() -> None:
         off.append(max(abs(acceleration), abs(motion["x"][k] - x) / 0.01, abs(here[0][1]) / 0.1))
     assert off[0] > 1.2 * max(off[1:])
     assert plan.replay.missed == pytest.approx(off[0], rel=1e-6)
+    # the points of the mesh between both keep the dwell's band, the motion there does not
+    band, t = 1e-3 * plant.variable("x").nominal, plan.trajectory.t[9:17]
+    assert t[0] > plan.durations[0] and t[-1] == pytest.approx(sum(plan.durations[:2]))
+    beyond = (abs(np.interp(t, motion.t, motion["x"]) - 0.03) - band) / band
+    assert abs(plan.trajectory["x"][9:17] - 0.03).max() <= band * (1 + 1e-6)
+    assert plan.replay.at_points == pytest.approx(beyond.max(), rel=1e-6)
 
 
 # ---- what is kept --------------------------------------------------------------------------------
