@@ -148,10 +148,21 @@ class Continuation:
                 if not finer.is_solved:
                     finer = self._beside(finer, c)
                 if self._leads_on(finer, c):
-                    return finer
+                    return self._same_motion(finer, c, why)
         mesh, why = meshes[0]
         finer = self.engine.refined(c, mesh, why, "feasible")
         return finer if self._leads_on(finer, c) else None
+
+    def _same_motion(self, finer: Candidate, c: Candidate, why: str) -> Candidate:
+        """A finer mesh's, or where that costs more than the coarser one's, which resolved its
+        motion, what short steps lead to from there, if it costs less.
+        """
+        s = self.settings
+        more = finer.objective - c.objective > s.dearer * c.scale
+        if c.place < 1.0 or not more or sum(c.errors) > s.resolved:
+            return finer
+        near = self.engine.refined(c, finer.mesh, why, "finer")
+        return near if near.is_solved and near.objective < finer.objective else finer
 
     def _beside(self, failed: Candidate, c: Candidate) -> Candidate:
         """The motion next to where a solver stopped, if it costs no more than the coarser mesh's

@@ -123,7 +123,7 @@ class _Local:
         return cls([y, lengths, starts, p, q], ca.veccat(defects, path, budgets), cost)
 
     def function(self, name: str, value: ca.SX, more: list[ca.SX], count: int) -> ca.Function:
-        """(given, more) -> the stored entries of ``value``, as one column; for so many intervals."""
+        """(given, more) -> the stored entries of ``value``, as one column; count : of intervals."""
         arguments, results = [*self.given, *more], [stored(value)]
         if name not in self.operations:
             plain = ca.Function(name, arguments, results)
