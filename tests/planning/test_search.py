@@ -360,6 +360,30 @@ def test_what_a_solver_had_where_its_work_ended_is_taken_where_it_is_worth_it(
     assert finer.objective == pytest.approx(c.objective * (cost if taken else 1.0))
 
 
+@pytest.mark.parametrize(
+    ("missed", "finer", "taken"), [(0.05, 0.98, 0.98), (0.05, 1.4, 1.26), (0.5, 0.98, 1.26)]
+)
+def test_a_finer_mesh_that_costs_more_is_solved_by_short_steps_too(
+    missed: float, finer: float, taken: float, monkeypatch: Any
+) -> None:
+    """Where the coarser mesh, off by ``missed`` in all, had resolved its motion."""
+    search = search_of(planner())
+    engine, continuation = search.engine, search.continuation
+    c = search._candidate(solved(planner()), 1.0)
+    c.__dict__["errors"] = [missed]
+
+    def solve(
+        program: Any, place: float, guess: Any, start: str, why: Any, warm: Any = None
+    ) -> Any:
+        costs = {"near": 1.26, "finer": finer}[start]
+        return replace(c.solved, outcome=replace(c.solved.outcome, objective=costs * c.objective))
+
+    monkeypatch.setattr(engine, "solve", solve)
+    found = continuation._finer(c, [(engine.first.mesh, "costs")])
+    assert found is not None
+    assert found.objective == pytest.approx(taken * c.objective)
+
+
 @pytest.mark.parametrize(("costs", "starts"), [(1.0, ["feasible"]), (5.0, ["feasible", "finer"])])
 def test_the_motion_next_to_a_flat_optimum_is_taken_where_it_is_the_same(
     costs: float, starts: list[str], monkeypatch: Any
