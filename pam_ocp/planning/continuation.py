@@ -157,9 +157,9 @@ class Continuation:
         """A finer mesh's, or where that costs more than the coarser one's, which resolved its
         motion, what short steps lead to from there, if it costs less.
         """
-        s = self.settings
+        s, short = self.settings, c.solved.outcome.status == SETTLED  # its steps were short
         more = finer.objective - c.objective > s.dearer * c.scale
-        if c.place < 1.0 or not more or sum(c.errors) > s.resolved:
+        if c.place < 1.0 or short or not more or sum(c.errors) > s.resolved:
             return finer
         near = self.engine.refined(c, finer.mesh, why, "finer")
         return near if near.is_solved and near.objective < finer.objective else finer
