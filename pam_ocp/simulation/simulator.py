@@ -71,16 +71,6 @@ def exactly_delayed(
     return reduced, joined(pieces, times), x0[kept], whole
 
 
-def line_states(plant: Plant, line: DelayLine, t: Array, command: Array, at: float) -> Array:
-    """The states of a delay line at a moment, from samples of its command up to then (held).
-
-    t, command : times and samples. Before the first sample the command counts as having stood.
-    """
-    ago = line.dead_time.places * float(plant.variable(line.time).start or 0.0)
-    place = np.searchsorted(t, at - ago + 1e-12 * (1 + abs(at)), side="right") - 1
-    return np.asarray(command[np.maximum(place, 0)], float)
-
-
 def _level(plant: Plant, line: DelayLine, starts: dict[str, float]) -> float:
     values = np.array([starts[n] for n in line.states])
     if np.ptp(values) > LEVEL * plant.variable(line.outlet).nominal:
