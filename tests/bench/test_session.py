@@ -10,6 +10,7 @@ import textwrap
 
 import numpy as np
 import pytest
+from conftest import refused
 
 from pam_ocp import InputError, UnknownNameError
 from pam_ocp.bench.made import World, own_plants, source_of
@@ -96,15 +97,13 @@ def test_listeners_hear_what_changed_until_they_end(session):
 
 @pytest.mark.parametrize("value", [{"p": float("nan")}, {"p": np.zeros(2)}, {"p": object()}])
 def test_what_json_cannot_hold_is_refused_and_changes_nothing(session, value):
-    with pytest.raises(InputError, match="cannot be saved"):
-        session.change("a", point=value)
+    refused("cannot be saved", session.change, "a", point=value)
     assert session.state == EMPTY
     assert session.undo_label is None
 
 
 def test_a_part_that_does_not_exist_is_named(session):
-    with pytest.raises(UnknownNameError, match="motions"):
-        session.change("a", motion=[])
+    refused("motions", session.change, "a", motion=[], error=UnknownNameError)
 
 
 def test_members_of_lists_are_put_dropped_and_numbered(session):
@@ -229,8 +228,7 @@ def test_no_name_leads_out_of_the_folder_of_files(session, name):
 
 @pytest.mark.parametrize("name", ["../session.json", "a/b", "..", "a\0"])
 def test_a_path_is_no_name_of_a_stored_file(session, name):
-    with pytest.raises(InputError, match="no name of a file"):
-        stored_file(session.folder, name)
+    refused("no name of a file", stored_file, session.folder, name)
 
 
 def test_half_a_file_that_a_full_disk_left_is_not_believed(session):
@@ -239,8 +237,7 @@ def test_half_a_file_that_a_full_disk_left_is_not_believed(session):
     place.write_bytes(b"p,kap")
     with pytest.raises(InputError, match="not what was dropped on the page; drop the file again"):
         stored_file(session.folder, kept)
-    with pytest.raises(InputError, match="drop the file again"):
-        source_of(World(session.folder), {"file": kept})
+    refused("drop the file again", source_of, World(session.folder), {"file": kept})
     assert session.store("a.csv", b"p,kappa\n1,2\n") == kept
     assert stored_file(session.folder, kept).read_bytes() == b"p,kappa\n1,2\n"
 
@@ -252,8 +249,7 @@ def test_a_disk_that_is_full_leaves_nothing_of_a_file(session, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("pathlib.Path.write_bytes", half)
-    with pytest.raises(InputError, match="No space left on device"):
-        session.store("a.py", b"plant = None\n")
+    refused("No space left on device", session.store, "a.py", b"plant = None\n")
     assert list((session.folder / "files").iterdir()) == []
 
 

@@ -4,6 +4,7 @@ import ast
 import re
 
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.bench.jobs import control as jobs
@@ -143,8 +144,7 @@ def test_a_plant_of_ones_own_in_script_and_study(tmp_path, monkeypatch):
     state["controllers"] = [law("pid", 1, study, proportional=2e6)]
     own = plant_of(World(tmp_path, state, True))
     at = pam.equilibrium(own, state["point"])
-    with pytest.raises(pam.InputError, match="--allow-code"):
-        ran(state, tmp_path)
+    refused("--allow-code", ran, state, tmp_path)
     result = ran(state, tmp_path, allow_code=True)
     assert result.ok, result
     assert result["linear"].numbers["x"][0] == pytest.approx(at["x"], rel=1e-9)

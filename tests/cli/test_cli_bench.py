@@ -3,8 +3,8 @@
 import importlib.util
 
 import pytest
+from conftest import refused
 
-from pam_ocp import InputError
 from pam_ocp.bench.server import serve, sessions_folder
 from pam_ocp.cli.main import main
 
@@ -23,10 +23,8 @@ def test_without_the_extra_it_says_in_one_sentence_what_to_install(monkeypatch, 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.5", "rig.local"])
 def test_others_are_let_in_by_a_password_only(host, tmp_path):
     pytest.importorskip("nicegui")
-    with pytest.raises(InputError, match="give a password"):
-        serve(host=host, folder=tmp_path)
-    with pytest.raises(InputError, match="9 characters"):
-        serve(host=host, folder=tmp_path, password="too short")
+    refused("give a password", serve, host=host, folder=tmp_path)
+    refused("9 characters", serve, host=host, folder=tmp_path, password="too short")
 
 
 def test_sessions_are_kept_in_the_users_own_state_folder(monkeypatch, tmp_path):

@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import openpyxl
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 
@@ -55,8 +56,7 @@ def test_a_comparison_in_files_holds_its_numbers(load_motion, load_10kg, tmp_pat
     assert [t.get_text() for t in panel.get_yticklabels()][:2] == ["x [m]", "v [m/s]"]
     assert "<h1>Comparison" in found.save(tmp_path / "c.html").read_text()
     assert found.save(tmp_path / "c.txt").read_text() == f"{found}\n"
-    with pytest.raises(pam.InputError, match=r"end the name in one of \.csv"):
-        found.save(tmp_path / "c.docx")
+    refused(r"end the name in one of \.csv", found.save, tmp_path / "c.docx")
 
 
 def test_many_simulations_stand_in_a_frame_by_what_was_varied(results):
@@ -74,8 +74,7 @@ def test_a_panel_of_ones_own_is_drawn_into(load_motion):
     assert "[mm]" in left.get_ylabel()
     pam.muscle("DMSP-20-300").plot(ax=right)
     assert len(right.lines) == 6
-    with pytest.raises(pam.InputError, match="names of one unit"):
-        load_motion.plot(ax=left)
+    refused("names of one unit", load_motion.plot, ax=left)
     plt.close(figure)
 
 
@@ -89,8 +88,7 @@ def test_the_surface_is_the_muscles_force():
     (surface,) = figure.data
     p, kappa = surface.y[7][9] * 1e5, surface.x[7][9] / 100
     assert surface.z[7][9] == pytest.approx(muscle.stiffness(p, kappa) / 1e3)
-    with pytest.raises(pam.InputError, match="choose 'force' or 'stiffness'"):
-        muscle.plot_surface("colour")
+    refused("choose 'force' or 'stiffness'", muscle.plot_surface, "colour")
 
 
 def test_interactive_panels_hold_the_motion_in_display_units(load_motion):

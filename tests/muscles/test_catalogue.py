@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import refused
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.muscles.catalogue import (
@@ -66,8 +67,7 @@ def test_rest_lengths_are_those_of_the_muscles_and_can_be_replaced():
 
 
 def test_a_muscle_without_length_asks_for_it():
-    with pytest.raises(InputError, match="no rest length in the catalogue; give rest_length"):
-        muscle("DMSP-10")
+    refused("no rest length in the catalogue; give rest_length", muscle, "DMSP-10")
 
 
 def test_an_unknown_name_gives_the_nearest():
@@ -77,8 +77,7 @@ def test_an_unknown_name_gives_the_nearest():
 
 
 def test_a_wrong_length_is_refused_with_its_value():
-    with pytest.raises(InputError, match=r"rest_length = -0.1 m must be > 0"):
-        muscle("DMSP-10", rest_length=-0.1)
+    refused(r"rest_length = -0.1 m must be > 0", muscle, "DMSP-10", rest_length=-0.1)
 
 
 def test_bundled_tables_are_named_by_the_sets_fitted_to_them():
@@ -148,15 +147,12 @@ def test_a_law_of_ones_own_is_in_no_file(tmp_path):
 )
 def test_a_file_that_is_no_muscle_is_refused(name, text, words, tmp_path):
     (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match=words):
-        load_muscle(tmp_path / name)
+    refused(words, load_muscle, tmp_path / name)
 
 
 def test_what_is_no_muscle_or_no_name_is_refused(tmp_path):
-    with pytest.raises(InputError, match="muscle is an int"):
-        save_muscle(3, tmp_path / "m.toml")
-    with pytest.raises(InputError, match="path is an int"):
-        load_muscle(3)
+    refused("muscle is an int", save_muscle, 3, tmp_path / "m.toml")
+    refused("path is an int", load_muscle, 3)
 
 
 def test_summary_tells_law_size_range_and_source():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
 
 from pam_ocp.numerics.continuation import ImplicitCurve, Walk
 from pam_ocp.numerics.newton import NewtonError, casadi_equations, iterate, least_squares, newton
@@ -86,5 +87,4 @@ def test_a_place_within_a_step_is_found_and_a_curve_that_ends_is_told():
     assert top == pytest.approx([0.0, 1.0], abs=1e-9)
     ended = ImplicitCurve(lambda w: (np.array([w[0] ** 2 + w[1] ** 2 + 1]), 2 * w[None, :]))
     walk = Walk(ended, np.array([1.0, 0.0]), np.array([0.0, 1.0]), 0.1, 0.1, 1e-3, 1.5, 0.9)
-    with pytest.raises(NewtonError, match=r"even steps of .* fail"):
-        walk.advance()
+    refused(r"even steps of .* fail", walk.advance, error=NewtonError)

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import BAR
+from conftest import BAR, refused
 
 import pam_ocp as pam
-from pam_ocp import InputError
 from pam_ocp.operating.resting_point import EquilibriumError
 from pam_ocp.operating.several import equilibrium_branch
 
@@ -70,7 +69,6 @@ def test_where_it_ends_it_says_why():
     assert path["x"].max() <= 0.2
     assert len(path.folds) == 1
     assert equilibrium_branch(cusp(), "r", -1.0, 1.0, max_points=5).end == "after 5 points"
-    with pytest.raises(InputError, match="start and stop are the same"):
-        equilibrium_branch(cusp(), "r", 1.0, 1.0)
+    refused("start and stop are the same", equilibrium_branch, cusp(), "r", 1.0, 1.0)
     with pytest.raises(EquilibriumError):
         equilibrium_branch(cusp(max=-1.4), "r", -1.0, 1.0)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp.datasets import DATASETS, Dataset, Score, Split, compare, load, score
@@ -122,8 +123,7 @@ def test_a_split_shows_licence_and_citation(capsys):
 
 
 def test_unknown_names_are_told_the_nearest():
-    with pytest.raises(pam.UnknownNameError, match="did you mean 'DMSP-20-300'"):
-        load("DMSP-20-3OO")
+    refused("did you mean 'DMSP-20-300'", load, "DMSP-20-3OO", error=pam.UnknownNameError)
     with pytest.raises(pam.UnknownNameError, match="did you mean 'interpolation'"):
         load("DMSP-20-300", "interpolate")
 
@@ -133,24 +133,20 @@ def test_a_file_with_another_checksum_is_refused_with_both_sums(tmp_path):
     (tmp_path / ARM).write_bytes(b"episode,t_s\n")
     found = hashlib.sha256(b"episode,t_s\n").hexdigest()
     expected = DATASETS["mpi_arm"].files[ARM]["sha256"]
-    with pytest.raises(pam.InputError, match=f"{ARM}.* is {found}, expected is {expected}"):
-        load("mpi_arm", folder=tmp_path)
+    refused(f"{ARM}.* is {found}, expected is {expected}", load, "mpi_arm", folder=tmp_path)
 
 
 def test_a_set_of_the_users_folder_asks_for_it(tmp_path, monkeypatch):
     monkeypatch.delenv("PAM_OCP_DATA", raising=False)
-    with pytest.raises(pam.InputError, match=f"folder=.*PAM_OCP_DATA.*{ARM}"):
-        load("mpi_arm")
+    refused(f"folder=.*PAM_OCP_DATA.*{ARM}", load, "mpi_arm")
     monkeypatch.setenv("PAM_OCP_DATA", str(tmp_path))
-    with pytest.raises(pam.InputError, match=f"{ARM}: no such file"):
-        load("mpi_arm")
+    refused(f"{ARM}: no such file", load, "mpi_arm")
 
 
 def test_other_columns_than_those_of_the_set_are_refused(tmp_path):
     text = ROWS.replace("u_V", "v_V")
     (tmp_path / "ramps.csv").write_bytes(text.encode())
-    with pytest.raises(pam.InputError, match="v_V"):
-        load(ramps(text=text), folder=tmp_path)
+    refused("v_V", load, ramps(text=text), folder=tmp_path)
 
 
 @pytest.fixture
@@ -196,8 +192,7 @@ def test_a_download_with_another_checksum_is_refused_and_not_kept(server):
     pytest.importorskip("pooch")
     server.content = ROWS[:-9].encode()  # cut off
     found = hashlib.sha256(server.content).hexdigest()
-    with pytest.raises(pam.InputError, match=f"not downloaded: .*{found}"):
-        load(server.info)
+    refused(f"not downloaded: .*{found}", load, server.info)
     assert [path for path in server.cache.rglob("*") if path.is_file()] == []
 
 
@@ -220,8 +215,7 @@ def test_a_folder_takes_the_place_of_the_download(server, tmp_path):
 
 def test_without_pooch_the_extra_is_named(server, monkeypatch):
     monkeypatch.setitem(sys.modules, "pooch", None)
-    with pytest.raises(pam.InputError, match=r"pip install 'pam_ocp\[data\]'"):
-        load(server.info)
+    refused(r"pip install 'pam_ocp\[data\]'", load, server.info)
 
 
 # ---- scores -------------------------------------------------------------------------------------
@@ -264,10 +258,8 @@ def test_a_model_sees_the_past_of_all_and_ahead_only_inputs(split):
 
 
 def test_predictions_that_are_no_numbers_of_the_right_shape_are_refused(split):
-    with pytest.raises(pam.InputError, match=r"\(2, 1\): return \(3, 1\)"):
-        score(split, lambda past, inputs: np.zeros((2, 1)))
-    with pytest.raises(pam.InputError, match="not all of them finite"):
-        score(split, lambda past, inputs: np.full((3, 1), np.inf))
+    refused(r"\(2, 1\): return \(3, 1\)", score, split, lambda past, inputs: np.zeros((2, 1)))
+    refused("not all of them finite", score, split, lambda past, inputs: np.full((3, 1), np.inf))
     with pytest.raises(pam.InputError, match="task is an int"):
         score(3, held)  # type: ignore[arg-type]
 
@@ -301,11 +293,9 @@ def test_a_score_is_saved_and_read_back_and_compared(split, tmp_path):
     assert "held" in table
     assert table.count("1.732") == 2
     law = score("DMSP-20-300", lambda kappa, p: 0 * p)
-    with pytest.raises(pam.InputError, match=r"2 tasks .*DMSP-20-300.*ramps"):
-        compare([mine, law])
+    refused(r"2 tasks .*DMSP-20-300.*ramps", compare, [mine, law])
     path.write_text(json.dumps({**said, "parts": [{"output": "y"}]}))
-    with pytest.raises(pam.InputError, match=r"mine\.json cannot be read as a score"):
-        Score.load(path)
+    refused(r"mine\.json cannot be read as a score", Score.load, path)
 
 
 # ---- the arm ------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pickle
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
@@ -219,7 +220,5 @@ def test_a_planner_moves_the_switches_with_the_task():
 
 
 def test_counts_that_cannot_be_meant_are_refused():
-    with pytest.raises(pam.InputError, match="degree"):
-        pam.Arcs(degree=1)
-    with pytest.raises(pam.InputError, match="intervals"):
-        pam.Arcs(0)
+    refused("degree", pam.Arcs, degree=1)
+    refused("intervals", pam.Arcs, 0)

@@ -4,6 +4,7 @@ it.
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 from searches import by_scipy, engine_of, solved
 
@@ -110,5 +111,4 @@ def test_a_corrected_plan_is_read_back_and_a_changed_one_is_not(slipping, plan, 
     arrays["states"] = arrays["states"].copy()
     arrays["states"][20:40] += 0.5 * slipping.vector("state", attribute="nominal")
     np.savez(path, **arrays)
-    with pytest.raises(pam.InputError, match="do not follow from its inputs"):
-        pam.load_plan(path, slipping)
+    refused("do not follow from its inputs", pam.load_plan, path, slipping)

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from cli_tools import run
-from conftest import benchmark_slide
+from conftest import benchmark_slide, refused
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Stop
@@ -288,8 +288,7 @@ def test_expressions_in_text_are_those_of_numpy(slide):
     ],
 )
 def test_expressions_that_are_none_are_refused(slide, text, message):
-    with pytest.raises(InputError, match=message):
-        expression_of(slide, text)
+    refused(message, expression_of, slide, text)
 
 
 # ---- the command ---------------------------------------------------------------------------------

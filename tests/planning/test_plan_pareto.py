@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import refused
 from searches import pushed
 
 import pam_ocp as pam
-from pam_ocp import Collocation, InputError
+from pam_ocp import Collocation
 from pam_ocp.planning.studies.front import pareto
 
 METHOD = Collocation(6, 6, "polynomial")
@@ -107,8 +108,7 @@ def test_a_users_own_budget_stays(slide):
 )
 def test_what_cannot_be_swept_is_refused(slide, arguments, message):
     stops = [{"x": -0.01}, {"x": 0.01}]
-    with pytest.raises(InputError, match=message):
-        pareto(slide, stops, **{"method": Collocation(10), **arguments})
+    refused(message, pareto, slide, stops, **{"method": Collocation(10), **arguments})
 
 
 def test_a_budget_of_time_ends_a_motion_of_least_effort():

@@ -4,10 +4,10 @@ import pickle
 
 import numpy as np
 import pytest
-from conftest import benchmark_slide, scipy_states
+from conftest import benchmark_slide, refused, scipy_states
 
 import pam_ocp as pam
-from pam_ocp import Avoid, Collocation, Constraint, InputError, PlanError, Stop
+from pam_ocp import Avoid, Collocation, Constraint, PlanError, Stop
 from pam_ocp.planning.studies.robust import robust_plan
 from pam_ocp.plants.ensemble import Ensemble
 
@@ -186,5 +186,4 @@ def test_a_spread_that_cannot_be_is_named():
 def test_what_cannot_be_meant_is_refused(plant, arguments, message):
     given = {"draws": [{"mass": 2.1}], "spread": {"x": 1e-3}, "duration": 0.1, "minimise": "effort"}
     given |= {"method": Collocation(5), "stops": STOPS} | arguments
-    with pytest.raises(InputError, match=message):
-        robust_plan(plant, given.pop("stops"), **given)
+    refused(message, robust_plan, plant, given.pop("stops"), **given)

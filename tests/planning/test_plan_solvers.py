@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import hardening_cart as cart
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
@@ -136,8 +137,7 @@ def test_fatrop_is_ipopt_and_says_so():
 
 
 def test_a_choice_that_cannot_be_meant_is_refused():
-    with pytest.raises(InputError, match="choose one of ipopt"):
-        planner("radau", solver="snopt")
+    refused("choose one of ipopt", planner, "radau", solver="snopt")
 
 
 # ---- compiled -----------------------------------------------------------------------------------
@@ -260,8 +260,7 @@ def test_more_starts_keep_the_best(slide, monkeypatch):
 
 @pytest.mark.parametrize("starts", [0, 13, 2.0, "all", True])
 def test_starts_are_a_whole_number(slide, starts):
-    with pytest.raises(InputError, match=r"starts = .*from 1 to 12"):
-        pam.plan(slide, STOPS, starts=starts)
+    refused(r"starts = .*from 1 to 12", pam.plan, slide, STOPS, starts=starts)
 
 
 @pytest.mark.parametrize("points", ["radau", "gauss"])

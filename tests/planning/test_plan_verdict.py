@@ -14,6 +14,7 @@ import warnings
 
 import numpy as np
 import pytest
+from conftest import refused
 from searches import by_scipy, pushed
 
 import pam_ocp as pam
@@ -425,8 +426,7 @@ def elsewhere(said):
 )
 def test_a_file_that_contradicts_itself_is_refused(moved, tmp_path, what, message):
     path = changed(moved.save(tmp_path / "plan.npz"), **what)
-    with pytest.raises(InputError, match=message):
-        pam.load_plan(path, cart())
+    refused(message, pam.load_plan, path, cart())
 
 
 def test_a_plan_of_a_plant_that_moves_otherwise_is_refused(moved, tmp_path):

@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 from searches import engine_of, search_of, solved
 
@@ -236,8 +237,7 @@ def test_a_plan_by_shooting_gives_way_to_the_cheaper_one_at_the_end_of_the_path(
 
 def test_a_path_whose_work_is_spent_says_so(monkeypatch: Any) -> None:
     monkeypatch.setattr("pam_ocp.planning.planner.SETTINGS", replace(SETTINGS, work=1e-3))
-    with pytest.raises(pam.PlanError, match="the iterations that are allowed ended on the way"):
-        planner()()
+    refused("the iterations that are allowed ended on the way", planner(), error=pam.PlanError)
 
 
 def test_a_search_ends_where_its_work_does(monkeypatch: Any) -> None:
@@ -416,8 +416,7 @@ def test_work_that_is_spent_ends_a_search_with_what_it_has(monkeypatch: Any) -> 
 
 def test_a_search_that_is_led_to_no_end_says_so(monkeypatch: Any) -> None:
     monkeypatch.setattr(Continuation, "led", lambda self, c: None)
-    with pytest.raises(pam.PlanError, match="no way from wider smoothing to the plant's own terms"):
-        planner()()
+    refused("no way from wider smoothing to the plant's own terms", planner(), error=pam.PlanError)
 
 
 def test_both_ends_of_a_dwell_are_looked_at() -> None:

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import refused
 from rig_fixtures import made, plant  # noqa: F401 - fixtures
 from rig_tools import on_twin, twin_at_random, wanted_sine
 
@@ -65,16 +66,11 @@ def test_what_a_rig_has_not_is_refused_in_a_sentence(made, plant):
     rig, _ = made()
     rig.arm()
     for options, words in (({"parameters": {"mass": 2.0}}, "parameters"), ({"parts": 3}, "parts")):
-        with pytest.raises(pam.InputError, match=words):
-            pam.closed_loop(lambda t, s: {}, rig, duration=0.1, **options)
-    with pytest.raises(pam.InputError, match="supply"):
-        pam.Rig(rig.driver, [pam.rig.Reading("supply")], plant=plant)
-    with pytest.raises(pam.InputError, match="vent"):
-        pam.rig.Command("u", "V", low=-10.0, high=10.0)
-    with pytest.raises(pam.InputError, match="straight line"):
-        pam.rig.Command("u", "Pa", scale="V*V * 1 bar/V^2", low=0.0, high=1e5)
-    with pytest.raises(pam.InputError, match="a driver has read, write, vent, close"):
-        pam.Rig(object(), plant=plant)
+        refused(words, pam.closed_loop, lambda t, s: {}, rig, duration=0.1, **options)
+    refused("supply", pam.Rig, rig.driver, [pam.rig.Reading("supply")], plant=plant)
+    refused("vent", pam.rig.Command, "u", "V", low=-10.0, high=10.0)
+    refused("straight line", pam.rig.Command, "u", "Pa", scale="V*V * 1 bar/V^2", low=0.0, high=1e5)
+    refused("a driver has read, write, vent, close", pam.Rig, object(), plant=plant)
 
 
 def test_calibrations_lead_from_volts_to_si_and_back(plant):

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from conftest import refused
 from rig_fixtures import made, plant  # noqa: F401 - fixtures
 from rig_tools import child
 
@@ -60,8 +61,7 @@ def test_a_fault_is_answered_by_venting_within_50_ms(made, tmp_path, fault, phas
     assert rig.reason in str(error.value)
     run = pam.rig.read_run(tmp_path / "run_0001.csv")
     assert abs(run.t[-2] - twin.vented_at) < 0.1  # whole up to the fault
-    with pytest.raises(pam.rig.RigError, match="arm"):
-        rig.run(lambda t: {"muscle.command": 3e5}, 0.1)
+    refused("arm", rig.run, lambda t: {"muscle.command": 3e5}, 0.1, error=pam.rig.RigError)
 
 
 def test_a_valve_that_follows_no_more_is_found(made):
@@ -129,8 +129,7 @@ def test_nothing_is_sent_before_it_is_armed(made):
         lambda: rig.identify(["mass"], duration=0.5),
         lambda: pam.closed_loop(holding, rig, duration=0.1),
     ):
-        with pytest.raises(pam.rig.RigError, match="not armed"):
-            action()
+        refused("not armed", action, error=pam.rig.RigError)
     rig.check(0.1)
     assert not twin.armed
     assert not np.any(twin.motion()["muscle.command"])
@@ -138,11 +137,9 @@ def test_nothing_is_sent_before_it_is_armed(made):
 
 def test_a_rig_with_a_fault_is_not_armed(made):
     rig, _ = made([Fault("nan", "x")])
-    with pytest.raises(pam.rig.RigError, match="x is no number"):
-        rig.arm()
+    refused("x is no number", rig.arm, error=pam.rig.RigError)
     rig, _ = made([Fault("cable")])
-    with pytest.raises(pam.rig.RigError, match="nothing valid"):
-        rig.arm()
+    refused("nothing valid", rig.arm, error=pam.rig.RigError)
     assert not rig.armed
 
 
@@ -252,8 +249,7 @@ def test_a_watchdog_that_is_killed_ends_the_run(plant):
 def test_a_watchdog_that_reaches_nobody_keeps_the_rig_unarmed():
     from pam_ocp.rig.drivers.driver import Emergency
 
-    with pytest.raises(pam.rig.RigError, match="cannot reach"):
-        Watchdog(Emergency("tcp", "127.0.0.1", 9), 0.1)
+    refused("cannot reach", Watchdog, Emergency("tcp", "127.0.0.1", 9), 0.1, error=pam.rig.RigError)
 
 
 def test_a_driver_without_emergency_needs_a_word_that_there_is_no_watchdog(plant):
@@ -274,8 +270,7 @@ def test_a_driver_without_emergency_needs_a_word_that_there_is_no_watchdog(plant
             pass
 
     own = Own()
-    with pytest.raises(pam.rig.RigError, match="watchdog=False"):
-        pam.Rig(own, plant=plant).arm()
+    refused("watchdog=False", pam.Rig(own, plant=plant).arm, error=pam.rig.RigError)
     guard = pam.rig.Guard(max_age=2.0, late=2.0)
     with pam.Rig(own, plant=plant, guard=guard, watchdog=False) as rig:
         rig.arm()

@@ -6,6 +6,7 @@ import time
 import types
 
 import pytest
+from conftest import refused
 from rig_fixtures import plant  # noqa: F401 - a fixture
 
 import pam_ocp as pam
@@ -140,16 +141,13 @@ def test_a_robot_that_falls_silent_is_vented(bus, plant):
     """One message, and none after it: it grows old."""
     driver = pam.rig.driver("ros", timeout="5 ms")
     rig = pam.Rig(driver, READINGS, plant=plant, watchdog=False)
-    with pytest.raises(pam.rig.RigError, match="joint_states"):
-        rig.read()
+    refused("joint_states", rig.read, error=pam.rig.RigError)
     bus.publish("joint_states", joints(0.01, 1.0, 5.0))
     assert rig.read()["muscle.pressure"] == 1e5
     time.sleep(0.05)
-    with pytest.raises(pam.rig.RigError, match="ms old"):
-        rig.arm()
+    refused("ms old", rig.arm, error=pam.rig.RigError)
     bus.publish("joint_states", Message(**{**joints(0, 0, 6.0).__dict__, "name": ["other"]}))
-    with pytest.raises(pam.rig.RigError, match="has no joint slide"):
-        rig.read()
+    refused("has no joint slide", rig.read, error=pam.rig.RigError)
     rig.close()
 
 
@@ -171,10 +169,8 @@ def test_arrays_have_their_readings_by_index(bus):
 
 def test_without_ros_the_driver_says_what_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    with pytest.raises(pam.InputError, match="part of ROS 2"):
-        pam.rig.driver("ros")
-    with pytest.raises(pam.InputError, match="Float64MultiArray"):
-        pam.rig.driver("ros", message="Image")
+    refused("part of ROS 2", pam.rig.driver, "ros")
+    refused("Float64MultiArray", pam.rig.driver, "ros", message="Image")
 
 
 def test_on_rclpy_itself_a_message_comes_and_goes():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import BAR, scipy_states
+from conftest import BAR, refused, scipy_states
 
 import pam_ocp as pam
 from pam_ocp.core.errors import ExportError, OutOfTime
@@ -129,8 +129,7 @@ def test_steps_between_two_times_are_counted(slide):
 
 @pytest.mark.parametrize("other", [{"method": "cvodes"}, {"step": 1e-3}])
 def test_other_methods_are_not_compiled(hanging, other):
-    with pytest.raises(pam.InputError, match="leave out compiled"):
-        pam.simulate(hanging, duration=0.1, compiled=True, **other)
+    refused("leave out compiled", pam.simulate, hanging, duration=0.1, compiled=True, **other)
 
 
 def test_many_simulations_are_compiled_beforehand(hanging, own_cache, monkeypatch):

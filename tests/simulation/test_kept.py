@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from conftest import refused
 
 import pam_ocp as pam
 from pam_ocp import InputError
@@ -102,8 +103,7 @@ def test_what_never_happens_is_nan_and_quantities_have_units():
     ],
 )
 def test_other_words_are_refused_in_one_sentence(text, match):
-    with pytest.raises(InputError, match=match):
-        words(text, STEP, y="m")
+    refused(match, words, text, STEP, y="m")
 
 
 KEEP = {
@@ -353,8 +353,7 @@ def test_a_case_that_kills_its_worker_is_the_only_one_lost():
     ],
 )
 def test_what_cannot_be_kept_is_said(given, match):
-    with pytest.raises(InputError, match=match):
-        pam.simulate_many(spring(), masses(2), t=T, **given)
+    refused(match, pam.simulate_many, spring(), masses(2), t=T, **given)
 
 
 @pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])

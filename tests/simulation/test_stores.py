@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from conftest import refused
 from test_kept import SAID, masses, spring
 
 import pam_ocp as pam
@@ -101,8 +102,7 @@ def test_file_systems_are_taken_as_folders(kind, tmp_path):
     ],
 )
 def test_what_is_no_folder_is_said(into, match):
-    with pytest.raises(InputError, match=match):
-        pam.simulate_many(spring(), masses(2), into=into, **SHORT)
+    refused(match, pam.simulate_many, spring(), masses(2), into=into, **SHORT)
 
 
 def test_a_folder_elsewhere_with_other_files_is_left_alone(memory):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import refused
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
@@ -122,8 +123,7 @@ def test_a_table_of_two_cells_is_refused_by_their_number(tmp_path: Path) -> None
 
 def test_nothing_is_replaced_unasked_and_wrong_words_are_refused(tmp_path: Path) -> None:
     (tmp_path / "plant.fmu").write_text("mine")
-    with pytest.raises(InputError, match=r"plant\.fmu stand there.*overwrite=True"):
-        quick(TABLE, tmp_path, rest_length=LENGTH)
+    refused(r"plant\.fmu stand there.*overwrite=True", quick, TABLE, tmp_path, rest_length=LENGTH)
     with pytest.raises(InputError, match="counterforce = 'rope': choose 'pair' or 'load'"):
         quick(TABLE, tmp_path / "new", rest_length=LENGTH, counterforce="rope")  # type: ignore[arg-type]
     assert (tmp_path / "plant.fmu").read_text() == "mine"

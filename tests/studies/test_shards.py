@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import refused
 from job_array import array, drawn, loads, written
 
 from pam_ocp import InputError
@@ -32,21 +33,18 @@ def test_shares_cover_all_steps_but_the_tables_of_sweeps(study):
 
 @pytest.mark.parametrize("text", ["0/5", "6/5", "3", "a/b", "1/0", "-1/4", "1/999999999"])
 def test_shards_that_cannot_be_are_refused(text):
-    with pytest.raises(InputError, match="give K/N"):
-        shard_of(text)
+    refused("give K/N", shard_of, text)
 
 
 @pytest.mark.usefixtures("plain_pictures")
 @pytest.mark.slow
 def test_merged_shards_are_the_study_in_one_go_and_missing_ones_are_named(tmp_path):
     study, out, cache = loads(tmp_path, 2), tmp_path / "out", tmp_path / "kept"
-    with pytest.raises(InputError, match="no shard has run here"):
-        run_study(study, out, cache=cache, merge=True)
+    refused("no shard has run here", run_study, study, out, cache=cache, merge=True)
     for number in (1, 3):
         run_study(study, out, cache=cache, shard=f"{number}/3")
     assert not (out / "report.html").exists()
-    with pytest.raises(InputError, match=r"1 of 3 shards are not there: 2/3 never began"):
-        run_study(study, out, merge=True)
+    refused(r"1 of 3 shards are not there: 2/3 never began", run_study, study, out, merge=True)
     run_study(study, out, cache=cache, shard="2/3")
     merged = run_study(study, out, merge=True)  # the cache is the shards'
     assert merged.ok
@@ -54,10 +52,8 @@ def test_merged_shards_are_the_study_in_one_go_and_missing_ones_are_named(tmp_pa
     run_study(study, tmp_path / "one", cache=tmp_path / "other")
     assert written(out) == written(tmp_path / "one")
     study.write_text(study.read_text().replace("10 kg", "11 kg"))
-    with pytest.raises(InputError, match="another version of the study"):
-        run_study(study, out, merge=True)
-    with pytest.raises(InputError, match="shard or merge"):
-        run_study(study, out, shard="1/3", merge=True)
+    refused("another version of the study", run_study, study, out, merge=True)
+    refused("shard or merge", run_study, study, out, shard="1/3", merge=True)
 
 
 def test_a_shard_checks_the_steps_that_it_runs_and_the_first_one_all(tmp_path):
@@ -101,8 +97,7 @@ def test_two_processes_in_one_folder_are_told_of_and_a_dead_one_is_named(tmp_pat
         run_study(study, out, cache=cache, shard=shard)
     if shard:
         run_study(study, out, cache=cache, shard="2/2")
-        with pytest.raises(InputError, match="1/2 is still at work"):
-            run_study(study, out, merge=True)
+        refused("1/2 is still at work", run_study, study, out, merge=True)
     other.kill()
     other.communicate()
     if shard:
