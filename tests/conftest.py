@@ -57,9 +57,9 @@ def slide() -> pam.Plant:
     return benchmark_slide()
 
 
-def benchmark_slide(feed: Any = None, muscle: pam.Muscle | None = None) -> pam.Plant:
+def benchmark_slide(feed: Any = None) -> pam.Plant:
     return pam.AntagonisticSlide(
-        muscle or pam.muscle("DMSP-20-200N"),
+        pam.muscle("DMSP-20-200N"),
         mass=2.0,
         pre_contraction=0.10,
         stroke=0.016,
@@ -79,6 +79,26 @@ def hardening_cart(limit: float = 10.0) -> pam.Plant:
     plant.der(x, v)
     plant.der(v, (u - k * x * (1 + x**2)) / m)
     plant.output("power", u * v, unit="W")
+    return plant
+
+
+def pushed(
+    limit: float,
+    mass: float | None = None,
+    also: Callable[[pam.Plant, Any, Any, Any], object] | None = None,
+    **more: dict[str, Any],
+) -> pam.Plant:
+    """x' = v and v' = u, or u / mass, with |u| <= limit. also : declares more, of (plant, x, v, u).
+    more : of the variables, by name.
+    """
+    plant = pam.Plant("cart")
+    x, v = (plant.state(n, unit=unit, **more.get(n, {})) for n, unit in (("x", "m"), ("v", "m/s")))
+    u = plant.input("u", unit="N", min=-limit, max=limit, **more.get("u", {}))
+    m = 1.0 if mass is None else plant.parameter("mass", mass, unit="kg", min=0.1, max=10.0)
+    plant.der(x, v)
+    plant.der(v, u / m)
+    if also is not None:
+        also(plant, x, v, u)
     return plant
 
 

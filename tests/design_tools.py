@@ -4,8 +4,6 @@ import importlib.util
 import sys
 from pathlib import Path
 
-import pam_ocp as pam
-
 
 class Fixed:
     """A controller whose answer does not depend on what it measures."""
@@ -20,16 +18,6 @@ class Fixed:
     def __call__(self, t, measured):
         self.seen.append(dict(measured))
         return self.answer(t) if callable(self.answer) else self.answer
-
-
-def double_integrator():
-    """x'' = u, all nominals 1."""
-    plant = pam.Plant("cart")
-    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N")
-    plant.der(x, v)
-    plant.der(v, u)
-    return plant
 
 
 def weakened(plant, share):

@@ -1,8 +1,7 @@
-"""What tests of the planner begin with: a mass that is pushed, programs, searches, SciPy's word."""
+"""What tests of the planner begin with: programs, searches, SciPy's word."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,26 +13,6 @@ from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.result import Solved
 from pam_ocp.planning.search import Search
 from pam_ocp.planning.stages import recorded
-
-
-def pushed(
-    limit: float,
-    mass: float | None = None,
-    also: Callable[[pam.Plant, Any, Any, Any], object] | None = None,
-    **more: dict[str, Any],
-) -> pam.Plant:
-    """x' = v and v' = u, or u / mass, with |u| <= limit. also : declares more, of (plant, x, v, u).
-    more : of the variables, by name.
-    """
-    plant = pam.Plant("cart")
-    x, v = (plant.state(n, unit=unit, **more.get(n, {})) for n, unit in (("x", "m"), ("v", "m/s")))
-    u = plant.input("u", unit="N", min=-limit, max=limit, **more.get("u", {}))
-    m = 1.0 if mass is None else plant.parameter("mass", mass, unit="kg", min=0.1, max=10.0)
-    plant.der(x, v)
-    plant.der(v, u / m)
-    if also is not None:
-        also(plant, x, v, u)
-    return plant
 
 
 def by_scipy(plan: pam.planning.Plan) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import refused
-from design_tools import Fixed, double_integrator, weakened
+from conftest import pushed, refused
+from design_tools import Fixed, weakened
 from scipy import linalg
 
 import pam_ocp as pam
@@ -19,7 +19,7 @@ from pam_ocp.plants.valves import SpoolValve
 # ---- LQR, LQI, Kalman
 def test_lqr_of_the_double_integrator_is_the_textbooks():
     """Cost q^2 x^2 + r^2 u^2: K = [q/r, sqrt(2 q/r)]."""
-    plant = double_integrator()
+    plant = pushed(np.inf)
     point = pam.operating.OperatingPoint(plant, np.zeros(2), np.zeros(1))
     feedback = lqr(plant, point, weights={"x": 3.0}, effort=0.5)
     assert np.allclose(feedback.K, [[6.0, np.sqrt(12.0)]], rtol=1e-10)

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from conftest import pushed
 
 import pam_ocp as pam
 from pam_ocp.core.interrupts import INTERRUPTS
@@ -101,20 +102,10 @@ def python_handler(monkeypatch):
     signal.signal(signal.SIGINT, before)
 
 
-def cart():
-    plant = pam.Plant("cart")
-    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N", min=-2.0, max=2.0)
-    mass = plant.parameter("mass", 1.0, unit="kg", min=0.1, max=10.0)
-    plant.der(x, v)
-    plant.der(v, u / mass)
-    return plant
-
-
 def planner():
     stops = [{"x": 0.0}, {"x": 0.3}]
     method = pam.Collocation(4, 2)
-    return pam.Planner(cart(), stops, method=method, minimise="effort", duration=1.0)
+    return pam.Planner(pushed(2.0, mass=1.0), stops, method=method, minimise="effort", duration=1.0)
 
 
 @posix
@@ -146,8 +137,9 @@ def works():
     """{name: what is done again and again}, each from what stands ready."""
     plant, point = hanging()
     table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
-    pushed = cart()  # 2500 fits, each begun anew: the least that goes through all of it
-    pushes = pam.simulate(pushed, {"u": 1.0}, t=[0.05 * i for i in range(8)])
+    cart = pushed(2.0, mass=1.0)
+    # 2500 fits, each begun anew: the least that goes through all of it
+    pushes = pam.simulate(cart, {"u": 1.0}, t=[0.05 * i for i in range(8)])
     weights = {"track": {"x": 1.0}, "rate": {"muscle.command": 0.1}}
     mpc = pam.Mpc(plant, horizon=5, sample_time=0.01, compiled=False, **weights)
     said = {"sample_time": 0.01, "measured": {"x": 1e-4}, "start": point}
@@ -159,7 +151,7 @@ def works():
         "build": planner,
         "simulate": lambda: pam.simulate(plant, {"muscle.command": 3e5}, duration=0.01),
         "fit_force": lambda: pam.fit_force(table),
-        "fit_plant": lambda: pam.fit_plant(pushed, pushes, ["mass"], outputs=["x"]),
+        "fit_plant": lambda: pam.fit_plant(cart, pushes, ["mass"], outputs=["x"]),
         "mpc": lambda: mpc.control(now, {"x": 0.045}),
         "kalman": lambda: (kalman.correct({"x": 0.041}), kalman.predict({"muscle.command": 2e5})),
         "window": lambda: (window.correct({"x": 0.041}), window.predict({"muscle.command": 2e5})),

@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import pushed, refused
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -17,12 +17,7 @@ from pam_ocp.planning.studies.robust import robust_plan
 
 
 def double_integrator(limit=1.0):
-    plant = pam.Plant("double_integrator")
-    x, v = plant.state("x", unit="m", max=10.0), plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N", min=-limit, max=limit)
-    plant.der(x, v)
-    plant.der(v, u)
-    return plant
+    return pushed(limit, x={"max": 10.0})
 
 
 REST = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]

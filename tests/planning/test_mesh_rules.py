@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import searches
+from conftest import pushed
 from numpy.polynomial import Polynomial, legendre
-from searches import pushed, solved
+from searches import solved
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError

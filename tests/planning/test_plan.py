@@ -1,14 +1,18 @@
 """plan: the benchmark PAM-2DIR, known optima, and what is refused."""
 
-from dataclasses import replace
+import sys
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import BAR, benchmark_slide, refused, scipy_states
+from conftest import refused, scipy_states
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, PlanError
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import pam_2dir
 
 STOPS = [{"x": -0.015}, {"x": 0.015}]
 
@@ -46,32 +50,6 @@ def test_the_replay_error_is_what_scipy_finds_too(slide):
     assert plan.replay_error == pytest.approx(error, rel=1e-3)
 
 
-class RateOfCommand:
-    """A feed whose input is the rate of the commanded pressure (case (b) of the benchmark)."""
-
-    lag, limit = 0.05, 2000 * BAR
-
-    def connect(self, plant, name, muscle, contraction, rate):
-        bounds = {"unit": "Pa", "min": 0.0, "max": 6 * BAR, "start": 3 * BAR, "nominal": BAR}
-        pressure = plant.state(f"{name}.pressure", **bounds)
-        command = plant.state(f"{name}.command", **bounds)
-        w = plant.input(
-            f"{name}.command_rate", unit="Pa/s", min=-self.limit, max=self.limit, nominal=BAR
-        )
-        change = (command - pressure) / self.lag
-        plant.der(pressure, change)
-        plant.der(command, w)
-        plant.constraint(
-            f"{name}.pressure_rate",
-            change,
-            unit="Pa/s",
-            min=-40 * BAR,
-            max=40 * BAR,
-            nominal=10 * BAR,
-        )
-        return pressure
-
-
 @pytest.mark.parametrize(
     ("method", "objective", "error"),
     [
@@ -82,10 +60,7 @@ class RateOfCommand:
 )
 def test_the_benchmark_with_least_rate_of_command(method, objective, error):
     # the benchmark's force has no smooth clamp, and F = 0 is active here: a narrow one comes near
-    muscle = replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2)
-    asked = {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}}
-    rig = benchmark_slide(RateOfCommand(), muscle)
-    plan = pam.plan(rig, STOPS, method=method, **asked)
+    plan = pam.plan(pam_2dir.commanded(), STOPS, method=method, **pam_2dir.WISHES["b"])
     assert plan.objective == pytest.approx(objective, abs=error)
 
 

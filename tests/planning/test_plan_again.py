@@ -7,7 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from searches import pushed
+from conftest import pushed
 
 import pam_ocp as pam
 from pam_ocp import Collocation

@@ -5,10 +5,10 @@ import math
 import hand_equations as hand
 import numpy as np
 import pytest
+from conftest import pushed
 from fibres import LONG, THIN, bought
 from hand_equations import GRAVITY
 from scipy.integrate import trapezoid
-from searches import pushed
 
 import pam_ocp as pam
 

@@ -5,9 +5,9 @@ by SciPy's boundary value solver.
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import pushed
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
-from searches import pushed
 
 import pam_ocp as pam
 from pam_ocp import Collocation

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import refused
-from searches import pushed
+from conftest import pushed, refused
 
 import pam_ocp as pam
 from pam_ocp import Collocation
@@ -13,10 +12,6 @@ from pam_ocp.planning.studies.front import pareto
 
 METHOD = Collocation(6, 6, "polynomial")
 LIMIT, DISTANCE = 100.0, 1.0
-
-
-def double_integrator():
-    return pushed(LIMIT)
 
 
 STOPS = [{"x": 0.0, "v": 0.0}, {"x": DISTANCE, "v": 0.0}]
@@ -27,7 +22,7 @@ def test_time_against_effort_of_the_double_integrator(first, second):
     """E = 12 d^2/T^3 while u = 6 d/T^2 (1 - 2 t/T) keeps its limit; bang-bang at its end, u^2 T."""
     limits = {} if first == "time" else {"duration": (0.05, 0.6)}
     asked = {"first": first, "second": second, "rest": False, "method": METHOD, "points": 9}
-    front = pareto(double_integrator(), STOPS, **asked, **limits)
+    front = pareto(pushed(LIMIT), STOPS, **asked, **limits)
     assert not front.failures
     time, effort = front.values.T if first == "time" else front.values.T[::-1]
     quickest = 2 * np.sqrt(DISTANCE / LIMIT)
@@ -45,7 +40,7 @@ def test_time_against_effort_of_the_double_integrator(first, second):
 def test_points_planned_side_by_side_are_the_front_and_the_same_bits_everywhere():
     """E = 12 d^2/T^3 between the ends, in this process and in two others."""
     asked = {"rest": False, "method": METHOD, "points": 5, "until": 0.6}
-    here, there = (pareto(double_integrator(), STOPS, executor=where, **asked) for where in (0, 2))
+    here, there = (pareto(pushed(LIMIT), STOPS, executor=where, **asked) for where in (0, 2))
     assert not here.failures
     assert len(here) == 5
     assert np.array_equal(here.values, there.values)
@@ -60,7 +55,7 @@ def test_points_planned_side_by_side_are_the_front_and_the_same_bits_everywhere(
 def test_rate_is_swept_as_the_second():
     """The least of the integral of u'^2 from rest to rest with u = 0 at the ends: 720 d^2/T^5."""
     asked = {"second": "rate", "points": 4, "until": 1.0, "method": METHOD}
-    front = pareto(double_integrator(), [{"x": 0.0}, {"x": DISTANCE}], **asked)
+    front = pareto(pushed(LIMIT), [{"x": 0.0}, {"x": DISTANCE}], **asked)
     time, rate = front.values.T
     assert time[-1] == pytest.approx(1.0)
     assert rate[-2:] * time[-2:] ** 5 == pytest.approx(720 * DISTANCE**2, rel=1e-5)
@@ -113,7 +108,7 @@ def test_what_cannot_be_swept_is_refused(slide, arguments, message):
 
 def test_a_budget_of_time_ends_a_motion_of_least_effort():
     asked = {"rest": False, "minimise": "effort", "budgets": {"time": 0.8}, "method": METHOD}
-    plan = pam.plan(double_integrator(), [STOPS[0], {"x": 0.4}, STOPS[1]], **asked)
+    plan = pam.plan(pushed(LIMIT), [STOPS[0], {"x": 0.4}, STOPS[1]], **asked)
     assert sum(plan.durations) == pytest.approx(0.8, rel=1e-7)
     assert plan.objective == pytest.approx(12 / 0.8**3, rel=1e-6)  # passing 0.4 costs nothing
 

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from searches import pushed, search_of
+from conftest import pushed
+from searches import search_of
 
 import pam_ocp as pam
 from pam_ocp.planning import replay

@@ -4,9 +4,8 @@ import pickle
 
 import numpy as np
 import pytest
-from conftest import benchmark_slide, refused, scipy_states
+from conftest import benchmark_slide, pushed, refused, scipy_states
 
-import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, PlanError, Stop
 from pam_ocp.planning.studies.robust import robust_plan
 from pam_ocp.plants.ensemble import Ensemble
@@ -150,12 +149,7 @@ def test_what_the_user_bounds_is_bounded_for_all(plant):
 
 def test_a_spread_that_cannot_be_is_named():
     """x'' = u/m from rest: every input moves a mass 10 % heavier 1/1.1 as far, 0.0909 m short."""
-    plant = pam.Plant("mass")
-    x, v = plant.state("x", unit="m", nominal=0.1), plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N", min=-10.0, max=10.0)
-    m = plant.parameter("mass", 1.0, unit="kg", min=0.1, max=10.0)
-    plant.der(x, v)
-    plant.der(v, u / m)
+    plant = pushed(10.0, 1.0, x={"nominal": 0.1})
     arguments = {"draws": [{"mass": 1.1}], "start": "same", "duration": 1.0, "share": None}
     arguments |= {"minimise": "effort", "method": Collocation(5, 4, "linear")}
     stops = [{"x": 0.0}, {"x": 1.0}]

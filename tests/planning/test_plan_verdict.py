@@ -14,8 +14,8 @@ import warnings
 
 import numpy as np
 import pytest
-from conftest import refused
-from searches import by_scipy, pushed
+from conftest import pushed, refused
+from searches import by_scipy
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, PlanWarning

@@ -7,10 +7,9 @@ import warnings
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import refused
+from conftest import pushed, refused
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
-from searches import pushed
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Stop

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
@@ -136,23 +137,37 @@ def test_relaxed_values_go_to_their_own_evenly_in_their_logarithms() -> None:
         assert smoothed(plant, 1.0, relaxed).variable("heavier").start == 1.0
 
 
-def refused_once(monkeypatch: Any, beyond: float) -> list[float]:
-    """The first solve at a place beyond this one is lost; that place, once it came."""
-    solve, refused = Engine.solve, list[float]()
+def fail_where(monkeypatch: Any, lost: Callable[[float, str, tuple[str, str]], bool]) -> None:
+    """Solves are lost where ``lost`` says so, of their place, their start and why they are made."""
+    solve = Engine.solve
 
-    def sometimes(engine: Engine, program: Any, place: float, *rest: Any, **more: Any) -> Any:
-        found = solve(engine, program, place, *rest, **more)
-        if not refused and place > beyond:
-            refused.append(place)
-            return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
-        return found
+    def sometimes(
+        engine: Engine, program: Any, place: float, guess: Any, start: str, why: Any, *rest: Any
+    ) -> Any:
+        found = solve(engine, program, place, guess, start, why, *rest)
+        if not lost(place, start, why):
+            return found
+        return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
 
     monkeypatch.setattr(Engine, "solve", sometimes)
+
+
+def fail_once(monkeypatch: Any, beyond: float) -> list[float]:
+    """The first solve at a place beyond this one is lost; that place, once it came."""
+    refused = list[float]()
+
+    def lost(place: float, *_: Any) -> bool:
+        if refused or place <= beyond:
+            return False
+        refused.append(place)
+        return True
+
+    fail_where(monkeypatch, lost)
     return refused
 
 
 def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch: Any) -> None:
-    refused = refused_once(monkeypatch, 0.4)
+    refused = fail_once(monkeypatch, 0.4)
     plan = planner()()
     assert plan.verified
     path = places(plan)
@@ -165,18 +180,11 @@ def test_a_place_that_is_not_reached_is_approached_in_shorter_steps(monkeypatch:
 def test_where_costs_lead_nowhere_the_next_motion_that_keeps_the_constraints_goes_on(
     projection: str, monkeypatch: Any
 ) -> None:
-    solve = Engine.solve
-
-    def projected(
-        engine: Engine, program: Any, place: float, guess: Any, start: str, why: Any, *rest: Any
-    ) -> Any:
-        found = solve(engine, program, place, guess, start, why, *rest)
+    def lost(place: float, start: str, why: tuple[str, str]) -> bool:
         at = re.match(r"place ([\d.]+) of the path", why[1])
-        if at and 0.5 < float(at[1]) < 1.0 and start != projection:
-            return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
-        return found
+        return bool(at) and 0.5 < float(at[1]) < 1.0 and start != projection
 
-    monkeypatch.setattr(Engine, "solve", projected)
+    fail_where(monkeypatch, lost)
     plan = planner()()
     assert plan.verified
     assert ends_at(plan) == pytest.approx([0.1, 0.0, plan.trajectory["f"][-1]], abs=2e-4)
@@ -202,17 +210,7 @@ def test_projections_keep_the_constraints_and_end_near_their_guess() -> None:
 
 
 def test_where_the_path_is_not_led_to_its_end_there_is_a_plan_by_shooting(monkeypatch: Any) -> None:
-    solve = Engine.solve
-
-    def blocked(
-        engine: Engine, program: Any, place: float, guess: Any, start: str, why: Any, *rest: Any
-    ) -> Any:
-        found = solve(engine, program, place, guess, start, why, *rest)
-        if place > 0.7 and why[0] == "smoothing":
-            return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
-        return found
-
-    monkeypatch.setattr(Engine, "solve", blocked)
+    fail_where(monkeypatch, lambda place, _, why: place > 0.7 and why[0] == "smoothing")
     plan = planner()()
     monkeypatch.undo()
     assert plan.verified
@@ -226,7 +224,7 @@ def test_where_the_path_is_not_led_to_its_end_there_is_a_plan_by_shooting(monkey
 def test_a_plan_by_shooting_gives_way_to_the_cheaper_one_at_the_end_of_the_path(
     monkeypatch: Any,
 ) -> None:
-    refused_once(monkeypatch, 0.65)
+    fail_once(monkeypatch, 0.65)
     plan = planner()()
     stages = [(s["name"], s["solved"]) for s in plan.statistics["stages"]]
     assert ("shooting", True) in stages
@@ -296,17 +294,7 @@ def test_the_same_motion_in_commands_is_a_candidate_where_no_solver_gets_there(
     monkeypatch: Any,
 ) -> None:
     """From openings, by the inverse of the dead zone."""
-    usual = Engine.solve
-
-    def solve(
-        self: Engine, program: Any, place: float, guess: Any, start: Any, why: Any, *more: Any
-    ) -> Any:
-        found = usual(self, program, place, guess, start, why, *more)
-        if why[1] != "back to commands":
-            return found
-        return replace(found, outcome=replace(found.outcome, success=False))
-
-    monkeypatch.setattr(Engine, "solve", solve)
+    fail_where(monkeypatch, lambda place, start, why: why[1] == "back to commands")
     plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), 2.0, 0.1, feed=pam.feeds.SpoolValve())
     plan = pam.plan(plant, [{"x": -0.01}, {"x": 0.01}], method=Collocation(15, 3), starts=1)
     assert plan.verified
