@@ -1,7 +1,5 @@
 """The page in a real browser: its server, Debian's Chromium with its driver, and a hand."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Controllers as blocks: the same commands as the controllers, and what their guard does."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

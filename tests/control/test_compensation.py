@@ -1,7 +1,5 @@
 """Hysteresis compensated by feed-forward through the inverse of the memory."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

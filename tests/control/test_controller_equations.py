@@ -1,7 +1,5 @@
 """Controllers and filters, call by call, against the same equations written down by hand."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A plant as a sampled block, alone and with its controller: one unit for FMU and C."""
 
-from __future__ import annotations
-
 import fmpy
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """C code of controllers: as in Python, without heap or warnings, the same bits everywhere."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import json

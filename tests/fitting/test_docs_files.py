@@ -1,4 +1,4 @@
-"""What docs/files.md and docs/dynamic_fits.md show runs as it stands there."""
+"""What docs/files.md shows runs as it stands there."""
 
 import re
 import warnings
@@ -29,14 +29,3 @@ def test_the_blocks_run_in_their_order_and_print_what_stands_there(tmp_path, mon
     assert names["ramp"].error is not None
     assert names["ramp"].slack.any()
     assert [len(r) for r in names["records"]] == [300, 100]
-
-
-@pytest.mark.slow
-def test_every_block_of_the_page_on_dynamic_fits_runs(capsys):
-    namespace: dict[str, object] = {}
-    page = (DOCS / "dynamic_fits.md").read_text("utf-8")
-    for code in re.findall(r"```python\n(.*?)```", page, re.S):
-        exec(compile(code, "dynamic_fits.md", "exec"), namespace)
-    shown = capsys.readouterr().out
-    assert "the choice" in shown
-    assert "a prediction may fail here" in shown

@@ -1,7 +1,5 @@
 """The catalogue: names, sources, figures and refusals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

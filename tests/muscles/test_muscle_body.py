@@ -1,7 +1,5 @@
 """The muscle's own body: dead pressure, ends, strength, several side by side; whose numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points, polynomials and matrices of collocation, against theory and NumPy's polynomials."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

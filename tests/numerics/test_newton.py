@@ -1,7 +1,5 @@
 """Newton's method and curves followed by their arc length, against closed forms."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

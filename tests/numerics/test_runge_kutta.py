@@ -1,7 +1,5 @@
 """The method of Runge and Kutta, on numbers and on graphs."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Rest with memory: hysteresis keeps a force at rest, and the point on the continuum is chosen."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

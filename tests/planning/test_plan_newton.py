@@ -1,7 +1,5 @@
 """Re-solves by Newton's method along the stages: IPOPT's optimum, sooner, or IPOPT."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -2,8 +2,6 @@
 files that lie.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

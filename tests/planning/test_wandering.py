@@ -1,7 +1,5 @@
 """Optima that are no one place: costs are flat along them, and solutions are settled by damping."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -3,8 +3,6 @@
 Expected values are closed forms, the sharp play operator written out below, or SciPy.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -2,8 +2,6 @@
 ``benchmarks/balance.py`` by equations of their own, the study has 200 motions of each.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

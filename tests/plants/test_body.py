@@ -1,7 +1,5 @@
 """The muscle's own body in plants: mass, dead pressure, strength."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Losses: damping, friction, hysteresis with memory, creep."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Receivers, tubes, spools, quick exhausts, valves of the catalogue: closed forms, by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Heat, receivers, tubes and spools in every verb: linear models, fits, plans, FMUs."""
 
-from __future__ import annotations
-
 from itertools import cycle
 
 import numpy as np
