@@ -193,6 +193,13 @@ def test_what_else_the_door_names_is_named_in_annotations_only():
 
 
 # ---- what an import loads ------------------------------------------------------------------------
+def printed(code: str) -> set[str]:
+    """The words that a process of its own prints."""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
 @pytest.mark.parametrize(
     "name",
     ["pam_ocp", "pam_ocp.courtesy", "pam_ocp.export", "pam_ocp.fitting", "pam_ocp.vibration"],
@@ -204,12 +211,9 @@ def test_an_import_loads_names_only_when_they_are_used(name):
         "set(sys.modules) - before if m.split('.')[0] in {'pam_ocp', 'casadi', 'numpy', 'scipy', "
         "'matplotlib', 'control', 'fmpy', 'pandas'}))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     # the guard against Ctrl-C while a module is loaded must be there before the first one is
     face = {"pam_ocp", "pam_ocp.core", "pam_ocp.core.interrupts", "pam_ocp.core.lazy"}
-    assert set(done.stdout.split()) == {*face, name}
+    assert printed(code) == {*face, name}
 
 
 def test_a_first_plan_loads_nothing_that_it_does_not_use():
@@ -221,12 +225,9 @@ def test_a_first_plan_loads_nothing_that_it_does_not_use():
         "slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.1); "
         "assert pam.plan(slide, [{'x': -0.01}, {'x': 0.01}]).verified; print(*sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     unused = ("planning.problem.problem_file", "planning.solvers.newton", "plants.plant_file")
     unused += ("planning.arcs_search", "core.workers")
-    loaded = set(done.stdout.split())
+    loaded = printed(code)
     assert "pam_ocp.planning.planner" in loaded
     assert not loaded & {"matplotlib", "pandas", "control", "scipy", "fmpy", "multiprocessing"}
     assert not loaded & {"numpy.random", "secrets", *(f"pam_ocp.{name}" for name in unused)}

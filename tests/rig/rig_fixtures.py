@@ -1,8 +1,16 @@
 """A hanging load, its twin in simulated time, and a rig on it."""
 
+import math
+
 import pytest
 
 import pam_ocp as pam
+
+
+def instruments(x=1e-5, pressure=200.0):
+    """Sensors with these standard deviations [m, Pa]."""
+    noise = {"x": x, "muscle.pressure": pressure}
+    return {n: pam.simulation.Instrument(noise=v) for n, v in noise.items()}
 
 
 @pytest.fixture(scope="session")
@@ -28,30 +36,13 @@ def made(plant):
                 within="0.25 s",
             ),
         ]
-        chosen = own if readings is None else readings
-        sensors = {
-            "x": pam.simulation.Instrument(noise=1e-5),
-            "muscle.pressure": pam.simulation.Instrument(noise=200.0),
-        }
-        twin = pam.rig.Twin(
-            plant,
-            [*chosen, pam.rig.Reading("supply", "Pa")] if readings is None else chosen,
-            clock=clock,
-            sensors=sensors if noise else None,
-            faults=faults,
-            **of_twin,
+        shown, seen = (
+            [*own, pam.rig.Reading("supply", "Pa", low=low)] if readings is None else readings
+            for low in (-math.inf, "3 bar")
         )
-        seen = (
-            [*chosen, pam.rig.Reading("supply", "Pa", low="3 bar")] if readings is None else chosen
-        )
-        rig = pam.Rig(
-            pam.rig.driver("twin", twin=twin),
-            seen,
-            plant=plant,
-            clock=clock,
-            guard=guard,
-            record=record,
-        )
-        return rig, twin
+        sensors = instruments() if noise else None
+        twin = pam.rig.Twin(plant, shown, clock=clock, sensors=sensors, faults=faults, **of_twin)
+        driver = pam.rig.driver("twin", twin=twin)
+        return pam.Rig(driver, seen, plant=plant, clock=clock, guard=guard, record=record), twin
 
     return make

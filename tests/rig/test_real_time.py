@@ -11,7 +11,7 @@ import zlib
 import numpy as np
 import pytest
 from conftest import refused
-from rig_fixtures import plant  # noqa: F401 - fixtures
+from rig_fixtures import instruments, plant  # noqa: F401 - fixtures
 
 import pam_ocp as pam
 from pam_ocp.control.blocks.running import Running
@@ -23,10 +23,6 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the loop in C i
 STEP = 5e-3
 PATIENT = pam.rig.Guard(max_age="5 s", late="5 s", heartbeat="5 s")
 """Other processes may take both processors of a machine that tests."""
-NOISE = {
-    "x": pam.simulation.Instrument(noise=1e-5),
-    "muscle.pressure": pam.simulation.Instrument(noise=200.0),
-}
 LIMITS = [
     pam.rig.Reading("x", low="-100 mm", high="200 mm"),
     pam.rig.Reading("muscle.pressure", low="-1 bar", high="20 bar"),
@@ -49,7 +45,7 @@ def bench(plant, tmp_path):
     open_ends = []
 
     def make(kind="udp", readings=LIMITS, guard=PATIENT, commands=None):
-        twin = pam.rig.Twin(plant, readings, commands, sensors=NOISE)
+        twin = pam.rig.Twin(plant, readings, commands, sensors=instruments())
         served = pam.rig.serve(twin, kind)
         driver = pam.rig.driver(**served.address, timeout=0.2)
         rig = pam.Rig(

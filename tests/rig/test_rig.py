@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from conftest import refused
-from rig_fixtures import made, plant  # noqa: F401 - fixtures
+from rig_fixtures import instruments, made, plant  # noqa: F401 - fixtures
 from rig_tools import on_twin, twin_at_random, wanted_sine
 
 import pam_ocp as pam
@@ -163,10 +163,7 @@ def test_identification_finds_what_the_twin_has(plant):
         pam.rig.Reading("x", low="-20 mm", high="80 mm"),
         pam.rig.Reading("muscle.pressure", low="-0.3 bar", high="6.5 bar"),
     ]
-    sensors = {
-        "x": pam.simulation.Instrument(noise=2e-5),
-        "muscle.pressure": pam.simulation.Instrument(noise=300.0),
-    }
+    sensors = instruments(x=2e-5, pressure=300.0)
     true = plant.with_values({"mass": 12.0, "muscle.lag": 0.07})
     rig, twin = on_twin(plant, readings, true=true, sensors=sensors)
     rig.arm()

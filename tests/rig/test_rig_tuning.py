@@ -129,9 +129,12 @@ def moved(answer, asked, h=0.005, fine=20):
     return np.array(errors)
 
 
-@pytest.mark.parametrize(
+ANSWERS = pytest.mark.parametrize(
     "true", [Answer(0.8, 7.0, 11000.0, 0.008), Answer(1.25, 2.0, 300.0, 0.012)]
 )
+
+
+@ANSWERS
 def test_what_a_rig_answers_is_found_from_a_run(true):
     """The model is integrated by hand; its position is read with noise."""
     rng = np.random.default_rng(1)
@@ -147,9 +150,7 @@ def test_what_a_rig_answers_is_found_from_a_run(true):
     assert found.late == pytest.approx(true.late, abs=5e-4)
 
 
-@pytest.mark.parametrize(
-    "true", [Answer(0.8, 7.0, 11000.0, 0.008), Answer(1.25, 2.0, 300.0, 0.012)]
-)
+@ANSWERS
 def test_gains_damp_what_rings_and_follow_what_drifts(true):
     """Against no feedback, by hand, with another stiffness than was found; steps disturb."""
     rng = np.random.default_rng(2)

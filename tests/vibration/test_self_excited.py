@@ -145,21 +145,20 @@ def test_the_amplitude_in_a_map_is_that_of_scipy() -> None:
     assert found.growth[0, 0] > 0
 
 
-def test_where_rest_is_stable_a_push_dies_out() -> None:
+def mapped_at(mass: float, x: float) -> vibration.AmplitudeMap:
     plant = RegulatedLoad(pam.muscle(MUSCLE), 20.0, gain=2e5)
-    found = vibration.amplitude_map(
-        plant, {"mass": [20.0], "x": [0.04]}, {"muscle.reference": 0.04}
-    )
+    return vibration.amplitude_map(plant, {"mass": [mass], "x": [x]}, {"muscle.reference": 0.04})
+
+
+def test_where_rest_is_stable_a_push_dies_out() -> None:
+    found = mapped_at(20.0, 0.04)
     assert found.amplitude[0, 0] == 0
     assert found.growth[0, 0] < 0
     assert "0 of 1 points vibrate" in str(found)
 
 
 def test_points_that_have_no_rest_say_why() -> None:
-    plant = RegulatedLoad(pam.muscle(MUSCLE), 20.0, gain=2e5)
-    found = vibration.amplitude_map(
-        plant, {"mass": [500.0], "x": [0.09]}, {"muscle.reference": 0.04}
-    )
+    found = mapped_at(500.0, 0.09)
     assert "no equilibrium" in found.reasons[500.0, 0.09]
     assert np.isnan(found.amplitude[0, 0])
 
