@@ -322,8 +322,8 @@ def main(
     print(f"seed {given.seed}", flush=True)
     rows = run(cases, given)
     print(tally(rows))
-    if summary is not None and rows:
-        print(summary(rows))
+    if summary is not None and rows and (text := summary(rows)):
+        print(text)
     return rows
 
 
