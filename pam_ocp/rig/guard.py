@@ -19,6 +19,9 @@ from ..core.errors import PamError, require_positive
 from .channels import Command, Reading
 from .drivers.driver import Emergency
 
+SILENT = "nothing valid comes in"
+"""How words about readings that stay out end."""
+
 
 class RigError(PamError):
     """A rig that was vented, or that does not do what it is asked; says why.
@@ -34,7 +37,8 @@ class RigError(PamError):
 class Guard:
     """What the guard allows, besides the limits of the channels. It vents where that is exceeded.
 
-    max_age : of the newest valid reading [s]. late : by which a sample may be late [s]; a sample
+    max_age : of the newest valid reading, and of the last command that was taken where none is any
+    more [s]. late : by which a sample may be late [s]; a sample
     later than ``tolerated`` of its length is counted as a missed deadline, and nothing more.
     heartbeat : [s] without a sign of life, after which the watchdog's process vents. fade : time
     constant [s] by which the step fades that a controller would make as it takes over.
@@ -77,7 +81,12 @@ class Watch:
         if not age <= self.guard.max_age:
             return (
                 f"the newest reading is {1e3 * age:.3g} ms old, {1e3 * self.guard.max_age:g} ms "
-                "are allowed: nothing valid comes in"
+                f"are allowed: {SILENT}"
+            )
+        if age < -self.guard.max_age:  # would pass for new until the clock has come that far
+            return (
+                f"the newest reading is stamped {-1e3 * age:.3g} ms ahead of this host's clock, "
+                f"{1e3 * self.guard.max_age:g} ms are allowed: its age is not known"
             )
         for name, channel in self.readings.items():
             words = self._channel(name, channel, now, values[name], stamp)

@@ -113,6 +113,7 @@ class Rig:
     def _require_channels(self) -> None:
         if not self.readings or not self.commands:
             raise InputError("a rig needs at least one reading and one command")
+        before = [n for n, c in self.readings.items() if not c.slope_of]
         for name, channel in self.readings.items():
             for other, known in (
                 (channel.slope_of, self.readings),
@@ -120,6 +121,13 @@ class Rig:
             ):
                 if other and other not in known:
                     raise UnknownNameError(f"channel that {name} belongs to", other, known)
+            if channel.slope_of:
+                if channel.slope_of not in before:
+                    raise InputError(
+                        f"{name}: slope_of = {channel.slope_of!r} is a slope itself, which has to "
+                        f"stand before {name}"
+                    )
+                before.append(name)
         for command in self.commands.values():
             command.require_range()
 
@@ -206,7 +214,7 @@ class Rig:
         words = watch.look(self.clock.now(), seen, seen["time"], self.vented)
         if words:
             raise RigError(f"{self.name} is not armed: {words}")
-        if self._wanted_watchdog and self._watchdog is None:
+        if self._wanted_watchdog:
             emergency = getattr(self.driver, "emergency", lambda: None)()
             if emergency is None:
                 raise RigError(
@@ -214,6 +222,7 @@ class Rig:
                     "could vent; give it one, or say watchdog=False and know that nothing vents "
                     "when this process hangs"
                 )
+            self._stop_watchdog()  # one that has vented vents on, whatever it is told
             self._watchdog = Watchdog(emergency, self.guard.heartbeat)
         try:
             self.driver.vent()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import platform
@@ -18,10 +19,12 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..core.errors import InputError, with_kinds
+from ..core.exceptions import WriteError
 from ..core.files import json_of, make_folder, write_json
 from ..core.trajectory import HELD, Trajectory
 from ..core.variables import Variable, variable_of
-from .guard import RigError, Watch
+from .channels import Reading
+from .guard import SILENT, RigError, Watch
 
 if TYPE_CHECKING:
     from .rig import Rig
@@ -64,10 +67,11 @@ class Running:
         try:
             rig.driver.vent()
             rig._let_act()
+            self._accepted = rig.clock.now()
             self._begin()
         except BaseException as error:
             self._end(error)
-            if isinstance(error, RigError) or not isinstance(error, Exception):
+            if isinstance(error, RigError | InputError) or not isinstance(error, Exception):
                 raise
             raise RigError(f"{rig.name} does not answer: {error}") from error
 
@@ -98,9 +102,11 @@ class Running:
         self.sent = self.watch.limited(asked, self.sent, self.sample_time)
         try:
             rig.driver.write({n: c.raw(self.sent[n]) for n, c in rig.commands.items()})
-        except Exception as error:  # the age of what is read says how long that may go on
+            self._accepted = rig.clock.now()
+        except Exception as error:  # a driver of one's own may raise anything
             self.lost += 1
             self._cause = str(error)
+            self._require_accepted()
         self._mark()
         self._write_down()
         dog = rig._watchdog
@@ -120,6 +126,15 @@ class Running:
         self._take()
         self._judge()
 
+    def _require_accepted(self) -> None:
+        """Readings may come while no command goes out; the last one that was taken acts on."""
+        age, most = self.rig.clock.now() - self._accepted, self.rig.guard.max_age
+        if age > most:
+            raise RigError(
+                f"no command has been taken for {1e3 * age:.3g} ms, {1e3 * most:g} ms are allowed "
+                f"({self._cause})"
+            )
+
     def _take(self) -> None:
         """The newest readings; those before stay where nothing valid comes."""
         try:
@@ -129,6 +144,7 @@ class Running:
             self._cause = str(error)
             return
         stamp = seen.pop("time")
+        self._cause = ""
         if stamp < self.stamp:
             return  # an older answer
         for name, channel in self.rig.readings.items():
@@ -149,7 +165,8 @@ class Running:
     def _judge(self) -> None:
         words = self.watch.look(self.rig.clock.now(), self.values, self.stamp, self.sent)
         if words:
-            raise RigError(words + (f" ({self._cause})" if "age" in words and self._cause else ""))
+            silent = words.endswith(SILENT) and self._cause
+            raise RigError(words + (f" ({self._cause})" if silent else ""))
 
     def _write_down(self) -> None:
         row = [*self.values.values(), *(self.sent[n] for n in self.rig.commands)]
@@ -186,7 +203,11 @@ class Running:
             self.step({n: begin[n] + part * (v - begin[n]) for n, v in goal.items()})
         window = 4 * math.ceil(SETTLED / self.sample_time / 4)
         seen: deque[list[float]] = deque(maxlen=window)
-        ranges = {n: r.high - r.low for n, r in rig.readings.items() if not r.slope_of}
+        ranges = {
+            n: _range_of(r, r.variable(rig.plant))
+            for n, r in rig.readings.items()
+            if not r.slope_of
+        }
         for _ in range(max(window, math.ceil(PATIENCE / self.sample_time))):
             self.step(goal)
             seen.append([self.values[n] for n in ranges])
@@ -215,11 +236,22 @@ class Running:
                 rig.vent("the rig did not answer when it was to vent at the end of a run")
         finally:
             rig._running = False
-            if self._record is not None:
+            self._end_record(error)
+
+    def _end_record(self, error: BaseException | None) -> None:
+        """The last row, and the figures. What cannot be written hides no other error."""
+        if self._record is None:
+            return
+        try:
+            try:
                 if self.values:
                     self._mark()
                     self._write_down()
-                self._record.close(self.figures(rig.reason))
+            finally:
+                self._record.close(self.figures(self.rig.reason))
+        except WriteError:
+            if error is None:
+                raise
 
     def figures(self, reason: str = "") -> dict[str, Any]:
         """Samples, missed deadlines, answers that stayed out, and how late samples were."""
@@ -242,6 +274,12 @@ def recorded(
     t, data = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     columns = {v.name: data[:, i] for i, v in enumerate(variables)}
     return Trajectory(t - t[0], columns, variables, "previous")
+
+
+def _range_of(reading: Reading, variable: Variable) -> float:
+    """Of the reading; of the plant's variable where the reading has no limits."""
+    own = reading.high - reading.low
+    return own if math.isfinite(own) else variable.max - variable.min
 
 
 def _still(seen: NDArray[np.float64], ranges: NDArray[np.float64]) -> bool:
@@ -302,7 +340,14 @@ class RecordWriter:
         self._tell({"ended": False})
 
     def _line(self, cells: Sequence[str]) -> None:
-        os.write(self._file, (",".join(cells) + "\n").encode("utf-8"))
+        line = (",".join(cells) + "\n").encode("utf-8")
+        try:
+            if os.write(self._file, line) < len(line):  # no space for the rest
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise WriteError(
+                f"{self.path}: a line of the record was not written ({error.strerror})", error.errno
+            ) from None
 
     def _tell(self, more: Mapping[str, Any]) -> None:
         write_json(self.path.with_suffix(".json"), _plain({**self._about, **more}))

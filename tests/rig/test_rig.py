@@ -71,6 +71,11 @@ def test_what_a_rig_has_not_is_refused_in_a_sentence(made, plant):
     refused("vent", pam.rig.Command, "u", "V", low=-10.0, high=10.0)
     refused("straight line", pam.rig.Command, "u", "Pa", scale="V*V * 1 bar/V^2", low=0.0, high=1e5)
     refused("a driver has read, write, vent, close", pam.Rig, object(), plant=plant)
+    x, v = pam.rig.Reading("x"), pam.rig.Reading("v", slope_of="x")
+    a = pam.rig.Reading("a", "m/s2", slope_of="v")
+    pam.Rig(rig.driver, [x, v, a], plant=plant)
+    for order in ([x, a, v], [x, pam.rig.Reading("v", "m/s", slope_of="v")]):
+        refused("slope_of = 'v' is a slope itself", pam.Rig, rig.driver, order, plant=plant)
 
 
 def test_calibrations_lead_from_volts_to_si_and_back(plant):

@@ -155,6 +155,122 @@ def test_a_twin_vents_by_itself_where_no_command_comes(plant):
     assert twin.vented_at == pytest.approx(0.04, abs=1e-9)
 
 
+# ---- drivers that do not keep their word ---------------------------------------------------------
+class Own:
+    """A driver that reads 0.03 m on a simulated clock; ``wrong(self, raw)`` changes what it reads
+    from ``AT`` on, ``deaf`` refuses commands from then on.
+    """
+
+    def __init__(self, wrong=None, deaf=False):
+        self.clock, self.wrong, self.deaf = pam.rig.SimulatedClock(), wrong, deaf
+        self.acting, self.vented_at, self.first = 0.0, math.nan, True
+
+    def read(self):
+        raw = {"x": 0.03, "time": self.clock.now()}
+        return self.wrong(self, raw) if self.wrong and self.clock.now() >= AT else raw
+
+    def write(self, inputs):
+        if self.deaf and self.clock.now() >= AT:
+            raise OSError("the valves are gone")
+        self.acting = inputs["u"]
+
+    def vent(self):
+        self.acting, self.vented_at = 0.0, self.clock.now()
+
+    def close(self):
+        pass
+
+    def run(self, record=None, duration=2.0):
+        rig = pam.Rig(
+            self,
+            [pam.rig.Reading("x", "m", low=-0.1, high=0.1)],
+            [pam.rig.Command("u", "Pa", low=0.0, high=6e5)],
+            clock=self.clock,
+            record=record,
+        )
+        rig.arm()
+        try:
+            return rig.run(lambda t: {"u": 3e5}, duration)
+        finally:
+            assert not rig._running
+
+
+def once_ahead(own, raw):
+    """One stamp lies a thousand seconds ahead: whatever comes next is older."""
+    first, own.first = own.first, False
+    return {**raw, "time": raw["time"] + 1000.0} if first else raw
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (once_ahead, "1e\\+06 ms ahead of this host's clock"),
+        (lambda own, raw: {**raw, "time": math.inf}, "ahead of this host's clock"),
+        (lambda own, raw: {**raw, "time": math.nan}, "nan ms old"),
+        (lambda own, raw: {**raw, "x": "1,5"}, "nothing valid comes in .*'1,5'"),
+        (lambda own, raw: None, "nothing valid comes in .*NoneType"),
+        (lambda own, raw: {"time": raw["time"]}, r"nothing valid comes in \('x'\)"),
+    ],
+)
+def test_what_a_driver_reads_wrong_is_found_and_said(wrong, words):
+    own = Own(wrong)
+    with pytest.raises(pam.rig.RigError, match=words):
+        own.run()
+    assert own.acting == 0.0
+    assert AT <= own.vented_at <= AT + 0.050
+
+
+def test_a_rig_that_reads_well_and_takes_no_command_is_vented():
+    own = Own(deaf=True)
+    with pytest.raises(pam.rig.RigError, match=r"no command has been taken .*the valves are gone"):
+        own.run()
+    assert own.acting == 0.0
+    assert AT <= own.vented_at <= AT + 0.050
+
+
+def test_a_single_command_that_is_not_taken_is_nothing_more_than_lost():
+    class Once(Own):
+        def write(self, inputs):
+            refused, self.deaf = self.deaf, self.deaf and self.clock.now() < AT
+            if refused and not self.deaf:
+                raise OSError("once")
+            self.acting = inputs["u"]
+
+    assert Once(deaf=True).run().duration == pytest.approx(2.0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
+def test_a_record_that_cannot_be_written_vents_and_is_closed_whole(tmp_path):
+    import resource
+
+    own, (soft, hard) = Own(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4000, hard))
+        with pytest.raises(pam.PamError, match=r"run_0001.csv: a line .* was not written"):
+            own.run(record=tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert own.acting == 0.0
+    run = pam.rig.read_run(tmp_path / "run_0001.csv")
+    assert 100 < len(run) < 200
+    assert np.all(run["x"] == 0.03)
+    assert '"ended": true' in (tmp_path / "run_0001.json").read_text("utf-8")
+    if os.path.isdir("/proc/self/fd"):
+        left = [os.path.realpath(f"/proc/self/fd/{n}") for n in os.listdir("/proc/self/fd")]
+        assert not any(name.startswith(str(tmp_path)) for name in left)
+
+
+def test_a_soft_start_waits_for_rest_where_readings_have_no_limits(plant):
+    weak = pam.HangingLoad(pam.muscle("DMSP-20-300"), mass=10.0, damping=10.0)
+    clock = pam.rig.SimulatedClock()
+    driver = pam.rig.driver("twin", twin=pam.rig.Twin(weak, clock=clock))
+    rig = pam.Rig(driver, plant=weak, clock=clock)
+    rig.arm()
+    point = weak.equilibrium(x=0.04)
+    run = rig.run(lambda t: {"muscle.command": point.u[0]}, 0.5, start=point)
+    assert np.ptp(run["x"]) < 4e-3 * 0.078  # 1e-3 of its range between means, 4 quarters
+
+
 # ---- the watchdog, in the time of the world -----------------------------------------------------
 LOOP = """
 import sys, time
@@ -244,6 +360,23 @@ def test_a_watchdog_that_is_killed_ends_the_run(plant):
             with pytest.raises(pam.rig.RigError, match="watchdog's process has ended"):
                 pam.closed_loop(law, rig, duration=20.0)
             assert not twin.armed
+
+
+def test_a_rig_that_was_vented_runs_again_once_it_is_armed(plant):
+    twin = pam.rig.Twin(plant)
+    with pam.rig.serve(twin, "udp") as served:
+        guard = pam.rig.Guard(max_age=1.0, late=1.0, heartbeat=0.5)
+        driver = pam.rig.driver(**served.address, timeout=0.2)
+        with pam.Rig(driver, plant=plant, guard=guard) as rig:
+            rig.arm()
+            first = rig._watchdog._process
+            with pytest.raises(ZeroDivisionError):
+                rig.run(lambda t: 1 / 0, 0.1)
+            assert not rig.armed
+            rig.arm()
+            assert first.poll() is not None  # it would have gone on venting
+            assert rig.run(lambda t: {"muscle.command": 1e5}, 0.2).duration > 0.1
+            assert rig.armed
 
 
 def test_a_watchdog_that_reaches_nobody_keeps_the_rig_unarmed():

@@ -230,7 +230,8 @@ static int look_at(shared *s, int i, double time) {
     return 0;
 }
 
-/* What is wrong with the newest readings, 0 where nothing is. */
+/* What is wrong with the newest readings, 0 where nothing is. A stamp is never ahead of the clock:
+   stamped() takes the smallest delay that was seen. */
 SHOWN int pam_look(shared *s, double time) {
     const double age = time - s->stamp;
     if (!(age <= s->max_age)) return fault(s, OLD, -1, age);
