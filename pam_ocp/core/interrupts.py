@@ -20,6 +20,7 @@ from collections.abc import Callable
 from contextlib import ContextDecorator, suppress
 from types import CodeType, FrameType
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -36,8 +37,14 @@ AGAIN = 0.05
 PATIENCE = 0.6
 """How long an import is not disturbed [s]; a second signal does not wait."""
 
-_UNDISTURBED: set[CodeType] = set()
+_UNDISTURBED: set[CodeType] = {
+    collection()._remove.__code__  # type: ignore[attr-defined]
+    for collection in (WeakSet, WeakKeyDictionary, WeakValueDictionary)
+}
 _BOUNDARIES: set[CodeType] = set()
+_DROPPING = frozenset({"__del__", "_remove_proxy"})
+"""Functions that are called where an object goes (the second as matplotlib's callback of weak
+references), so that what they raise is printed and lost."""
 
 
 def undisturbed(function: F) -> F:
@@ -216,7 +223,7 @@ def _work_under_way(frame: FrameType | None) -> tuple[bool, bool]:
         importing = code.co_filename.startswith("<frozen importlib")
         if (
             code in _UNDISTURBED
-            or code.co_name == "__del__"
+            or code.co_name in _DROPPING
             or (importing and code.co_name == "cb")
         ):
             return True, True

@@ -10,6 +10,7 @@ from matplotlib import get_backend, rc_context
 from matplotlib.figure import Figure
 
 from ..core.errors import InputError
+from ..core.interrupts import interruptible
 from .paper import VECTORS, adapt, paper_width
 
 _NUMBERS = itertools.count(1001)
@@ -26,6 +27,7 @@ class Picture(Figure):
         super().__init__(*arguments, **named)
         self._to_adapt = self._printed = paper_width() is not None
 
+    @interruptible()
     def draw(self, renderer: Any) -> None:
         """As matplotlib does; what is for print is made so before it is drawn first."""
         if self._to_adapt:
@@ -33,6 +35,7 @@ class Picture(Figure):
             adapt(self)
         super().draw(renderer)
 
+    @interruptible()
     def savefig(self, fname: Any, **named: Any) -> None:
         """As matplotlib does; what is for print keeps its letters as text."""
         with rc_context(VECTORS if self._printed else {}):

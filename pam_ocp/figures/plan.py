@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import require_instance, with_kinds
+from ..core.interrupts import interruptible
 from ..core.stop import turns
 from ..core.units import significant
 from ..core.variables import Variable
@@ -68,6 +69,7 @@ def panels_of(plan: Plan) -> dict[str, list[str]]:
     return found
 
 
+@interruptible()
 def plot_plan(plan: Plan) -> Figure:
     """The planned motion by panels of one unit each (several, by joints and muscles, where there
     are many curves), and below which limits are active when.
@@ -249,6 +251,7 @@ def plot_costates(plan: Plan) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_pareto(front: Pareto) -> Figure:
     """The second objective over the first, with the knee;
     plans that are not verified crossed out.
@@ -272,6 +275,7 @@ def plot_pareto(front: Pareto) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_robust(robust: RobustPlan) -> Figure:
     """Deviation of every plant from the nominal one over time, nominal plan beside robust plan."""
     widths = robust.widths

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.interrupts import interruptible
 from ..core.shown import shown
 from ..core.units import significant
 from ..operating.operating_point import pole_texts
@@ -335,6 +336,7 @@ SHEETS: dict[str, Callable[[Any], Sheet]] = {
 
 
 # ---- of any object ------------------------------------------------------------------------------
+@interruptible()
 def html_of(thing: Any, dpi: int = DPI) -> str:
     """The form in notebooks of any noun or result; see :mod:`pam_ocp.figures.sheets`.
 

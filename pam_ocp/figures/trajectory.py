@@ -52,6 +52,7 @@ DASHES = ("solid", "dash", "dashdot", "dot")
 """Strokes as plotly calls them."""
 
 
+@interruptible()
 def plot_trajectory(
     trajectory: Trajectory,
     names: Sequence[str] | None = None,
@@ -120,6 +121,7 @@ def _interactive(trajectory: Trajectory, parts: Sequence[Sequence[str]]) -> Any:
     return figure
 
 
+@interruptible()
 def plot_fit(fit: ForceFit, title: str = "", *, ax: Axes | None = None) -> Any:
     """Measured and fitted force over contraction, one line per pressure; residuals below.
 
@@ -186,6 +188,7 @@ def _pressure_scale(axes: list[Any], pressures: Any) -> None:
     colour_scale(axes, ends, "pressure [bar gauge]", part, fraction=0.05)
 
 
+@interruptible()
 def plot_comparison(
     reference: Trajectory, other: Trajectory, names: Sequence[str], labels: tuple[str, str]
 ) -> Figure:
@@ -204,6 +207,7 @@ def plot_comparison(
     return figure
 
 
+@interruptible()
 def plot_bode(
     systems: dict[str, control.StateSpace],
     output: str,
@@ -235,11 +239,13 @@ def plot_bode(
     return figure
 
 
+@interruptible()
 def plot_record(comparison: RecordComparison) -> Figure:
     """Measured and simulated over each other, and the residual, for each compared variable."""
     return plot_records([comparison])
 
 
+@interruptible()
 def plot_records(comparisons: Sequence[RecordComparison]) -> Figure:
     """The same of several records, one below the other."""
     rows = [(c, a) for c in comparisons for a in c.agreements]
@@ -262,6 +268,7 @@ def plot_records(comparisons: Sequence[RecordComparison]) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_load_study(title: str, lines: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
     """Rest, frequency, damping ratio, overshoot, settling time and air against pressure.
 
@@ -292,6 +299,7 @@ def plot_load_study(title: str, lines: Mapping[str, Mapping[str, Sequence[float]
     return figure
 
 
+@interruptible()
 def plot_muscle(muscle: Muscle, *, ax: Axes | None = None) -> Any:
     """Force and stiffness over contraction, one line per pressure, within the measured range.
 

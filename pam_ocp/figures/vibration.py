@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
 from ..plants.plant import Plant
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ..vibration.maps import AmplitudeMap, HopfMap
 
 
+@interruptible()
 def plot_phase(
     trajectories: Sequence[Trajectory],
     state: str,
@@ -66,6 +68,7 @@ def plot_phase(
     return figure
 
 
+@interruptible()
 def plot_envelope(motion: FreeVibration) -> Figure:
     """Deviation from rest with the envelope through its turning points;
     frequency per cycle below.
@@ -99,6 +102,7 @@ def _readable(ax: Axes, values: Array) -> None:
     ax.ticklabel_format(axis="y", useOffset=False)
 
 
+@interruptible()
 def plot_backbone(curves: Mapping[str, Backbone]) -> Figure:
     """Frequency over amplitude, one line for each named backbone."""
     figure, (ax,) = panels(1, size=(7, 4.2))
@@ -113,6 +117,7 @@ def plot_backbone(curves: Mapping[str, Backbone]) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_energy(energy: Energy) -> Figure:
     """Energies over time; below, the power that the resistance takes."""
     figure, (upper, lower) = panels(2, size=(8, 5.5))
@@ -127,6 +132,7 @@ def plot_energy(energy: Energy) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_stability(path: StabilityPath) -> Figure:
     """Eigenvalues in the complex plane along the path, and the growth rate over the parameter."""
     variable = path.plant.variable(path.parameter)
@@ -143,6 +149,7 @@ def plot_stability(path: StabilityPath) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_border(border: HopfBorder) -> Figure:
     """The border over the two parameters, coloured by what is born there; frequency below."""
     point = next(p for p in border.points if p is not None)
@@ -170,6 +177,7 @@ def plot_border(border: HopfBorder) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_multipliers(cycle: LimitCycle) -> Figure:
     """Floquet multipliers in the complex plane, with the unit circle."""
     figure, (ax,) = panels(1, size=(5, 5))
@@ -185,6 +193,7 @@ def plot_multipliers(cycle: LimitCycle) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_branch(branch: CycleBranch, state: str) -> Figure:
     """Amplitude and frequency over the parameter; stable parts solid, unstable ones dashed."""
     plant = branch.cycles[0].plant
@@ -211,6 +220,7 @@ def _by_stability(ax: Axes, x: Array, y: Array, stable: NDArray[np.bool_]) -> No
 
 
 # ---- maps over two values ------------------------------------------------------------------------
+@interruptible()
 def plot_hopf_map(found: HopfMap) -> Figure:
     """The border and its frequency as maps; crosses where vibration begins with a jump."""
     plant = next(p for row in found.points for p in row if p is not None).plant
@@ -224,6 +234,7 @@ def plot_hopf_map(found: HopfMap) -> Figure:
     return figure
 
 
+@interruptible()
 def plot_amplitude_map(found: AmplitudeMap) -> Figure:
     """Amplitude and frequency as maps, with the border of stability of the rest."""
     variable = found.plant.variable(found.state)

@@ -1,7 +1,9 @@
 """Stopping: Ctrl-C, SIGTERM and time limits end verbs, each in a process of its own."""
 
 import _thread
+import importlib
 import importlib.util
+import inspect
 import math
 import os
 import random
@@ -12,6 +14,7 @@ import sys
 import textwrap
 import threading
 import time
+import weakref
 from pathlib import Path
 
 import pytest
@@ -127,6 +130,67 @@ def test_what_gets_lost_in_python_too_is_raised_again_within_the_verb():
     with pytest.raises(KeyboardInterrupt):
         works()
     assert len(reached) < 100
+
+
+def test_what_gets_lost_in_a_callback_of_a_weak_reference_comes_out_of_a_picture(monkeypatch):
+    """As matplotlib has them: Python prints what is raised in one, and goes on."""
+    from matplotlib.axes import Axes
+
+    class Dropped:
+        pass
+
+    def interrupted(*arguments, **named):
+        dropped = Dropped()
+        _ = weakref.ref(dropped, lambda _: signal.raise_signal(signal.SIGINT))
+        del dropped
+        return drawn(*arguments, **named)
+
+    motion, drawn = pam.Trajectory([0.0, 1.0], {"x": [0.0, 1.0]}), Axes.plot
+    monkeypatch.setattr(Axes, "plot", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        motion.plot()
+
+
+def test_a_set_of_weak_references_drops_what_is_gone_before_a_handler_raises():
+    class Dropped:
+        pass
+
+    @verb
+    def works():
+        for kept in (weakref.WeakSet(), weakref.WeakKeyDictionary()):
+            dropped = Dropped()
+            if isinstance(kept, weakref.WeakSet):
+                kept.add(dropped)
+            else:
+                kept[dropped] = 1
+            sys.settrace(traced)
+            del dropped
+            sys.settrace(None)
+            left.append(len(kept.data))
+
+    def traced(frame, event, argument):
+        if frame.f_code.co_name in ("_remove", "remove"):
+            signal.raise_signal(signal.SIGINT)
+
+    left, before = [], sys.gettrace()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            works()
+    finally:
+        sys.settrace(before)
+    assert left == [0, 0]
+
+
+def test_every_picture_is_drawn_as_a_verb_is():
+    found = 0
+    for name in ("control", "film", "plan", "sheets", "tables", "trajectory", "vibration"):
+        module = importlib.import_module(f"pam_ocp.figures.{name}")
+        for word, thing in vars(module).items():
+            if word.startswith("plot_") and thing.__module__ == module.__name__:
+                within = inspect.unwrap(thing).__code__.co_names  # or what it calls is
+                assert hasattr(thing, "__wrapped__") or "_drawn" in within, word
+                found += 1
+    assert found > 30
 
 
 def test_who_cleans_up_behind_ctrl_c_is_not_disturbed():
