@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..control.analysis import BodeCloud, Margins, ModeMap, Stroke, frequency_response
 from ..core.errors import InputError
+from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from .canvas import COLOURS, caption, draw, ink, name_beside, panels
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 Array: TypeAlias = NDArray[np.float64]
 
 
+@interruptible()
 def plot_tracking(
     runs: Mapping[str, Trajectory],
     names: Sequence[str],
@@ -70,6 +72,7 @@ def plot_tracking(
     return figure
 
 
+@interruptible()
 def plot_bode_cloud(cloud: BodeCloud, level: float = 0.95, title: str = "") -> Figure:
     """Every response thinly, the nominal one on top; below, magnitudes over the nominal one, with
     the band that holds ``level`` of them."""
@@ -95,6 +98,7 @@ def plot_bode_cloud(cloud: BodeCloud, level: float = 0.95, title: str = "") -> F
     return figure
 
 
+@interruptible()
 def plot_loop(
     loops: Mapping[str, control.StateSpace],
     found: Mapping[str, Margins] | None = None,
@@ -122,6 +126,7 @@ def plot_loop(
     return figure
 
 
+@interruptible()
 def plot_stroke(strokes: Mapping[str, Stroke], title: str = "") -> Figure:
     """Reach, weakest direction, visibility and modes along the stroke, for labelled studies."""
     shown = (
@@ -146,6 +151,7 @@ def plot_stroke(strokes: Mapping[str, Stroke], title: str = "") -> Figure:
     return figure
 
 
+@interruptible()
 def plot_mode_map(found: ModeMap, title: str = "") -> Figure:
     """Contours of natural frequency and damping ratio over the two axes;
     blank without equilibrium.
@@ -170,17 +176,23 @@ def plot_mode_map(found: ModeMap, title: str = "") -> Figure:
 
 
 # ---- closed loops --------------------------------------------------------------------------------
+@interruptible()
 def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
-    """Tracked variables with their reference and error, inputs, unknowns found, and step times.
+    """Tracked variables with their reference and error, inputs (a panel per unit), unknowns found,
+    and step times.
 
     Bands around unknowns are two standard deviations wide on each side. Where the loop knows no
     reference the states are shown, without errors; where the controller keeps no times, none.
     """
     real, wanted = loop.trajectory, loop.reference
     shown = real.named("state") if wanted is None else wanted.names
-    controls = [n for n in real.named("input") if not real.variable(n).disturbance]
+    controls: dict[str, list[str]] = {}
+    for name in real.named("input"):
+        if not real.variable(name).disturbance:
+            controls.setdefault(real.variable(name).display_unit, []).append(name)
     unknown = [] if loop.estimate is None else _unknowns(loop.estimate, real)
-    rows = len(shown) + (wanted is not None) + 1 + len(unknown) + (loop.statistics is not None)
+    rows = len(shown) + (wanted is not None) + len(controls) + len(unknown)
+    rows += loop.statistics is not None
     figure, axes = panels(rows, size=(8.5, 1.0 + 1.7 * rows), sharex=False)
     free = iter(axes)
     for name in shown:
@@ -188,14 +200,15 @@ def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
         draw(ax, real, name, COLOURS[0])
         if wanted is not None:
             goal = wanted[name] / real.variable(name).display_factor
-            ax.plot(real.t, goal, "k:", lw=1.0, drawstyle="steps-post", label="reference")
+            ax.plot(real.t, goal, label="reference", **_given())
         ax.set_ylabel(real.variable(name).label)
     if wanted is not None:
         _draw_error(next(free), real, wanted, shown[0])
-    ax = next(free)
-    for i, name in enumerate(controls):
-        draw(ax, real, name, COLOURS[i % len(COLOURS)], linewidth=1.2)
-    ax.set_ylabel(f"inputs [{real.variable(controls[0]).display_unit}]" if controls else "inputs")
+    for unit, names in controls.items():
+        ax = next(free)
+        for i, name in enumerate(names):
+            draw(ax, real, name, COLOURS[i % len(COLOURS)], linewidth=1.2)
+        ax.set_ylabel(f"inputs [{unit}]")
     if loop.estimate is not None:
         for name in unknown:
             _draw_unknown(next(free), loop.estimate, real, name)
@@ -207,6 +220,11 @@ def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
     caption(axes[0], title=title)
     caption(axes[-1], "time [s]")
     return figure
+
+
+def _given() -> dict[str, Any]:
+    """The style of what is told, not found."""
+    return {"color": ink(), "ls": ":", "lw": 1.0, "drawstyle": "steps-post"}
 
 
 def _unknowns(estimate: Trajectory, real: Trajectory) -> list[str]:
@@ -236,7 +254,7 @@ def _draw_unknown(ax: Axes, estimate: Trajectory, real: Trajectory, name: str) -
     low, high = np.min((value - 3 * deviation)[late]), np.max((value + 3 * deviation)[late])
     if name in real:
         truth = real[name] / factor
-        ax.plot(real.t, truth, "k:", lw=1.0, drawstyle="steps-post", label="true")
+        ax.plot(real.t, truth, label="true", **_given())
         low, high = min(low, truth.min()), max(high, truth.max())
     margin = 0.1 * max(high - low, 1e-12)
     ax.set_ylim(low - margin, high + margin)
@@ -251,6 +269,7 @@ def _draw_times(ax: Axes, statistics: MpcStatistics, t: Array) -> None:
     ax.set_ylabel("time [ms]")
 
 
+@interruptible()
 def plot_durations(histograms: Mapping[str, tuple[Array, Array]]) -> Figure:
     """Histograms {what: (edges [s] (n + 1), counts (n))} of durations, both axes logarithmic."""
     figure, axes = panels(1, len(histograms), size=(8.5, 3.2), sharex=False)

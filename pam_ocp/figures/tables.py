@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.errors import InputError, kind_of, require_instance
 from ..core.files import atomic_path, write_json
+from ..core.interrupts import interruptible
 from ..core.lazy import library
 from .canvas import COLOURS, new_figure
 from .sheets import SHEETS, Grid, cell_text, number_in, sheet_of
@@ -163,7 +164,9 @@ def _csv(table: Grid) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.head)
-    writer.writerows([[repr(c) if isinstance(c, float) else c for c in row] for row in table.rows])
+    writer.writerows(
+        [[repr(float(c)) if isinstance(c, float) else c for c in row] for row in table.rows]
+    )  # NumPy's own have their type in their repr
     return text.getvalue()
 
 
@@ -180,6 +183,7 @@ def _book(name: str, table: Grid, path: Path) -> Path:
     return path
 
 
+@interruptible()
 def plot_table(thing: Any) -> Figure:
     """The columns of numbers of a result's table as bars, a panel each.
 

@@ -139,7 +139,7 @@ class Book:
         return row + 1 + len(rows)
 
     def cell(self, page: Any, row: int, column: int, value: Any, form: Any = None) -> None:
-        """A text, a number, or nothing."""
+        """A text, a number, or nothing: also for NaN, which a chart would show as 0 in a text."""
         if value is None or value == "":
             return
         if isinstance(value, str):
@@ -148,8 +148,8 @@ class Book:
             whole = isinstance(value, bool) or value == int(value)
             form = form or (None if whole else self.number(value))
             page.write_number(row, column, value, form)
-        else:
-            page.write_string(row, column, {math.inf: "∞", -math.inf: "-∞"}.get(value, ""), form)
+        elif not math.isnan(value):
+            page.write_string(row, column, "∞" if value > 0 else "-∞", form)
 
     def columns(
         self, page: Any, row: int, heads: Sequence[str], columns: Sequence[ArrayLike]

@@ -228,6 +228,24 @@ def test_a_loop_without_reference_and_times_is_drawn_too():
     assert len(tracked.plot().axes) == 3  # what is tracked, its error and the inputs
 
 
+def test_inputs_of_several_units_are_drawn_in_a_panel_each():
+    plant = pam.Plant("pushed")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    force, share = plant.input("force", unit="N"), plant.input("share", unit="1")
+    pressure = plant.input("pressure", unit="Pa")
+    plant.der(x, v)
+    plant.der(v, force + share + 1e-6 * pressure)
+    given = {"force": 2.0, "share": 0.5, "pressure": 3e5}
+    run = closed_loop(Fixed(given), plant, duration=0.5, sample_time=H)
+    panels = {ax.get_ylabel(): ax.lines for ax in run.plot().axes[2:]}
+    assert set(panels) == {"inputs [N]", "inputs [1]", "inputs [bar]"}
+    shown = {"force": ("N", 2.0), "share": ("1", 0.5), "pressure": ("bar", 3.0)}
+    for name, (unit, value) in shown.items():
+        (line,) = panels[f"inputs [{unit}]"]
+        assert line.get_label() == name
+        assert np.all(line.get_ydata() == value)
+
+
 def test_a_saved_loop_is_read_whole_and_as_its_motion(tmp_path):
     watch = pam.KalmanFilter(cart(1.0), sample_time=H, measured={"x": 1e-4}, unknown={"d": (1, 1)})
     mpc = pam.Mpc(cart(1.0), horizon=10, sample_time=H, track={"x": 1.0}, rate={"u": 0.01})

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from conftest import refused
 
 import pam_ocp as pam
+from pam_ocp.figures.tables import save_result
 
 METHODS = ("plot", "report", "save", "to_excel", "to_pandas")
 
@@ -57,6 +59,16 @@ def test_a_comparison_in_files_holds_its_numbers(load_motion, load_10kg, tmp_pat
     assert "<h1>Comparison" in found.save(tmp_path / "c.html").read_text()
     assert found.save(tmp_path / "c.txt").read_text() == f"{found}\n"
     refused(r"end the name in one of \.csv", found.save, tmp_path / "c.docx")
+
+
+def test_numbers_of_numpy_are_numbers_in_a_table_of_text(tmp_path):
+    @dataclass
+    class Found:
+        size: float
+        count: int
+
+    path = save_result(Found(np.float64(0.1), np.int64(3)), tmp_path / "found.csv")
+    assert path.read_text() == "name,value\nsize,0.1\ncount,3\n"
 
 
 def test_many_simulations_stand_in_a_frame_by_what_was_varied(results):

@@ -219,6 +219,13 @@ def test_motions_stand_in_display_units_with_a_chart_per_unit(load_motion, tmp_p
     assert book["Variables"].max_row == 1 + len(load_motion.variables)
 
 
+def test_what_is_not_known_is_an_empty_cell_which_no_chart_shows_as_zero(tmp_path):
+    t, gaps = np.linspace(0.0, 1.0, 5), [np.nan, 1e-3, np.inf, -2e-3, -np.inf]
+    motion = pam.Trajectory(t, {"x": gaps}, [pam.Variable("x", "output", unit="m")])
+    page = openpyxl.load_workbook(motion.to_excel(tmp_path / "m.xlsx"))["Motion"]
+    assert [c.value for c in page["B"]] == ["x [mm]", None, 1, "∞", -2, "-∞"]
+
+
 def test_a_plans_workbook_begins_with_its_verdict_and_another_ending_is_refused(
     short_plan, tmp_path
 ):

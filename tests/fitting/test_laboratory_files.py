@@ -312,6 +312,22 @@ def test_an_index_of_times_is_the_clock() -> None:
     assert record["p"] == pytest.approx(BAR * 1e5)
 
 
+def test_cells_of_nullable_columns_that_hold_nothing_are_gaps(tmp_path: Path) -> None:
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame({"time [s]": T, "n": np.arange(len(T)), "p [bar]": BAR})
+    frame = frame.astype({"n": "Int64", "p [bar]": "Float64"})
+    frame.loc[3, "n"] = frame.loc[5, "p [bar]"] = pd.NA
+    frame.to_parquet(tmp_path / "run.parquet")
+    kept = np.delete(np.arange(len(T)), [3, 5])
+    for source in (frame, tmp_path / "run.parquet"):
+        with pytest.warns(pam.fitting.ReadingWarning, match="2 of .* rows dropped"):
+            record = pam.read_record(source)
+        assert record["n"] == pytest.approx(kept)
+        assert record["p"] == pytest.approx(BAR[kept] * 1e5)
+    with pytest.raises(InputError, match="empty"):
+        pam.read_record(frame, empty="refuse")
+
+
 def test_names_may_run_down_the_left_side(tmp_path: Path) -> None:
     rows = [["time [s]", *map(str, T)], ["p [bar]", *map(str, BAR)]]
     record = pam.read_record(written(tmp_path, "\n".join(",".join(row) for row in rows)))

@@ -191,8 +191,13 @@ def _column_name(name: Any) -> str:
 
 
 def _cells(column: Any) -> list[Any]:
-    """Cells of a column; durations in seconds."""
-    return list((column.dt.total_seconds() if column.dtype.kind == "m" else column).tolist())
+    """Cells of a column; durations in seconds, None for what is missing (NA of a nullable column,
+    NaT); NaN stays.
+    """
+    cells = (column.dt.total_seconds() if column.dtype.kind == "m" else column).tolist()
+    gone = column.isna().tolist()
+    pairs = zip(cells, gone, strict=True)
+    return [None if empty and not isinstance(c, float) else c for c, empty in pairs]
 
 
 def _index(index: Any, names: Sequence[str]) -> dict[str, list[Any]]:
