@@ -45,6 +45,8 @@ UNITS: tuple[tuple[str, ...], ...] = (
     ("bar/mm", "Pa/m"),
 )
 """Of each quantity, what people use."""
+TYPED = str.maketrans(",\u2212", ".-")
+"""Decimal commas and the typesetter's minus, as people type or paste them."""
 _ids = itertools.count()
 
 
@@ -157,7 +159,8 @@ class Number:
 
     def read(self, said: Any, unit: str) -> float | None:
         """Of what was typed. Raises InputError."""
-        text, factor = str(said).strip().replace(",", "."), unit_of(unit).factor
+        text = str(said).strip().translate(TYPED)
+        factor = unit_of(unit).factor
         if not text:
             if self.optional:
                 return None
@@ -172,6 +175,12 @@ class Number:
             low, high = (f"{end / factor:.6g} {unit}" for end in (self.low, self.high))
             raise InputError(f"{self.label} = {value / factor:.6g} {unit}: give {low} .. {high}")
         return value
+
+
+def parts_of(text: str) -> list[str]:
+    """Numbers between commas; between semicolons, where commas are decimal ones."""
+    sign = ";" if ";" in text else ","
+    return [p.strip().translate(TYPED) for p in text.split(sign) if p.strip()]
 
 
 @dataclass(frozen=True)
@@ -277,7 +286,8 @@ class Field(Component, component=STATIC / "field.js"):
     def _turned(self, event: Any) -> None:
         if event.args in self._described.options and isinstance(self._described, Number):
             self._unit = event.args
-            self.set(unit=self._unit, value=self._described.text(self._value, self._unit))
+            value = self._described.text(self._value, self._unit)
+            self.set(unit=self._unit, value=value, wrong="")
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ..core.quantities import quantity
 from ..core.registry import Argument, Registry, registry_of
 from ..core.units import display_unit
 from ..core.units import unit as unit_of
-from .elements import Menu, Number, Part, Row, Text, Tick, buttons
+from .elements import Menu, Number, Part, Row, Text, Tick, buttons, parts_of
 
 Change = Callable[[str, Any], None]
 SEVERAL = ("losses", "loads")
@@ -73,10 +73,10 @@ def _list(words: str, values: Sequence[float], unit: str, act: Callable[[Any], N
     text = ", ".join(f"{v / factor:.6g}" for v in values)
 
     def said(typed: str) -> None:
-        parts = [p.strip() for p in typed.split(",") if p.strip()]
+        parts = parts_of(typed)
         if not parts:
             raise InputError(f"{words} is empty; give numbers between commas")
-        act([quantity(words, f"{p} {shown}" if _plain(p) else p, unit) for p in parts])
+        act([quantity(words, p, unit) * (factor if _plain(p) else 1.0) for p in parts])
 
     return Text(f"{words} [{shown}]" if shown != "1" else words, "between commas"), text, said
 

@@ -67,8 +67,8 @@ class Tap:
 class Worker:
     """The rig, its commands and what is said of it."""
 
-    def __init__(self, rig: Rig) -> None:
-        self.rig = rig
+    def __init__(self, rig: Rig, told: Callable[[Any], None]) -> None:
+        self.rig, self._told = rig, told
         self._out: queue.Queue[dict[str, Any]] = queue.Queue(BEHIND)
         self._in: queue.Queue[dict[str, Any]] = queue.Queue()
         self._shown = 0.0
@@ -87,7 +87,7 @@ class Worker:
 
     def _tell(self) -> None:
         while True:
-            print(json.dumps(self._out.get()), flush=True)
+            self._told(self._out.get())
 
     def _listen(self) -> None:
         for line in sys.stdin:
@@ -194,20 +194,34 @@ class Worker:
 def main(arguments: list[str]) -> None:
     """Hold a rig until the input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # until there is something to be vented
+    page = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what drivers and a user's own code print is nothing that the page reads
+
+    def told(said: Any) -> None:
+        page.write(json.dumps(said) + "\n")
+        page.flush()
+
     try:
         rig = load_rig(arguments[0], allow_code="--allow-code" in arguments)
     except PamError as error:
-        print(json.dumps({"error": str(error), "over": True}), flush=True)
+        told({"error": str(error), "over": True})
         return
     emergency = getattr(rig.driver, "emergency", lambda: None)()
     how = None if emergency is None else emergency.told
     channels = [
-        {"name": v.name, "unit": v.unit, "low": v.min, "high": v.max, "is": v.causality}
+        {
+            "name": v.name,
+            "unit": v.unit,
+            "low": v.min,
+            "high": v.max,
+            "is": v.causality,
+            "vent": rig.vented.get(v.name),
+        }
         for v in rig.variables
     ]
-    print(json.dumps({"name": rig.name, "channels": channels, "emergency": how}), flush=True)
+    told({"name": rig.name, "channels": channels, "emergency": how})
     with rig:
-        worker = Worker(rig)
+        worker = Worker(rig, told)
         signal.signal(signal.SIGINT, worker.pressed)
         worker.run()
 

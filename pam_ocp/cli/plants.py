@@ -498,7 +498,7 @@ def _loads(options: argparse.Namespace) -> int:
 
 def _in(option: str, value: str | float, unit: str) -> float:
     """In SI, of a text with a unit, or of a number in ``unit``."""
-    text = str(value)
+    text = str(value).replace("\u2212", "-")  # the typesetter's minus
     try:
         return float(text) * unit_of(unit).factor
     except ValueError:

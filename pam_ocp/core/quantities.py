@@ -62,7 +62,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
         if math.isnan(given):
             raise InputError(f"{where} is not a number")
         return given
-    match = _QUANTITY.match(value)
+    match = _QUANTITY.match(value.replace("\u2212", "-", 1))  # the typesetter's minus
     if match is None or re.match(r"(?!1/)[.,\d]", match[2]):  # "1.000.5", but "60 1/min"
         raise InputError(f"{where} = {value!r} is not a number; give {example}")
     number, name = float(match[1]), match[2]

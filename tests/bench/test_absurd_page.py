@@ -12,11 +12,13 @@ from typing import Any
 import pytest
 
 from pam_ocp.bench.elements import Number
+from pam_ocp.bench.form import argument_rows
 from pam_ocp.bench.jobs import control, data, export, motion, muscle, plant
 from pam_ocp.bench.made import World, plant_of
 from pam_ocp.bench.session import EMPTY, Session
 from pam_ocp.bench.words import page_words
 from pam_ocp.core.errors import PamError
+from pam_ocp.plants.kinds import LOSSES
 
 CATALOGUE = {"kind": "catalogue", "name": "DMSP-20-300", "rest_length": None}
 STATE = {**EMPTY, "muscle": CATALOGUE, "plant": {"arrangement": "AntagonisticSlide"}}
@@ -203,6 +205,43 @@ def test_it_is_answered_in_the_words_of_the_page(label, session):
     assert not (session.folder / "exports").exists() or not any(
         (session.folder / "exports").iterdir()
     )
+
+
+# ---- what is meant, however it is typed ----------------------------------------------------------
+@pytest.mark.parametrize(
+    ("typed", "unit", "found"),
+    [
+        ("-3,5", "bar", -3.5e5),
+        ("\u22123,5", "kPa", -3.5e3),  # as typesetters write it
+        (" \u22123.5\u00a0kPa ", "bar", -3.5e3),
+        ("3,5 Bar", "psi", 3.5e5),
+    ],
+)
+def test_a_number_is_read_in_the_unit_beside_it_or_in_its_own(typed, unit, found):
+    assert Number("Pressure", "Pa").read(typed, unit) == pytest.approx(found, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "typed", "found"),
+    [
+        ("MaxwellSlip", "yield contraction", "0.002, 0.01", [0.002, 0.01]),
+        ("MaxwellSlip", "yield contraction", "0,002; 0,01", [0.002, 0.01]),
+        ("MaxwellSlip", "yield contraction", "0.2 %", [0.002]),
+        ("PrandtlIshlinskii", "contracting [N]", "6, 5e-3 kN", [6.0, 5.0]),
+    ],
+)
+def test_several_numbers_are_read_as_they_are_shown(kind, name, typed, found):
+    said: dict[str, Any] = {}
+    rows = argument_rows(LOSSES, kind, {}, said.__setitem__, turning=False)
+    ((_, shown, act),) = [row for row in rows if row[0].label == name]
+    act(shown)
+    (argument,) = said
+    assert said[argument] == pytest.approx(LOSSES.arguments(kind)[argument].default)
+    act(typed)
+    assert said[argument] == pytest.approx(found)
+    for wrong in ("", "nan", "1, x", "3 bar"):
+        with pytest.raises(PamError):
+            act(wrong)
 
 
 def test_digits_of_a_number_are_no_name_of_a_stored_file():

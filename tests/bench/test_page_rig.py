@@ -81,6 +81,10 @@ def test_the_tab_arms_moves_shows_and_vents(rig_page):
     vented(hand, twin)
     hand.sees("vented: the vent button was pressed")
     hand.sees("not armed: the air is out")
+    time.sleep(1.5)  # for a second the button goes on
+    armed_and_moving(hand, twin)  # by a watchdog of its own
+    press_vent(hand)
+    vented(hand, twin)
 
 
 @pytest.mark.parametrize("hung", ["page", "rig"])
@@ -126,6 +130,32 @@ def test_what_was_asked_before_the_button_is_not_done_after_it(tmp_path):
             ask(worker, "arm")  # and what is asked after it is
             while not heard(worker).get("armed"):  # whose watchdog may end it at once
                 pass
+
+
+def test_what_a_users_own_code_prints_is_nothing_that_the_page_reads(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "import os\nimport pam_ocp as pam\nprint('hello', flush=True)\nos.write(1, b'of C\\n')\n"
+        "plant = pam.HangingLoad\n"
+    )
+    (tmp_path / "bench.toml").write_text(
+        'plant = { arrangement = "own.py:plant", muscle = "DMSP-20-300" }\n'
+        'driver = { kind = "udp", host = "127.0.0.1", port = 9 }\n'
+    )
+    command = [sys.executable, "-m", "pam_ocp.bench.rig_worker", str(tmp_path / "bench.toml")]
+    with subprocess.Popen(
+        [*command, "--allow-code"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as worker:
+        said = heard(worker)
+        assert [c["name"] for c in said["channels"]] == ["x", "muscle.pressure", "muscle.command"]
+        assert [c["vent"] for c in said["channels"]] == [None, None, 0.0]
+        worker.stdin.close()
+        printed = worker.stderr.read()
+    assert "hello" in printed
+    assert "of C" in printed
 
 
 def ask(worker, do):

@@ -379,6 +379,37 @@ def test_a_rig_that_was_vented_runs_again_once_it_is_armed(plant):
             assert rig.armed
 
 
+NOISY = """
+print("a library that says hello")
+class Driver:
+    def __init__(self, path):
+        self.path = path
+    def vent(self):
+        print("venting")
+        open(self.path, "w").close()
+"""
+
+
+def test_a_driver_that_prints_does_not_confuse_the_watchdog(tmp_path, monkeypatch):
+    from pam_ocp.rig.drivers.driver import Emergency
+
+    (tmp_path / "noisy_driver.py").write_text(NOISY)
+    monkeypatch.syspath_prepend(tmp_path)
+    vented = tmp_path / "vented"
+    emergency = Emergency("call", "noisy_driver:Driver", arguments={"path": str(vented)})
+    dog = Watchdog(emergency, 60.0)
+    try:
+        assert dog.beat() == ""
+        dog.vent()
+        end = time.monotonic() + 20.0
+        while not dog.heard_trip() and time.monotonic() < end:
+            time.sleep(0.01)
+        assert dog.tripped
+        assert vented.exists()
+    finally:
+        dog.close()
+
+
 def test_a_watchdog_that_reaches_nobody_keeps_the_rig_unarmed():
     from pam_ocp.rig.drivers.driver import Emergency
 

@@ -340,7 +340,7 @@ def _unit(unit: str) -> str:
 def _listed(text: str, unit: str) -> list[float]:
     """SI values of numbers between commas. Raises InputError."""
     base = {"bar": "Pa"}.get(unit, unit)
-    parts = [p.strip() for p in text.split(",") if p.strip()]
+    parts = el.parts_of(text)
     if not 1 <= len(parts) <= 12:
         raise InputError(f"{text[:60]!r}: give one to twelve numbers in {unit}, between commas")
     return [quantity("value", p if p[-1].isalpha() else f"{p} {unit}", base) for p in parts]

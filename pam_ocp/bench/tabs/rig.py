@@ -144,7 +144,7 @@ class RigTab(Tab):
         commands = [c for c in self._room.about["channels"] if c["is"] == "input"]
         rows: list[el.Row] = []
         for c in commands:
-            target = self._targets.setdefault(c["name"], max(0.0, c["low"]))
+            target = self._targets.setdefault(c["name"], c["vent"])
             command = Number(c["name"], c["unit"], c["low"], c["high"])
             rows.append((command, target, partial(self._aim, c["name"])))
         moves = {"Stop and vent": lambda: self._room.ask("rest")}
