@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 CLEAR = 6.0
 """Standard deviations of the noise by which something has moved."""
 NEAR = 0.9
-"""Part of a limit of a reading beyond which a sweep turns round."""
+"""Part of the way of a reading to a limit after which a sweep turns round."""
 STILL = 0.02
 """Of its limits, or of the commands' range: what a zero may be off, and a reading may drift."""
 
@@ -119,7 +119,7 @@ def home(
     means = {n: float(np.mean(still[n])) for n in readings}
     pressures = [n for n in readings if rig.readings[n].unit == "Pa" and n != "supply"]
     positions = [n for n in readings if n not in pressures and n != "supply"]
-    sweeps = {n: _sweep(rig, n, levels[n], base or {}, sweep_time) for n in rig.commands}
+    sweeps = {n: _sweep(rig, n, levels[n], base or {}, sweep_time, noise) for n in rig.commands}
     middle = {n: (rig.vented[n] + levels[n]) / 2 for n in rig.commands}
     hold = _held(rig, middle, hold_time)
     runs = [still, hold, *sweeps.values()]
@@ -180,7 +180,12 @@ def _held(rig: Rig, commands: Mapping[str, float], seconds: float) -> Trajectory
 
 
 def _sweep(
-    rig: Rig, name: str, level: float, base: Mapping[str, float], seconds: float
+    rig: Rig,
+    name: str,
+    level: float,
+    base: Mapping[str, float],
+    seconds: float,
+    noise: Mapping[str, float],
 ) -> Trajectory:
     """One command up and down, as far as the limits of readings allow."""
     rows, vent = _Rows(rig), rig.vented[name]
@@ -188,11 +193,11 @@ def _sweep(
     with Running(rig, rig.sample_time) as run:
         others = {**rig.vented, **base, name: vent}
         run.approach(others)
-        top = count
+        top, begun = count, dict(run.values)
         for k in range(1, count + 1):
             rows.add(run)
             run.step({**others, name: vent + (level - vent) * k / count})
-            if _near(rig, run.values):
+            if _near(rig, begun, run.values, noise):
                 top = k
                 break
         for k in range(top, -1, -1):
@@ -201,11 +206,17 @@ def _sweep(
     return rows.trajectory()
 
 
-def _near(rig: Rig, values: Mapping[str, float]) -> bool:
-    """Whether a reading comes near one of its limits (of those that it does not rest at)."""
+def _near(
+    rig: Rig, begun: Mapping[str, float], values: Mapping[str, float], noise: Mapping[str, float]
+) -> bool:
+    """Whether a reading comes near one of its limits, from where it began."""
     for name, channel in rig.readings.items():
+        moved = values[name] - begun[name]
+        if abs(moved) <= CLEAR * noise.get(name, 0.0):
+            continue
         for end in (channel.low, channel.high):
-            if math.isfinite(end) and end != 0 and values[name] / end > NEAR:
+            way = end - begun[name]
+            if math.isfinite(end) and moved * way > 0 and moved / way > NEAR:
                 return True
     return False
 

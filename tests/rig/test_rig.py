@@ -151,6 +151,20 @@ def test_homing_finds_zeros_noise_slack_and_range(made, plant):
     assert "no warnings" in found.report()
 
 
+@pytest.mark.parametrize("supply", [{"low": "3 bar"}, {"low": "3 bar", "high": "10 bar"}])
+def test_homing_sweeps_though_a_reading_rests_beyond_its_lower_limit(made, supply):
+    readings = [
+        pam.rig.Reading("x", low="-20 mm", high="40 mm"),
+        pam.rig.Reading("muscle.pressure"),
+        pam.rig.Reading("supply", "Pa", **supply),
+    ]
+    rig, _ = made(readings=readings)
+    rig.arm()
+    found = rig.home(level="5 bar")
+    assert found.ok, found.report()
+    assert 0.034 < found.ranges["x"][1] < 0.040  # turned round after 0.9 of the way
+
+
 def test_homing_doubts_a_valve_that_does_nothing(made):
     rig, _ = made(
         [pam.rig.Fault("supply")],
