@@ -172,8 +172,9 @@ class Number:
         if not math.isfinite(value):
             raise InputError(f"{self.label} = {text}: give a finite number")
         if not self.low <= value <= self.high:
-            low, high = (f"{end / factor:.6g} {unit}" for end in (self.low, self.high))
-            raise InputError(f"{self.label} = {value / factor:.6g} {unit}: give {low} .. {high}")
+            shown = "" if unit == "1" else f" {unit}"
+            low, high = (f"{end / factor:.6g}{shown}" for end in (self.low, self.high))
+            raise InputError(f"{self.label} = {value / factor:.6g}{shown}: give {low} .. {high}")
         return value
 
 

@@ -229,6 +229,28 @@ def test_a_password_that_does_not_end_is_not_awaited_for_ever(locked, monkeypatc
 
 
 # ---- headers -------------------------------------------------------------------------------------
+def test_a_browser_that_leaves_before_it_is_answered_is_no_error_of_the_page(guard):
+    """What starlette makes of it, with the answer for errors behind it; others come out."""
+
+    async def left(scope, receive, send):
+        while (await receive())["type"] != "http.disconnect":
+            pass
+        await send({"type": "http.response.start", "status": 500, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+        raise RuntimeError("No response returned.")
+
+    async def broken(scope, receive, send):
+        await receive()
+        raise RuntimeError("of the page's own")
+
+    mine = entered(guard)
+    guard._app = left
+    ask(guard, headers=mine)
+    guard._app = broken
+    with pytest.raises(RuntimeError, match="own"):
+        ask(guard, headers=mine)
+
+
 def test_every_answer_has_the_headers_and_a_policy_without_foreign_scripts(guard):
     answers = [ask(guard), ask(guard, headers=entered(guard)), ask(guard, headers={"host": "x"})]
     for _, headers, _ in answers:

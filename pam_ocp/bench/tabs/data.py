@@ -221,7 +221,7 @@ class Data(Tab):
         self._say(**{option: None if value == "" else value})
 
     def _missing_said(self, text: str) -> None:
-        marks = [mark.strip() for mark in text.split(",") if mark.strip()]
+        marks = el.parts_of(text)
         self._say(missing=[float(m) if is_number(m) else m for m in marks] or None)
 
     @property
