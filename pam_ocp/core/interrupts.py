@@ -37,10 +37,8 @@ AGAIN = 0.05
 PATIENCE = 0.6
 """How long an import is not disturbed [s]; a second signal does not wait."""
 
-_UNDISTURBED: set[CodeType] = {
-    collection()._remove.__code__  # type: ignore[attr-defined]
-    for collection in (WeakSet, WeakKeyDictionary, WeakValueDictionary)
-}
+_WEAK: tuple[Any, ...] = (WeakSet(), WeakKeyDictionary(), WeakValueDictionary())
+_UNDISTURBED: set[CodeType] = {collection._remove.__code__ for collection in _WEAK}
 _BOUNDARIES: set[CodeType] = set()
 _DROPPING = frozenset({"__del__", "_remove_proxy"})
 """Functions that are called where an object goes (the second as matplotlib's callback of weak
