@@ -215,12 +215,18 @@ def plot_table(thing: Any) -> Figure:
         return place is None or place.is_first_col()
 
     for ax, j in zip(axes[0], numbers, strict=True):
-        values = [float(r[j]) if _finite(r[j]) else 0.0 for r in rows]
-        ax.barh(range(len(rows)), values, color=COLOURS[0], height=0.6)
+        values = np.array([float(r[j]) if _finite(r[j]) else 0.0 for r in rows])
         timed = table.head[j] == "time"
-        ax.set_xlabel("time [s]" if timed else table.head[j])
-        if len(set(units)) > 1 and max(values) > 0 and not timed:  # nothing in common
+        words = "time [s]" if timed else table.head[j]
+        below = values < 0
+        mixed = len(set(units)) > 1 and bool(np.any(values)) and not timed  # nothing in common
+        shown = np.abs(values) if mixed else values
+        colours = np.where(below & mixed, COLOURS[1], COLOURS[0])
+        ax.barh(range(len(rows)), shown, color=colours.tolist(), height=0.6)
+        if mixed:
             ax.set_xscale("log")
+            words += "\n(orange: negative)" if below.any() else ""
+        ax.set_xlabel(words)
         ax.set_yticks(range(len(rows)), labels if first(ax) else [""] * len(rows))
         ax.invert_yaxis()
     return figure

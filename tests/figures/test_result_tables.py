@@ -61,6 +61,18 @@ def test_a_comparison_in_files_holds_its_numbers(load_motion, load_10kg, tmp_pat
     refused(r"end the name in one of \.csv", found.save, tmp_path / "c.docx")
 
 
+def test_bars_of_several_units_show_negative_values_too():
+    muscle = pam.muscle("DMSP-20-300")
+    slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.10)
+    (ax,) = slide.equilibrium({"x": -0.01, "muscle1.pressure": 3e5}).plot().axes
+    bars = dict(zip((t.get_text() for t in ax.get_yticklabels()), ax.patches, strict=True))
+    assert ax.get_xscale() == "log"
+    assert "orange: negative" in ax.get_xlabel()
+    assert bars["x [mm]"].get_width() == pytest.approx(10.0)
+    assert bars["x [mm]"].get_facecolor() != bars["muscle1.pressure [bar]"].get_facecolor()
+    assert bars["muscle1.pressure [bar]"].get_width() == pytest.approx(3.0)
+
+
 def test_numbers_of_numpy_are_numbers_in_a_table_of_text(tmp_path):
     @dataclass
     class Found:
