@@ -170,6 +170,7 @@ class Rig:
         """
         import numpy as np
 
+        duration = require_positive("duration", duration, "s")
         rows, missing, oldest = [], 0, 0.0
         begin = self.clock.now()
         count = max(2, round(duration / self.sample_time))

@@ -1,6 +1,7 @@
 """A rig as a side of closed loops: controllers, estimators, plans, records, homing, learning."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -71,6 +72,9 @@ def test_what_a_rig_has_not_is_refused_in_a_sentence(made, plant):
     refused("vent", pam.rig.Command, "u", "V", low=-10.0, high=10.0)
     refused("straight line", pam.rig.Command, "u", "Pa", scale="V*V * 1 bar/V^2", low=0.0, high=1e5)
     refused("a driver has read, write, vent, close", pam.Rig, object(), plant=plant)
+    assert rig.check("100 ms")["time"]["missing"] == 0.0
+    for wrong in (-1.0, math.nan, "1 bar", None):
+        refused("duration", rig.check, wrong)
     x, v = pam.rig.Reading("x"), pam.rig.Reading("v", slope_of="x")
     a = pam.rig.Reading("a", "m/s2", slope_of="v")
     pam.Rig(rig.driver, [x, v, a], plant=plant)
