@@ -67,7 +67,6 @@ class Running:
         try:
             rig.driver.vent()
             rig._let_act()
-            self._accepted = rig.clock.now()
             self._begin()
         except BaseException as error:
             self._end(error)
@@ -87,6 +86,7 @@ class Running:
             raise RigError(f"{rig.name}: nothing valid is read: {self._cause}")
         self.zero = self.stamp
         self._judge()
+        self._accepted = rig.clock.now()
 
     # ---- one sample -----------------------------------------------------------------------------
     def step(self, asked: Mapping[str, float]) -> None:
