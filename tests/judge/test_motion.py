@@ -657,8 +657,8 @@ def test_a_verdict_by_its_figures(words, verified, unstable):
 
 @pytest.mark.parametrize(("slid", "fits"), [(0.3, 1), (1.0, 1), (1.3, 1), (1.5, 0), (-0.1, 0)])
 def test_a_memory_whose_envelope_grows_with_the_inputs_is_left_by_any_that_hold(slid, fits):
-    """v' = a - b - z, where z has come from below and was let down to its envelope c (a + b): inputs
-    of 0 to 4 hold the cart where z is between 0 and 8 c/(1 + c) = 1.33.
+    """v' = a - b - z, where z has come from below and was let down to its envelope c (a + b):
+    inputs of 0 to 4 hold the cart where z is between 0 and 8 c/(1 + c) = 1.33.
     """
     c, plant = 0.2, pam.Plant("cart")
     x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s2")
