@@ -17,8 +17,13 @@ from conftest import noisy_record
 import pam_ocp as pam
 from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
 from pam_ocp.fitting.dynamic import gauss_newton
-from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise, residual_adequacy
-from pam_ocp.fitting.dynamic.evidence import solved
+from pam_ocp.fitting.dynamic.adequacy import (
+    adequacy_of,
+    noise_of,
+    record_noise,
+    residual_adequacy,
+)
+from pam_ocp.fitting.dynamic.evidence import Evidence, Motion, solved
 from pam_ocp.fitting.dynamic.experiment import groups
 from pam_ocp.fitting.dynamic.rig import unknowns_of
 from pam_ocp.fitting.dynamic.rollout import Rollout
@@ -314,6 +319,26 @@ def test_residuals_alone_tell_what_is_larger_than_the_noise_and_no_cause() -> No
     assert found.excess == pytest.approx(1.5, rel=0.15)
     assert "cannot be told" in found.sentence
     assert found.stderr["mass"] == pytest.approx(np.hypot(1.0, 3.0), rel=0.05)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1.5, 5.0])
+def test_how_far_whole_motions_lie_is_part_of_a_standard_error(apart: float) -> None:
+    """A line with white noise by hand. An estimate of standard error 2, whose distance from the
+    efficient one is ``apart``: its mean squared error is that distance's square and the variance
+    of the efficient one (J. Hausman, Econometrica 46 (1978) 1251).
+    """
+    noise, t = NOISE * np.random.default_rng(3).standard_normal((300, 1)), 0.01 * np.arange(300)
+    away = t - t.mean()
+    efficient = NOISE / float(np.sqrt(away @ away))
+    motion = Motion(noise, np.ones((300, 1, 1)), t[:, None, None], np.zeros((300, 1, 0)))
+    line, shifts = (0.02 * t[:, None] - noise,), np.array([apart * 2 * efficient])
+    told = ("x",), ("m",), ("rate",), np.ones(1), (motion,), (), shifts, np.zeros(1), line
+    found = adequacy_of(
+        Evidence(*told, lambda cause: np.ones(1)), np.ones(1), {"rate": 2 * efficient}
+    )
+    assert found.adequate
+    expected = max(2 * efficient, np.hypot(efficient, shifts[0]))
+    assert found.stderr["rate"] == pytest.approx(expected, rel=0.1)
 
 
 def settling() -> pam.Plant:

@@ -35,10 +35,6 @@ NEGLIGIBLE = 1e-6
 """Of a suspect's column, that is left when the fitted values are projected out."""
 FEWEST = 10
 """Degrees of freedom of the residuals below which nothing is said."""
-APART = 2.0
-"""Standard errors by which values may differ from those of whole motions, which tell most: runs
-from measured starts are biased by the noise of these, and what lies farther is not in their width.
-"""
 DEEPEST = 12
 """Order of the autoregressive noise, at most."""
 EXACT = 5.0
@@ -81,8 +77,8 @@ class Adequacy:
     were made. noise : of each measured variable as its record shows it without a model; rms : of
     the residuals [its unit]. correlation : of neighbouring residuals. shifts : by how much fitted
     values would change with the cause in the model. stderr : standard errors, with autocorrelated
-    residuals and these shifts counted, and how far whole motions put the values where that is
-    farther than chance. dof : degrees of freedom, of as many independent residuals as tell as much.
+    residuals and these shifts counted, and how far from the values the least squares of whole
+    motions lie. dof : degrees of freedom, of as many independent residuals as tell as much.
 
     Examples
     --------
@@ -525,15 +521,17 @@ def _verdict(
     shifts = (base.values[:k] - fit.values[:k]) * e.scale
     # the noise that the values were found in: with all that the model leaves out
     noises = case.noises(base)
-    if given is None:
-        stderr = np.sqrt(np.maximum(np.diag(_covariance(case, noises, weights)), 0.0)) * e.scale
-    else:
-        stderr = np.array([given[n] for n in e.names])
-    apart = np.abs(e.shifts * e.scale)
-    # values of a search that did not end are apart, too
-    counts = (apart > APART * stderr) | (given is not None and bool(name))
-    off = shifts**2 + np.where(counts, apart**2, 0.0)
-    stderr = np.sqrt(stderr**2 + off)
+
+    def errors(weights: Array) -> Array:
+        return np.sqrt(np.maximum(np.diag(_covariance(case, noises, weights)), 0.0)) * e.scale
+
+    own = errors(weights) if given is None else np.array([given[n] for n in e.names])
+    # runs from measured starts are biased by the noise of these: what they say lies apart from the
+    # least squares of whole motions by more than chance, and the mean square of how far it lies,
+    # with the variance of those, is its mean squared error
+    least = own if given is not None and name else errors(case.weights)
+    apart = np.hypot(least, e.shifts * e.scale)
+    stderr = np.hypot(np.maximum(own, apart), shifts)
     subject, amount, unit = _subject(case, name, case.noises(fit))
     part = 1 - fit.squares / max(base.squares, 1e-300)
     effective = sum(x.effective for x in noises) * sum(map(len, base.residuals))
