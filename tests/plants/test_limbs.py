@@ -10,6 +10,7 @@ from conftest import rates_and_outputs, refused
 from design_tools import example
 
 import pam_ocp as pam
+from pam_ocp.fitting.learned.residual import Visited, attached
 from pam_ocp.plants import LimbMuscle
 from pam_ocp.plants.skeleton import read_skeleton
 
@@ -118,6 +119,28 @@ def test_the_planar_arm_is_a_limb(limb):
         found = rates(plant, {"q1": q1, "q2": q2, **turning, **pressures})
         for i in "12":
             assert found[f"q{i}.velocity"] == pytest.approx(expected[f"w{i}"], rel=1e-9)
+
+
+def test_a_passive_residual_takes_energy_from_joints_that_push_each_other(limb):
+    """By the mass matrix of two rods; an acceleration of one joint alone may give energy."""
+    shoulder, elbow = joint("a", "base", "upper"), joint("b", "upper", "lower", "0 0 -0.3")
+    plant, random = limb(*ROD, shoulder, elbow), np.random.default_rng(8)
+    one = pam.fitting.Residual("a.velocity", ["b", "b.velocity"], passive=True)
+    visited = Visited(random.standard_normal((50, len(plant.states))), np.zeros((50, 1)))
+    made = attached(plant, [one], visited, random)
+    pushed = made.at(random.standard_normal(len(made.centre)))
+    rod = [(m * 0.3**2 / 12, m * 0.15**2, m * 0.3 * 0.15, m * 0.3**2) for m in (1.0, 0.8)]
+    (own, far, _, _), (own2, far2, both, end) = rod
+    for _ in range(50):
+        q, w = random.uniform(-0.8, 0.8, 2), random.standard_normal(2)
+        at = {"a": q[0], "b": q[1], "a.velocity": w[0], "b.velocity": w[1]}
+        gained = [rates(p, at)[f"{j}.velocity"] for p in (pushed, plant) for j in "ab"]
+        coupled = own2 + far2 + both * np.cos(q[1])
+        first = own + far + own2 + far2 + end + 2 * both * np.cos(q[1])
+        mass = np.array([[first, coupled], [coupled, own2 + far2]])
+        force = mass @ np.subtract(gained[:2], gained[2:])
+        assert force[1] == pytest.approx(0.0, abs=1e-9 * abs(force[0]))
+        assert force[0] * w[0] <= 0.0
 
 
 def test_a_limb_without_damping_keeps_its_energy(limb):

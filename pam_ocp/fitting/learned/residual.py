@@ -6,7 +6,8 @@ For a rate r of a state (a velocity's: force over mass; a pressure's: flow) or a
 
 with s the scaled variables that it depends on, f a :class:`Shape` with weights w, and h its memory:
 leaky units within -1 .. 1 whatever happens, so that none of it is unstable by itself. ``passive``
-makes it -size f^2 v/(size of v): it takes energy from the motion and never gives any.
+makes it -size f^2 v/(size of v), a force along this velocity's coordinate, which moves the other
+joints of a limb, too: it takes energy from the motion and never gives any.
 
 A shape is of scaled variables (mean 0, standard deviation 1 over the training motions), of size 1,
 and stays bounded far from them: a model that was good without it cannot run away because of it.
@@ -31,6 +32,7 @@ from ...core.errors import (
     require_names,
     require_positive,
 )
+from ...plants.limbs import Limb
 from ...plants.plant import Plant
 from ..statistics import Array
 
@@ -196,7 +198,8 @@ class Residual:
     on : states, inputs and outputs that it depends on.
     shape : the function: :class:`GaussianProcess`, :class:`Network`, :class:`Splines`, or any
         :class:`Shape`.
-    passive : it may only take energy out (of a velocity).
+    passive : it may only take energy out (of a velocity): a force along its coordinate. In
+        equations of your own the coordinate is to have an inertia that it shares with no other.
     memory : how many states of its own it has, for what depends on the past.
 
     Examples
@@ -332,7 +335,8 @@ def _with_one(
             made.der(kept[i], (driven - h[i]) / lags[i])
         f = form.value(ca.vertcat(s, h), w[: len(form.begin)])
         if residual.passive:
-            return {variable.name: -size * f**2 * speed / wide_speed}
+            taken = -size * f**2 * speed / wide_speed
+            return {n: part * taken for n, part in _moved(plant, variable.name).items()}
         return {variable.name: size * f}
 
     begin = values.copy()
@@ -340,6 +344,21 @@ def _with_one(
         begin[: len(form.begin)] += ASIDE * form.linear * random.standard_normal(len(form.begin))
     precision = block_diag(form.precision, np.eye(leaky.size))
     return Attached(plant.with_terms(declare), names, values, begin, precision, memories)
+
+
+def _moved(plant: Plant, velocity: str) -> dict[str, ca.SX]:
+    """What a force along a velocity's coordinate adds to rates, in parts of that velocity's own:
+    the joints of a limb push each other, and an acceleration of one alone could give energy.
+    """
+    joints = [f"{j.name}.velocity" for j in plant.joints] if isinstance(plant, Limb) else []
+    if not isinstance(plant, Limb) or velocity not in joints:
+        return {velocity: ca.SX(1)}
+    wanted, still = ca.SX.sym("acceleration", len(joints)), [0.0] * len(plant.muscles)
+    required = plant.anatomy("required")(plant.x, plant.u, plant.p, wanted, still)
+    one = ca.SX.eye(len(joints))[:, joints.index(velocity)]
+    column = ca.cse(ca.ldl_solve(one, *ca.ldl(ca.jacobian(required, wanted))))
+    own = column[joints.index(velocity)]
+    return {n: column[i] / own for i, n in enumerate(joints)}
 
 
 def _size(values: Array, nominal: float) -> float:
