@@ -305,10 +305,10 @@ def test_other_arguments_that_cannot_be_are_named():
         SubspaceStructure(["q"], ["u"], 4, past=3, **WAYS)
     refused("warm_up = 0", GruStructure, ["q"], ["u"], warm_up=0.0, **WAYS)
     structure = SubspaceStructure(["q"], ["u"], 2, past=6, **WAYS)
-    records = arx_process(0, 3)
-    model = structure.fit(records)
-    refused("reads 6 of the past", model.predict, np.zeros((1, 5, 1)), np.zeros((1, 9, 1)))
-    refused(r"past \(6, 1\)", model.predict, np.zeros((6, 1)), np.zeros((9, 1)))
+    for one in (structure, ArxStructure(["q"], ["u"], 6, **WAYS)):
+        model = one.fit(arx_process(0, 3))
+        refused("reads 6 of the past", model.predict, np.zeros((1, 5, 1)), np.zeros((1, 9, 1)))
+        refused(r"past \(6, 1\)", model.predict, np.zeros((6, 1)), np.zeros((9, 1)))
     refused("no column u", structure.fit, [pam.Trajectory([0, 1, 2], {"q": [0, 1, 2]})])
 
 

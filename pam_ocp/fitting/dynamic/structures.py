@@ -316,10 +316,11 @@ class ArxModel:
     @property
     def before(self) -> int:
         """Samples of the past that it reads, the start included."""
-        return max(self.order, self.order + self.lag) + 1
+        return max(self.order, self.order + self.lag - 1)
 
     def predict(self, past: Array, inputs: Array) -> Array:
         """As :meth:`NetworkModel.predict`."""
+        past, inputs = one_length(past, inputs, self.before)
         before, last = past.shape[1], inputs.shape[1]
         runs = np.concatenate([past, np.zeros((len(past), last - before, past.shape[2]))], axis=1)
         y, u = runs.swapaxes(0, 1), inputs.swapaxes(0, 1)
