@@ -413,7 +413,7 @@ def test_records_that_one_cannot_judge_do_not_count():
 def test_what_starts_threads_is_fitted_here_whatever_the_number_of_workers():
     here = multiprocessing.current_process().pid
     both = {"A": _Pid("a"), "B": _Pid("b", alone=True)}
-    losses = np.ones((6, 2))
+    losses = np.arange(12.0).reshape(6, 2)
     found = choose(both, known(losses), folds=3, seed=0, executor=2, refit=False)
     assert set(found["B"].losses[:, 0]) == {float(here or 0)}
     assert float(here or 0) not in found["A"].losses[:, 0]

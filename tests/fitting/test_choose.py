@@ -71,8 +71,8 @@ def test_the_choice_of_a_fold_does_not_see_its_records() -> None:
     records = parabolas(5)
     fair = choose(POWERS, records, seed=2)
     spoilt = [
-        pam.Trajectory(r.t, {"y": 100 * np.sin(9 * r.t)}) if k == 0 else r
-        for r, k in zip(records, fair.folds, strict=True)
+        pam.Trajectory(r.t, {"y": 100 * np.sin(9 * r.t) + i}) if k == 0 else r
+        for i, (r, k) in enumerate(zip(records, fair.folds, strict=True))
     ]
     again = choose(POWERS, spoilt, seed=2)
     np.testing.assert_array_equal(fair.folds, again.folds)
@@ -147,6 +147,14 @@ def test_what_cannot_be_is_refused(
     structures: Any, count: int, options: Any, error: Any, words: str | None
 ) -> None:
     refused(words, choose, structures, parabolas(0)[:count], error=error, **options)
+
+
+def test_a_record_that_is_given_twice_is_refused_unless_both_are_in_one_group() -> None:
+    records = parabolas(0)[:9]
+    again = [*records, pam.Trajectory(records[4].t, {"y": records[4]["y"].copy()})]
+    refused(r"records\[9\] is records\[4\] once more", choose, POWERS, again, folds=3)
+    fold = choose(POWERS, again, folds=3, seed=1, groups=[*range(9), 4], refit=False).folds
+    assert fold[9] == fold[4]
 
 
 def test_an_arx_model_of_an_arx_process_predicts_it_to_its_noise() -> None:

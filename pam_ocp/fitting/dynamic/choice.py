@@ -283,7 +283,7 @@ def choose(
     records : one Trajectory each; whole records are left out, never parts of them.
     folds : of records, at least 3: one is the test, one judges the fits to the others.
     groups : a label for each record; those of one label (cut from one run, one muscle, one day)
-        stay in one fold.
+        stay in one fold, as those that are the same must.
     rule : "simplest", the least complexity that is not significantly behind the best (at
         ``level``, from paired differences over the records), or "best".
     criteria : names of the columns that ``losses`` gives.
@@ -308,7 +308,7 @@ def choose(
         raise InputError(f"rule = {rule!r}: choose one of {', '.join(RULES)}")
     require_level(level)
     drawn = secrets.randbelow(2**31) if seed is None else seed
-    fold = _folds(len(chosen_records), folds, groups, drawn)
+    fold = _folds(chosen_records, folds, groups, drawn)
     count = int(fold.max()) + 1
     with limited(time_limit):
         found = _fits(given, chosen_records, fold, executor, progress)
@@ -370,15 +370,24 @@ def _structures(given: Any) -> dict[str, Structure]:
 
 
 def _folds(
-    count: int, folds: int, groups: Sequence[Hashable] | None, seed: int
+    records: Sequence[Trajectory], folds: int, groups: Sequence[Hashable] | None, seed: int
 ) -> NDArray[np.intp]:
     """The fold of each record: whole groups, at random, the largest first into the emptiest."""
+    count = len(records)
     labels = list(range(count)) if groups is None else list(groups)
     if len(labels) != count:
         raise InputError(f"groups has {len(labels)} labels for {count} records")
     members: dict[Hashable, list[int]] = {}
-    for place, label in enumerate(labels):
+    known: dict[Hashable, int] = {}
+    for place, (label, r) in enumerate(zip(labels, records, strict=True)):
         members.setdefault(label, []).append(place)
+        content = r.t.tobytes(), *((n, r[n].tobytes()) for n in r.names)
+        before = known.setdefault(content, place)
+        if labels[before] != label:
+            raise InputError(
+                f"records[{place}] is records[{before}] once more: a fit to the one would be "
+                "judged by the other; leave it out, or give both one label in groups=[...]"
+            )
     require_count("folds", folds, 3)
     if len(members) < folds:
         raise InputError(
