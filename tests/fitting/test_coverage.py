@@ -109,10 +109,11 @@ def test_the_designed_signal_closes_the_gap(fit: pam.fitting.PlantFit) -> None:
     assert signal.after.far < 0.5 * signal.before.far
     assert len(signal.after.new_bands) < len(signal.before.new_bands)
     assert np.abs(signal.trajectory["u"]).max() <= 1.5 * 1.001
-    narrow = {"inputs": {"u": (-0.5, 0.7)}, "limits": {"q": (-1, 1)}}
+    narrow = {"inputs": {"u": (-0.5, 0.7)}, "limits": {"q": (-0.3, 0.3)}}
     held = design_signal(gap, duration=6.0, sample=0.02, tries=1, **narrow)
     assert held.trajectory["u"].min() >= -0.5
     assert held.trajectory["u"].max() <= 0.7
+    assert 0.25 < np.abs(held.trajectory["q"]).max() <= 0.3 * 1.002  # the whole signal left them
     assert "far from all records" in str(held)
 
 

@@ -309,6 +309,10 @@ LEVELS = 8
 """Places of its range to which each input goes, in a random order."""
 LINES = 2
 """Sines in each octave whose amplitude is missing."""
+SHRINKING = 5
+"""Halvings in the search of the part of a signal that keeps the limits."""
+KEPT = 1e-3
+"""Part of a range by which a limit may be left, as in other designs."""
 MARGIN = 1.1
 """Times the missing amplitude that is played: the plant is not quite as it is thought to be."""
 
@@ -380,7 +384,7 @@ def close_gap(
             for v in plant.inputs
             if v.name not in drive and v.name in gap.seen[0]
         }
-        motion = _motion(gap, {**drive, **held}, t)
+        motion = _within(gap, drive, held, t, kept)
         if motion is None:
             continue
         found = GapSignal(
@@ -424,6 +428,37 @@ def _signal(
     knots = np.linspace(t[0], t[-1], 2 * LEVELS)  # each level is held as long as it is gone to
     steady = np.interp(t, knots, np.repeat(levels, 2))
     return np.asarray(np.clip(steady + wave, *ends))
+
+
+def _within(
+    gap: Coverage,
+    drive: Mapping[str, Array],
+    held: Mapping[str, Array],
+    t: Array,
+    limits: Mapping[str, tuple[float, float]],
+) -> Trajectory | None:
+    """The motion under as much of a signal, about where the records begin, as keeps the limits;
+    under all of it where none does. None where nothing can be simulated.
+    """
+    first = gap.seen[0]
+    middle = {n: float(first[n][0]) if n in first else float(np.mean(u)) for n, u in drive.items()}
+
+    def under(part: float) -> Trajectory | None:
+        some = {n: middle[n] + part * (u - middle[n]) for n, u in drive.items()}
+        return _motion(gap, {**some, **held}, t)
+
+    best = whole = under(1.0)
+    if whole is None or _violation(whole, limits, gap.plant) <= KEPT:
+        return whole
+    low, high = 0.0, 1.0
+    for _ in range(SHRINKING):
+        part = (low + high) / 2
+        motion = under(part)
+        if motion is None or _violation(motion, limits, gap.plant) > KEPT:
+            high = part
+        else:
+            low, best = part, motion
+    return best
 
 
 def _motion(gap: Coverage, drive: Mapping[str, Any], t: Array) -> Trajectory | None:
