@@ -196,12 +196,26 @@ def load(
     info = name if isinstance(name, Dataset) else _named(name)
     train, test = info.records(split)
     paths = [_found(info, file, sha, folder) for file, sha in info.needed(split).items()]
+    if not paths:
+        _require_held(info, split, ())
     if info.rest_length is None:
         records = {n: record for path in paths for n, record in _records(info, path)}
+        _require_held(info, split, records)
         return Split(info, split, *(tuple(records[n] for n in part) for part in (train, test)))
     table = read_table([str(path) for path in paths], rest_length=info.rest_length)
     level = np.round(table.contraction, 3)
+    _require_held(info, split, level.tolist())
     return Split(info, split, *(table.subset(np.isin(level, part)) for part in (train, test)))
+
+
+def _require_held(info: Dataset, split: str, held: Iterable[float]) -> None:
+    """InputError for records (or levels) of a split that its files do not hold."""
+    lost = sorted({n for part in info.records(split) for n in part}.difference(held))
+    if lost:
+        told, there = (", ".join(f"{n:g}" for n in some) for some in (lost, sorted({*held})))
+        raise InputError(
+            f"{info.name}, {split}: its files do not hold {told}; they hold {there or 'none'}"
+        )
 
 
 def _found(info: Dataset, file: str, sha: str, folder: str | os.PathLike[str] | None) -> Path:
@@ -393,6 +407,11 @@ def _dynamic(split: Split, predict: Predict) -> Iterator[Part]:
     size = np.std(np.concatenate([r.array(info.outputs) for r in split.test]), axis=0)
     squares = [np.array(list(_squares(info, record, predict))) for record in split.test]
     squares = [record for record in squares if record.size]  # long enough for a window
+    if not squares:
+        raise InputError(
+            f"{info.name}: no record to predict is as long as past = {info.past} and horizons = "
+            f"{max(info.horizons)} samples; give shorter ones to the Dataset"
+        )
     count, sampling = sum(map(len, squares)), np.median(np.diff(first.t))
     for k, name in enumerate(info.outputs):
         for i, horizon in enumerate(info.horizons):

@@ -13,6 +13,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +148,18 @@ def test_other_columns_than_those_of_the_set_are_refused(tmp_path):
     text = ROWS.replace("u_V", "v_V")
     (tmp_path / "ramps.csv").write_bytes(text.encode())
     refused("v_V", load, ramps(text=text), folder=tmp_path)
+
+
+def test_records_that_are_not_there_are_named_and_so_are_windows_that_none_holds(tmp_path, split):
+    lacking = replace(ramps(), splits={"interpolation": {"train": [0], "test": [2, 7]}})
+    with pytest.raises(pam.InputError, match="do not hold 7; they hold 0, 1, 2"):
+        load(lacking, folder=tmp_path)
+    levels = replace(DATASETS["DMSP-20-300"], splits={"mine": {"train": [0.1234], "test": "0..0"}})
+    with pytest.raises(pam.InputError, match=r"mine: .* not hold 0, 0\.1234; they hold none"):
+        load(levels, "mine")
+    long = Split(replace(ramps(), horizons=(1, 20)), "interpolation", split.train, split.test)
+    with pytest.raises(pam.InputError, match="past = 2 and horizons = 20 samples"):
+        score(long, held)
 
 
 @pytest.fixture
