@@ -321,6 +321,25 @@ def test_residuals_alone_tell_what_is_larger_than_the_noise_and_no_cause() -> No
     assert found.stderr["mass"] == pytest.approx(np.hypot(1.0, 3.0), rel=0.05)
 
 
+def by_hand(motions: list[Motion], measured: Any, shifts: Any, **squares: float) -> Evidence:
+    """Of one position x and one value; squares : of residuals with a cause (else 1)."""
+    told = ("x",), ("m",), ("rate",), np.ones(1), tuple(motions), (), shifts, np.zeros(1)
+    return Evidence(*told, (measured,) * len(motions), lambda c: np.array([squares.get(c, 1.0)]))
+
+
+def test_a_constant_offset_is_no_coloured_noise() -> None:
+    """It looks like noise of a root at one, but without it white noise is left."""
+    random, t = np.random.default_rng(5), 0.01 * np.arange(300)
+    modelled = 0.02 * np.sin(5 * t)[:, None]
+    error = -20 * NOISE + NOISE * random.standard_normal((300, 1))
+    begun, slope = (c[:, None, None] for c in (np.exp(-t / 0.1), t * np.sin(5 * t)))
+    motion = Motion(error, begun, slope, np.zeros((300, 1, 0)))
+    evidence = by_hand([motion], modelled - error, np.zeros(1), scale=NOISE**2)
+    found = adequacy_of(evidence, np.ones(1))
+    assert (found.cause, found.subject, found.unit) == ("scale", "x", "m")
+    assert found.amount == pytest.approx(20 * NOISE, rel=0.05)
+
+
 @pytest.mark.parametrize("apart", [0.0, 1.5, 5.0])
 def test_how_far_whole_motions_lie_is_part_of_a_standard_error(apart: float) -> None:
     """A line with white noise by hand. An estimate of standard error 2, whose distance from the
@@ -331,11 +350,9 @@ def test_how_far_whole_motions_lie_is_part_of_a_standard_error(apart: float) -> 
     away = t - t.mean()
     efficient = NOISE / float(np.sqrt(away @ away))
     motion = Motion(noise, np.ones((300, 1, 1)), t[:, None, None], np.zeros((300, 1, 0)))
-    line, shifts = (0.02 * t[:, None] - noise,), np.array([apart * 2 * efficient])
-    told = ("x",), ("m",), ("rate",), np.ones(1), (motion,), (), shifts, np.zeros(1), line
-    found = adequacy_of(
-        Evidence(*told, lambda cause: np.ones(1)), np.ones(1), {"rate": 2 * efficient}
-    )
+    shifts = np.array([apart * 2 * efficient])
+    evidence = by_hand([motion], 0.02 * t[:, None] - noise, shifts)
+    found = adequacy_of(evidence, np.ones(1), {"rate": 2 * efficient})
     assert found.adequate
     expected = max(2 * efficient, np.hypot(efficient, shifts[0]))
     assert found.stderr["rate"] == pytest.approx(expected, rel=0.1)

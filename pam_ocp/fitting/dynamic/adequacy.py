@@ -343,6 +343,11 @@ class _Regressed:
     columns: int
     sigma: Array
 
+    @property
+    def series(self) -> list[list[Array]]:
+        """Of each variable, its residuals in each motion."""
+        return [[r[:, j] for r in self.residuals] for j in range(len(self.sigma))]
+
 
 @dataclass(frozen=True, eq=False)
 class _Case:
@@ -392,11 +397,9 @@ class _Case:
         return float(n * np.sum(np.log(np.maximum(squares, 1e-300))) + more * np.log(n))
 
     def noises(self, fit: _Regressed) -> list[Noise]:
-        lost = (fit.columns) / len(self.weights)
-        return [
-            noise_of([r[:, i] * self.weights[i] for r in fit.residuals], lost=lost)
-            for i in range(len(self.weights))
-        ]
+        lost = fit.columns / len(self.weights)
+        weighed = zip(fit.series, self.weights, strict=True)
+        return [noise_of([r * w for r in own], lost=lost) for own, w in weighed]
 
 
 def _whitened(m: Motion, columns: Array, weights: Array, noises: Sequence[Noise] | None) -> Motion:
@@ -428,10 +431,9 @@ def _columns(evidence: Evidence) -> tuple[tuple[Suspect, list[Array]], ...]:
 def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dict[str, float]]:
     causes = [c for c in CAUSES if case.of(c)]
     level = LEVEL / (2 + len(causes))
-    series = [[r[:, j] for r in base.residuals] for j in range(len(case.weights))]
     e = case.evidence
     test, noise = _noise_test(e.measured, e.outputs, base.sigma, base.dof, level)
-    tests = [_whiteness(series, level), test]
+    tests = [_whiteness(base.series, level), test]
     for cause in causes:
         found = _scored(base, case.regressed(case.of(cause)))
         if found is not None:
@@ -484,9 +486,10 @@ def _whiteness(variables: Sequence[Sequence[Array]], level: float) -> AdequacyTe
 
 # ---- causes -------------------------------------------------------------------------------------
 def _likeliest(case: _Case, base: _Regressed) -> tuple[str, _Regressed]:
-    """That which takes up most, if any is more than autoregressive noise may seem to be. By score
-    tests of residuals whitened as such; of those that pass, by the least squares with each: where
-    much is missing slopes do not reach so far, as values have moved to make up for it.
+    """That which takes up most, if any is more than autoregressive noise may seem to be: by score
+    tests of residuals whitened as such, or because it leaves white ones, which a cause as slow as
+    an offset may do that looks like noise itself. Of all by the least squares with each: where much
+    is missing slopes do not reach so far, as values have moved to make up for it.
     """
     noises = case.noises(base)
     white = case.regressed((), noises)
@@ -495,13 +498,21 @@ def _likeliest(case: _Case, base: _Regressed) -> tuple[str, _Regressed]:
     for cause in causes:
         found = _scored(white, case.regressed(case.of(cause), noises))
         if found is not None:
-            told |= found[2] < LEVEL / len(causes)
+            level = LEVEL / len(causes)
+            told |= found[2] < level or _whitens(base, case.regressed(case.of(cause)), level)
             more[cause] = found[1][0]
     if not told:
         name = "coloured noise" if any(n.order for n in noises) else "unknown"
         return name, base
     name = min(more, key=lambda c: case.criterion(c, more[c]))
     return name, case.regressed(case.of(name))
+
+
+def _whitens(base: _Regressed, wider: _Regressed, level: float) -> bool:
+    """Whether more suspects are significant in white noise, and leave nothing but such."""
+    found = _scored(base, wider)
+    significant = found is not None and found[2] < level
+    return significant and not _whiteness(wider.series, LEVEL).rejects
 
 
 # ---- verdict ------------------------------------------------------------------------------------
@@ -517,7 +528,7 @@ def _verdict(
     e = case.evidence
     (name, fit), k = cause, len(e.names)
     rms = dict(zip(e.outputs, base.sigma.tolist(), strict=True))
-    follows = {n: neighbours([r[:, j] for r in base.residuals]) for j, n in enumerate(e.outputs)}
+    follows = {n: neighbours(own) for n, own in zip(e.outputs, base.series, strict=True)}
     shifts = (base.values[:k] - fit.values[:k]) * e.scale
     # the noise that the values were found in: with all that the model leaves out
     noises = case.noises(base)
