@@ -504,12 +504,16 @@ def test_what_freeing_unknowns_promises_is_what_least_squares_gain() -> None:
 
 
 def test_intervals_of_a_rung_widen_with_their_level(ladder: Ladder) -> None:
-    """Student's t of the blocks: of 24 blocks 95 % are 2.069 standard errors to each side."""
-    found = ladder.intervals(level=0.95)
-    assert found.keys() == ladder.chosen.coefficients.keys()
-    for name, (low, high) in found.items():
-        c = ladder.chosen.coefficients[name]
-        assert (high - low) / (2 * c.stderr) == pytest.approx(2.0687, abs=1e-4)
+    """Student's t of the blocks: of 24 blocks 95 % are 2.069 standard errors to each side; those of
+    the chosen rung count how far the least squares of whole motions lie.
+    """
+    for rung, told in (("lag", {}), (ladder.chosen.name, ladder.adequacy.stderr)):
+        found = ladder.intervals(rung, 0.95)
+        assert found.keys() == ladder[rung].coefficients.keys()
+        for name, (low, high) in found.items():
+            own = ladder[rung].coefficients[name].stderr
+            assert told.get(name, own) >= own
+            assert (high - low) / 2 == pytest.approx(2.0687 * told.get(name, own), rel=1e-4)
     lag = ladder.intervals("lag", 0.5)
     assert lag.keys() == ladder["lag"].coefficients.keys()
     refused("rung", ladder.intervals, "kinks", error=UnknownNameError)
