@@ -81,9 +81,28 @@ def test_an_estimator_and_disturbances_are_part_of_it(slide):
 def test_substeps_follow_the_tolerance(slide):
     """RODAS3 is of order 3: an error smaller by 1000 takes ten times as many steps."""
     spool = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.feeds.SpoolValve())
-    made = (plant_block(spool, sample_time=STEP, tolerance=t) for t in (1e-6, 1e-9))
+    made = (plant_block(spool, sample_time=STEP, tolerance=t) for t in (1e-3, 1e-6))
     counts = [one.loops["steps of the plant"] for one in made]
     assert 4 <= counts[1] / counts[0] <= 32
+
+
+def test_substeps_follow_walls_and_slip_that_no_first_sample_meets():
+    """Thrown to and fro between walls, each sample begun where SciPy says."""
+    rough = [pam.loads.Wall(0.01, stiffness=1e6), pam.loads.DryFriction(10.0)]
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), loads=rough)
+    made = plant_block(plant, sample_time=STEP)
+    count, width = 60, len(plant.states)
+    sides = [[6e5, 0.0], [0.0, 6e5]]
+    commands = np.repeat(sides, count // 2, axis=0)
+    states = scipy_states(
+        plant, lambda t: commands[min(int(t / STEP + 1e-9), count - 1)], STEP * np.arange(count)
+    )
+    assert np.max(states[:, 0]) > 0.01
+    p, nominal = made.start("parameters"), plant.vector("state", attribute="nominal")
+    for k in range(count - 1):
+        memory = [*commands[k], *states[k], 1.0]  # held, state, started
+        outputs = np.asarray(made.step(memory, commands[k], p)[1]).ravel()
+        assert np.max(np.abs(outputs[:width] - states[k + 1]) / nominal) < 2e-4
 
 
 @needs_compiler

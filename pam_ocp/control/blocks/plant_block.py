@@ -14,13 +14,15 @@ from ...core.stop import verb
 from ...core.variables import Variable
 from ...plants.plant import Given, Plant, require_plant
 from ...simulation.sampled import SampledPlant, stepped
-from ..kinds import BEFORE
+from ..kinds import BEFORE, Array
 from ..sides import start_values
 from .draft import Draft, about, column_of
 from .running import block as block_of
 
 MOST = 1024
 """Substeps in a sample."""
+LEVELS, HELD_FOR = 8, 0.1
+"""Of the motion that substeps are chosen for: jumps of the inputs, and the time [s] between two."""
 STATE, HELD = "state.", "held."
 
 
@@ -33,7 +35,7 @@ def plant_block(
     sample_time: float | None = None,
     delay: int | None = None,
     substeps: int | None = None,
-    tolerance: float = 1e-6,
+    tolerance: float = 1e-4,
     name: str | None = None,
 ) -> Block:
     """A plant as a sampled block in fixed steps, alone or with its controller: one FMU or C unit.
@@ -51,8 +53,8 @@ def plant_block(
     delay : samples from measuring to acting, by default what the controller is designed for.
     substeps : equal steps of RODAS3 (linearly implicit, order 3, L-stable) in a sample. By default
         the fewest, in powers of 2, that miss no state after a sample by more than ``tolerance``
-        of its nominal value (against an adaptive integration), from the start values, under the
-        start inputs and under either end of their ranges.
+        of its nominal value (against an adaptive integration), along a motion from the start
+        values whose inputs jump every 0.1 s: to either end of their ranges, then to random values.
 
     Parameters of the block are those of the plant and, with its name in front, of the controller.
 
@@ -102,24 +104,50 @@ def _motion(plant: Plant, length: float) -> ca.Function:
 
 def _substeps(plant: Plant, length: float, tolerance: float) -> int:
     """The fewest that follow the plant to the tolerance; see plant_block."""
-    x, p, start = (plant.vector(n) for n in ("state", "parameter", "input"))
     nominal = plant.vector("state", attribute="nominal")
-    ends = [plant.vector("input", attribute=a) for a in ("min", "max")]
-    inputs = np.array([start, *(np.where(np.isfinite(e), e, start) for e in ends)])
-
-    exact = SampledPlant(plant, length, min(1e-9, max(0.1 * tolerance, 1e-12)))
-    wanted = np.array([exact(x, u)[-1] for u in inputs])
-    count = 1
+    before, inputs, wanted = _jumping_motion(plant, length, min(1e-9, max(0.1 * tolerance, 1e-12)))
+    p, count = plant.vector("parameter"), 1
     while count <= MOST:
         step = _motion(plant, length / count).fold(count)
-        found = np.array([np.asarray(step(x, u, p), dtype=float).ravel() for u in inputs])
-        if np.max(np.abs(found - wanted) / nominal) <= tolerance:
+        found = np.asarray(step(before.T, np.repeat(inputs.T, count, axis=1), p), dtype=float).T
+        missed = ~(np.max(np.abs(found - wanted) / nominal, axis=1) <= tolerance)
+        if not missed.any():
             return count
+        before, inputs, wanted = before[missed], inputs[missed], wanted[missed]
         count *= 2
     raise InputError(
         f"sample_time = {length:g} s: even {MOST} substeps do not follow {plant.name!r} to "
         f"tolerance = {tolerance:g}; sample more often, or give a larger tolerance"
     )
+
+
+def _jumping_motion(plant: Plant, length: float, rtol: float) -> tuple[Array, Array, Array]:
+    """(state before, inputs held, state after), one row a sample, as the inputs jump over their
+    ranges; an input without an end goes a nominal value beyond its start.
+    """
+    start, nominal = plant.vector("input"), plant.vector("input", attribute="nominal")
+    low, high = (
+        np.where(np.isfinite(end), end, start + side * nominal)
+        for side, end in (
+            (-1, plant.vector("input", attribute="min")),
+            (1, plant.vector("input", attribute="max")),
+        )
+    )
+    random = np.random.default_rng(0).uniform(low, high, (LEVELS - 3, len(start)))
+    samples = max(1, round(HELD_FOR / length))
+    exact = SampledPlant(plant, samples * length, rtol, samples)
+    x, rows = plant.vector("state"), []
+    for u in (start, high, low, *random):
+        try:
+            after = exact(x, u)
+        except RuntimeError:  # where no motion leads on, substeps need not follow
+            if not rows:
+                raise
+            break
+        rows.append((np.vstack([x, after[:-1]]), np.tile(u, (samples, 1)), after))
+        x = after[-1]
+    before, inputs, wanted = (np.vstack(part) for part in zip(*rows, strict=True))
+    return before, inputs, wanted
 
 
 class _Sampled:
