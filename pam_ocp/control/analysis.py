@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.cases import results_of
-from ..core.errors import InputError, kind_of, require_count, require_ends, require_positive
+from ..core.errors import InputError, kind_of, require_count, require_ends
 from ..core.executors import Place
 from ..core.shown import shown
 from ..core.stop import verb
-from ..operating.linear import linearize, modes
+from ..operating.linear import gramian, linearize, modes
 from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.several import equilibrium_path
 from ..plants.plant import Plant, Values
@@ -226,27 +226,6 @@ def bode_cloud(
 
 
 # ---- along the stroke ---------------------------------------------------------------------------
-def gramian(a: Array, b: Array, horizon: float) -> Array:
-    """Controllability gramian over a finite time [s]: integral of exp(A t) B B' exp(A' t).
-
-    Exists for any A. By doubling, W(2h) = W(h) + exp(A h) W(h) exp(A' h), from h so short that the
-    series of its integrand ends; observability: ``gramian(A.T, C.T, horizon)``.
-    """
-    from scipy.linalg import expm
-
-    size = float(np.linalg.norm(a, 2)) * require_positive("horizon", horizon, "s")
-    doublings = max(0, int(np.ceil(np.log2(max(size, 1e-12) / 0.1))))
-    h, n = horizon / 2**doublings, len(a)
-    # van Loan: the exponential of one block matrix holds exp(A' h) and the integral
-    block = expm(np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]]) * h)
-    phi = block[n:, n:].T
-    w = phi @ block[:n, n:]
-    for _ in range(doublings):
-        w = w + phi @ w @ phi.T
-        phi = phi @ phi
-    return np.asarray((w + w.T) / 2)
-
-
 @dataclass(frozen=True)
 class Stroke:
     """Measures at equilibria along one variable, scaled by nominals.

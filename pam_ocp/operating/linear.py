@@ -225,6 +225,27 @@ def held(a: Array, b: Array, nominal: Array, dt: float) -> tuple[Array, Array]:
     return discrete[0] * nominal[:, None] / nominal, discrete[1] * nominal[:, None]
 
 
+def gramian(a: Array, b: Array, horizon: float) -> Array:
+    """Controllability gramian over a finite time [s]: integral of exp(A t) B B' exp(A' t).
+
+    Exists for any A. By doubling, W(2h) = W(h) + exp(A h) W(h) exp(A' h), from h so short that the
+    series of its integrand ends; observability: ``gramian(A.T, C.T, horizon)``.
+    """
+    from scipy.linalg import expm
+
+    size = float(np.linalg.norm(a, 2)) * require_positive("horizon", horizon, "s")
+    doublings = max(0, int(np.ceil(np.log2(max(size, 1e-12) / 0.1))))
+    h, n = horizon / 2**doublings, len(a)
+    # van Loan: the exponential of one block matrix holds exp(A' h) and the integral
+    block = expm(np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]]) * h)
+    phi = block[n:, n:].T
+    w = phi @ block[:n, n:]
+    for _ in range(doublings):
+        w = w + phi @ w @ phi.T
+        phi = phi @ phi
+    return np.asarray((w + w.T) / 2)
+
+
 def _plain(names: Sequence[str]) -> list[str]:
     return [n.replace(".", "_") for n in names]
 

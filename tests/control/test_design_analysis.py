@@ -11,13 +11,13 @@ from pam_ocp.control.analysis import (
     along_stroke,
     bode_cloud,
     frequency_response,
-    gramian,
     margins,
     margins_over,
     mode_map,
 )
 from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.loop import closed_loop
+from pam_ocp.operating.linear import gramian
 
 
 # ---- margins and measures

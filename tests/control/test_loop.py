@@ -168,16 +168,20 @@ def test_the_loops_estimator_is_the_filter_that_a_controller_carries():
 
 
 def test_of_a_linear_plant_all_estimators_end_at_one_covariance():
-    """The stationary one by SciPy's Riccati equation, after the correction."""
+    """The stationary one by SciPy's Riccati equation, after the correction: white acceleration."""
     from scipy.linalg import solve_discrete_are
 
     sigma, drive = 1e-3, 0.1
-    q, watch = np.diag([0.0, drive**2 * H]), watching()
+    q, watch = drive**2 * np.array([[H**3 / 3, H**2 / 2], [H**2 / 2, H]]), watching()
+    carried = pam.KalmanFilter(cart(), sample_time=H, measured={"x": sigma}, process={"v": drive})
+    for _ in range(300):
+        carried.predict()
+        carried.correct({"x": 0.0})
     c = np.array([[1.0, 0.0]])
     p = solve_discrete_are(A.T, c.T, q, np.array([[sigma**2]]))
     left = p - p @ c.T @ c @ p / (p[0, 0] + sigma**2)
-    deviation = watch.estimate.deviation
-    assert [deviation["x"], deviation["v"]] == pytest.approx(np.sqrt(np.diag(left)), rel=1e-6)
+    for deviation in (watch.estimate.deviation, carried.estimate.deviation):
+        assert [deviation["x"], deviation["v"]] == pytest.approx(np.sqrt(np.diag(left)), rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", [pam.KalmanFilter, pam.control.MovingHorizonEstimator])

@@ -5,6 +5,8 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import BAR, refused
+from scipy.integrate import quad_vec
+from scipy.linalg import expm
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.stationary import kalman
@@ -90,12 +92,17 @@ def test_it_goes_to_another_goal_without_an_integral(pushed):
 
 
 def test_the_augmented_gain_is_that_of_the_riccati_equation_written_out(pushed):
-    """In the limit of no process noise but the drift: an independent iteration of the filter."""
+    """An independent iteration of the filter; the noise of a sample by quadrature."""
     plant, point = pushed
     found = watching(plant, point)
     a, c = np.asarray(found.system.A), np.asarray(found.system.C)
     n = np.append(plant.vector("state", attribute="nominal"), 10.0)
-    q = np.diag(np.append(np.full(len(n) - 1, 0.1), 3.0) ** 2 * 2e-3)
+    still = plant.linearize(point)
+    pushed_by = np.asarray(still.B)[:, [v.name for v in plant.inputs].index("external_force")]
+    moving = np.vstack([np.column_stack([still.A, pushed_by]), np.zeros(len(n))])
+    drive = np.append(np.full(len(n) - 1, 0.1), 3.0)
+    spread = lambda s: expm(moving * n / n[:, None] * s) * drive  # noqa: E731
+    q, _ = quad_vec(lambda s: spread(s) @ spread(s).T, 0.0, 2e-3)
     a, c = a * n / n[:, None], c * n / np.array([*NOISE.values()])[:, None]
     p = q.copy()
     for _ in range(20000):

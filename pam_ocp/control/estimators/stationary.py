@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,7 +15,7 @@ from ...core.errors import InputError, require_count, require_instance, require_
 from ...core.stop import verb
 from ...core.variables import Variable
 from ...numerics.solvers import Buffered
-from ...operating.linear import inside, linearize
+from ...operating.linear import gramian, held, inside, linear_model
 from ...operating.operating_point import Stuck
 from ...operating.resting_point import OperatingPoint
 from ...plants.inversion import Inversion
@@ -192,7 +192,8 @@ def kalman(
         the states, as constants that drift: an external force, or a command's unknown offset. At
         most as many as measured values. See :class:`OffsetFree`.
 
-    By ``control.dlqe``'s Riccati equation on the exactly sampled system scaled by nominals.
+    By ``control.dlqe``'s Riccati equation on the system scaled by nominals; the inputs held and the
+    noise between two samples are integrated exactly (van Loan 1978).
     Raises InputError when the states cannot be told from what is measured.
 
     Examples
@@ -209,9 +210,11 @@ def kalman(
     names, unknown = [v.name for v in seen], inversion.names(disturbances or {})
     # held memories stick to the motion about the point: estimated from it, as no pole tells of them
     follow, known = at.stuck, plant.vector("state", attribute="nominal")
-    linear = linearize(plant, at, outputs=names, dt=sample_time, stuck=True)
+    linear = linear_model(plant, at, outputs=names, stuck=True)
     states = known[follow.kept]
-    system = _with_disturbances(plant, linear, list(unknown), states)
+    a, b = held(linear.A, linear.B, states, sample_time)
+    sampled = replace(linear, A=a, B=b, dt=sample_time).to_control()
+    system = _with_disturbances(plant, sampled, list(unknown), states)
     sizes = [plant.variable(n).nominal for n in unknown]
     if isinstance(process, Mapping):
         given = deviations(plant, process, "process")
@@ -223,9 +226,11 @@ def kalman(
         for (n, v), size in zip(unknown.items(), sizes, strict=True)
     ]
     nominal = np.concatenate([states, sizes])
-    gain, covariance = _stationary(
-        system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * sample_time
-    )
+    columns = [[v.name for v in plant.inputs].index(n) for n in unknown]
+    moving = np.zeros((len(nominal), len(nominal)))  # the disturbances drift, and push
+    moving[: len(states)] = np.hstack([linear.A, linear.B[:, columns]]) * nominal / states[:, None]
+    added = gramian(moving, np.diag(np.concatenate([drive, drift])), sample_time)
+    gain, covariance = _stationary(system, names, nominal, noise, added)
     lift = follow.lift(more=len(unknown))
     system = _of_all_states(plant, system, follow)
     return StationaryFilter(
@@ -338,18 +343,18 @@ def _with_disturbances(plant: Plant, system: Any, disturbances: list[str], x: Ar
 
 
 def _stationary(
-    system: Any, names: list[str], nominal: Array, noise: Array, drive: Array
+    system: Any, names: list[str], nominal: Array, noise: Array, added: Array
 ) -> tuple[Array, Array]:
     """The gain that corrects the present estimate, and the covariance that this leaves, in SI.
 
-    drive : variances per sample.
+    added : covariance that the process noise adds in a sample, scaled by nominals.
     """
     import control
 
     a = np.asarray(system.A) * nominal / nominal[:, None]
     c = np.asarray(system.C) * nominal / noise[:, None]
     try:
-        gain, covariance, _ = control.dlqe(a, np.eye(len(a)), c, np.diag(drive), np.eye(len(noise)))
+        gain, covariance, _ = control.dlqe(a, np.eye(len(a)), c, added, np.eye(len(noise)))
     except (ValueError, np.linalg.LinAlgError) as error:
         raise InputError(
             f"kalman: the states cannot be told from {', '.join(names)} ({error}); measure more, "
