@@ -57,6 +57,20 @@ def test_weights_on_changes_see_the_input_applied_before():
     assert mpc.control([0.0, 0.5])["f"] == pytest.approx((r * before - h * 0.5) / (h * h + r))
 
 
+def test_terminal_weights_replace_those_of_track_by_name():
+    """Two steps by hand: x after the last keeps its weight, v has another one there, f none."""
+    h, q, last, r = 0.1, np.diag([3.0, 0.5]), np.diag([3.0, 40.0]), 0.2
+    a, b = np.array([[1.0, h], [0.0, 1.0]]), np.array([[h * h / 2], [h]])
+    late = np.hstack([a @ b, b])  # of f0 and f1 in the last state
+    x = np.array([0.7, -0.3])
+    square = late.T @ last @ late + np.diag([r, r])
+    square[0, 0] += (b.T @ q @ b).item()
+    push = late.T @ last @ a @ a @ x
+    push[0] += (b.T @ q @ a @ x).item()
+    mpc = mass_mpc(horizon=2, track={"x": 3.0, "v": 0.5, "f": r}, terminal={"v": 40.0})
+    assert mpc.control(x)["f"] == pytest.approx(-np.linalg.solve(square, push)[0], abs=1e-6)
+
+
 def test_known_disturbances_parameters_and_offsets_are_planned_for():
     mpc = mass_mpc(horizon=40, rate={"f": 0.1})
     mpc.reset({"f": -2.0})
@@ -233,6 +247,21 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
 )
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
     refused(words, mass_mpc, **{"horizon": 5, **change})
+
+
+def test_a_terminal_weight_on_what_inputs_act_on_is_refused():
+    plant = mass()
+    drawn = plant.with_output("drawn", plant.expression("f") * plant.expression("v"))
+    refused(
+        "drawn depends on the inputs",
+        Mpc,
+        drawn,
+        horizon=5,
+        sample_time=0.1,
+        track={"x": 1.0},
+        terminal={"drawn": 1.0},
+    )
+    assert Mpc(drawn, horizon=5, sample_time=0.1, track={"x": 1.0}, terminal={"drawn": 0.0})
 
 
 def test_unknown_names_get_the_nearest_one():

@@ -81,7 +81,8 @@ class Mpc:
     track : {state, output or input: weight w >= 0}.
     rate : {input: weight r >= 0} on its change from step to step. Weights on changes leave no
         steady error; weights on inputs (in ``track``) pull away from the reference of the others.
-    terminal : {state or output: weight at the last node}; by default that of ``track``.
+    terminal : {state or output: weight at the last node}, where inputs have no value any more;
+        what is not named keeps that of ``track``.
     bounds : {state, input, output or constraint: (low, high)}, None for an open end; narrows the
         plant's own bounds and path constraints, which always hold.
     soft : limits of all but inputs may give way where they cannot be kept (after a disturbance, or
@@ -638,10 +639,16 @@ def _penalties(
     plant: Plant, track: Mapping[str, float], terminal: Mapping[str, float] | None
 ) -> list[Penalty]:
     weights = _weights(plant, track, "track", ("state", "output", "input"))
-    last = weights
-    if terminal is not None:
-        last = _weights(plant, terminal, "terminal", ("state", "output"))
-    names = list(dict.fromkeys([*weights, *last]))
+    named = _weights(plant, terminal or {}, "terminal", ("state", "output"))
+    controls = [plant.expression(v.name) for v in plant.inputs if not v.disturbance]
+    for name, weight in named.items():
+        if weight and ca.depends_on(plant.expression(name), ca.vertcat(*controls)):
+            raise InputError(
+                f"terminal: {name} depends on the inputs, which have no value at the last node; "
+                "give a state, or an output of states alone"
+            )
+    last = weights | named
+    names = list(last)
     if not any(w > 0 for w in weights.values()):
         raise InputError(f"track = {dict(track)}: at least one weight must be > 0")
     return [
