@@ -8,6 +8,8 @@ from scipy.linalg import expm
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
+from pam_ocp.control.estimators.moving_horizon import MovingHorizonEstimator
+from pam_ocp.control.estimators.stationary import kalman
 from pam_ocp.core.errors import UnknownNameError
 
 H = 0.05
@@ -95,6 +97,22 @@ def test_a_measurement_that_is_missing_is_left_out():
     assert filter_.estimate.deviation["v"] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("kind", [KalmanFilter, MovingHorizonEstimator, kalman])
+def test_a_missing_measurement_corrects_nothing_and_the_others_correct_alone(kind):
+    """As blocks of filters do; without the position the rest is a filter of the velocity."""
+    seen, about = {"x": 1e-3, "v": 1e-2}, ({"f": 0.0},) if kind is kalman else ()
+    gaps, never = (kind(free_mass(), *about, sample_time=H, measured=seen) for _ in range(2))
+    for f, missing in ((1.0, np.nan), (0.5, np.inf), (-1.0, -np.inf)):
+        gaps.correct({"x": missing, "v": 0.1})
+        never.correct({"v": 0.1})
+        gaps.predict({"f": f})
+        never.predict({"f": f})
+        kept = gaps.estimate.state
+        gaps.correct({"x": missing, "v": missing})
+        assert gaps.estimate.state == kept == never.estimate.state
+        assert kept["v"] != 0.0
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -117,3 +135,4 @@ def test_unknown_names_get_the_nearest_one():
         KalmanFilter(free_mass(), sample_time=H, measured={"x": 1e-3}, unknown={"pus": (1, 1)})
     filter_ = KalmanFilter(free_mass(), sample_time=H, measured={"x": 1e-3})
     refused("measured", filter_.correct, {"v": 1.0}, error=UnknownNameError)
+    refused("x = None", filter_.correct, {"x": None})

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ...core.block import Block
-from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.errors import InputError, UnknownNameError, require_number, require_positive
 from ...core.stop import locked
 from ...core.variables import Variable
 from ...export.machine import quick
@@ -202,8 +202,8 @@ class Estimator(ABC):
 
     @abstractmethod
     def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
-        """Take measured values in, by name [SI];
-        ``inputs`` matter for outputs that depend on them.
+        """Take measured values in, by name [SI]; what is not named, NaN or infinite is missing, and
+        corrects nothing. ``inputs`` matter for outputs that depend on them.
         """
 
     @abstractmethod
@@ -211,17 +211,16 @@ class Estimator(ABC):
         """Go one step on, under inputs (by name [SI]; start values for those not named)."""
 
     def _seen(self, measurement: Values) -> tuple[list[float], list[float]]:
-        """Measured values scaled by nominals, and their weights: 0 for those not in the
-        measurement.
-        """
+        """Measured values scaled by nominals, and their weights: 0 for those that are missing."""
         known = self._measured_at
         seen, weights = [0.0] * len(known), [0.0] * len(known)
         for given, value in measurement.items():
             name = given if given in known else self.plant.variable(given).name
             if name not in known:
                 raise UnknownNameError("measured variable", name, [*known])
-            i = known[name]
-            seen[i], weights[i] = require_finite(given, value) / self._nominal[i], 1.0
+            i, number = known[name], require_number(given, value)
+            if abs(number) <= LARGEST:
+                seen[i], weights[i] = number / self._nominal[i], 1.0
         return seen, weights
 
     def noise_of_step(self, a: Symbol, half: Symbol) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -101,11 +102,12 @@ class StationaryFilter:
         return dict(zip(self._states, x.tolist(), strict=True))
 
     def correct(self, measured: Measured, inputs: Mapping[str, float] | None = None) -> Array:
-        """The estimated states (nx,) after a measurement.
+        """The estimated states (nx,) after a measurement; what is not named, NaN or infinite is
+        missing, and corrects nothing.
 
         Inputs that act while it is measured are those of the last :meth:`predict`.
         """
-        y = [measured[n] for n in self.measured]
+        y = [measured.get(n, math.nan) for n in self.measured]
         self.deviation = self._correct(self.deviation, self._u, y)[0][:, 0].copy()
         return np.asarray(self._x + self.deviation[: len(self._x)])
 
