@@ -103,7 +103,7 @@ class HysteresisCompensation:
         self.stiffness = None
         if len(self.inverse.muscles) == 2:
             given = stiffness_of(plant) if stiffness is None else stiffness
-            self.stiffness = require_finite("stiffness", given)
+            self.stiffness = require_finite("stiffness", given, plant.variable("stiffness").unit)
         elif stiffness is not None:
             raise InputError("stiffness: one muscle alone has no choice of it; leave it out")
         self.inputs = _PressureInputs(plant, self.inverse.muscles)

@@ -31,7 +31,9 @@ class PID(ByBlock):
     """u = kp e + ki integral(e) + kd d(e)/dt, the derivative filtered by ``filter_time`` [s].
 
     Sampled by backward differences. The integral is frozen while the caller says that the output
-    is saturated and the error would drive it further the way that it points (no wind-up).
+    is saturated and the error would drive it further the way that it points (no wind-up). A number
+    in place of True says by how much what was asked for is beyond reach, where something else is
+    added to the output: its sign is that way.
 
     Examples
     --------
@@ -62,19 +64,21 @@ class PID(ByBlock):
         z = require_positive("damping", damping)
         return cls((1 + 2 * z) * w**2, w**3, (1 + 2 * z) * w, filter_time)
 
-    def __call__(self, error: float, sample_time: float, saturated: bool = False) -> float:
+    def __call__(self, error: float, sample_time: float, saturated: bool | float = False) -> float:
         """The output for an error, ``sample_time`` seconds after the call before."""
-        law = self._law
+        law, itself = self._law, isinstance(saturated, (bool, np.bool_))
         law.parameters[:] = self.kp, self.ki, self.kd, self.filter_time
-        law.tell({"error": error, "sample_time": sample_time, "saturated": saturated})
+        law.tell({"error": error, "sample_time": sample_time})
+        law.tell({"saturated": saturated if itself else 0, "beyond": 0 if itself else saturated})
         return float(law.step()[0])
 
     @turns
     def _running(self) -> Running:
         """The law of the block, told its sample time with each error."""
         draft = Draft("pid", 1.0, "PID controller")
-        error, time, saturated = (draft.input(n) for n in ("error", "sample_time", "saturated"))
-        value = pid_law(draft, self, error, lambda last: saturated * last, time=time)
+        error, time = draft.input("error"), draft.input("sample_time")
+        saturated, more = draft.input("saturated"), draft.input("beyond")
+        value = pid_law(draft, self, error, lambda last: saturated * last + more, time=time)
         draft.output(Variable("command", "output"), value)
         return Running(draft.block(), ())
 
@@ -205,6 +209,8 @@ class PositionController(SampledLaw):
                 "(position, velocity, acceleration)"
             )
         self.reference, self.pid = reference, pid
+        if len(self.inverse.muscles) == 2 and not (stiffness is None or callable(stiffness)):
+            stiffness = require_finite("stiffness", stiffness, plant.variable("stiffness").unit)
         self.stiffness, self.feedforward = stiffness, feedforward
         self.inner = inner or PressureLoop(plant)
         at = self.inverse.position, self.inverse.velocity, "acceleration"

@@ -19,12 +19,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..control.blocks.running import Running
 from ..control.compensation import HysteresisCompensation, Rounded
 from ..control.controller import Measured
+from ..control.inverse import unreached
 from ..control.kinds import law_of
 from ..control.pid import PID
 from ..control.references import Source
@@ -224,6 +226,9 @@ class LearnedTracking:
         self._law = Running(law_of(inner), {owner.position, *pressures})
         known = [v.name for v in self._law.block.memory]
         self._places = [known.index(f"model.{p}") for p in pressures]
+        self._held = [n.removeprefix("memory.") for n in known if n.startswith("memory.")]
+        self._held_places = [known.index(f"memory.{n}") for n in self._held]
+        self._unreached = self._reach()
         self._pid, self._residual = replace(owner.pid), owner.residual.again()
         names = (owner.position, inner.inverse.velocity, "acceleration")
         self._now, self._coming = ([f"{k}.{n}" for n in names] for k in ("wanted", "ahead"))
@@ -234,7 +239,7 @@ class LearnedTracking:
         self._law.reset()
         self._pid.reset()
         self._residual = self._residual.again()
-        self._begun = self._full = False
+        self._begun, self._beyond = False, 0.0
         self.asked: list[tuple[float, Array]] = []
         self.added: list[float] = []
 
@@ -245,7 +250,7 @@ class LearnedTracking:
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         o, law = self.owner, self._law
-        more = self._pid(self._path(t)[0] - measured[o.position], o.sample_time, self._full)
+        more = self._pid(self._path(t)[0] - measured[o.position], o.sample_time, self._beyond)
         more += self.probe(t) if self.probe else 0.0
         self.added.append(more)
         law.measure(measured)
@@ -255,17 +260,27 @@ class LearnedTracking:
             self._tell(self._now, t + o.ahead, more)
             self._begun = True
         time = t + o.ahead + o.sample_time
-        self._tell(self._coming, time, more)
+        motion = self._tell(self._coming, time, more)
         commands = law.commands()
-        p, inverse = law.memory[self._places].copy(), o.inverse.inverse
-        self._full = bool(np.any((p <= inverse.low) | (p >= inverse.high)))
+        p, held = law.memory[self._places].copy(), law.memory[self._held_places]
+        self._beyond = float(self._unreached(*motion, p, held))
         self.asked.append((t + o.sample_time, p))
         return {n: min(u, o.ceilings.get(n, u)) for n, u in commands.items()}
 
-    def _tell(self, names: list[str], t: float, more: float) -> None:
+    def _tell(self, names: list[str], t: float, more: float) -> tuple[float, float, float]:
+        """Ask for the motion at a time, and say which it is."""
         x, v, a = self._path(t)
-        added = self._residual(x, v, a) + more
-        self._law.tell(dict(zip(names, (x, v, a + added), strict=True)))
+        a += self._residual(x, v, a) + more
+        self._law.tell(dict(zip(names, (x, v, a), strict=True)))
+        return x, v, a
+
+    def _reach(self) -> ca.Function:
+        """(position, velocity, acceleration, pressures, memories) -> see ``unreached``."""
+        inverse = self.owner.inverse.inverse
+        x, v, a = (ca.MX.sym(n) for n in "xva")
+        p, held = ca.MX.sym("p", len(self._places)), ca.MX.sym("held", len(self._held))
+        states = dict(zip(self._held, ca.vertsplit(held), strict=True))
+        return ca.Function("reach", [x, v, a, p, held], [unreached(inverse, x, v, a, p, states)])
 
 
 def slopes(inner: HysteresisCompensation, x: float) -> tuple[float, float]:

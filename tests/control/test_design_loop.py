@@ -165,6 +165,25 @@ def test_a_saturated_pid_does_not_wind_up():
     assert pid(-1.0, 0.01, saturated=True) < before - 2.0
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_what_is_added_to_a_pid_says_which_way_it_is_saturated(way):
+    """Whatever the sign of its own output: 0.1 of integral per second of an error that may act."""
+    pid = PID(1.0, ki=10.0)
+    for error in (0.5, -0.5):
+        acts = 0.0 if error * way > 0 else 0.1 * error
+        before = pid(error, 0.01, saturated=7.0 * way)
+        assert pid(error, 0.01, saturated=7.0 * way) - before == pytest.approx(acts, abs=1e-12)
+
+
+def test_the_stiffness_of_a_position_controller_may_have_a_unit(slide):
+    made = (
+        PositionController(slide, hold(0.0), PID(1e3), sample_time=1e-3, stiffness=k)
+        for k in (2.2e4, "22 N/mm")
+    )
+    first, second = (list(one.pressures(0.0)) for one in made)
+    assert first == second
+
+
 def test_a_position_controller_does_not_wind_up_however_long_it_is_out_of_reach(long_muscle):
     """A load held below its reference for 0.2 s or 4 s: once free, the same pressures follow."""
     plant = pam.HangingLoad(long_muscle, 20.0)

@@ -9,18 +9,45 @@ from rig_fixtures import made, plant  # noqa: F401 - fixtures
 from rig_tools import twin_at_random
 
 import pam_ocp as pam
-from pam_ocp.control import PID
+from pam_ocp.control import PID, HysteresisCompensation
 from pam_ocp.control.references import sine
 from pam_ocp.rig.tracking import (
     CREEPS,
     YIELDS,
     Answer,
+    LearnedInverse,
     Memory,
     Residual,
     bent,
     lines,
     placed_by,
 )
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "error", "grows"),
+    [("40 N/mm", 1e-3, 1.0), (1.5e4, 1.0, 0.0), (1.5e4, -1.0, 0.0)],
+)
+def test_the_integral_stops_where_no_muscle_is_left_to_act(stiffness, error, grows):
+    """Of 40 N/mm one pressure is at its end, and the other still gives any acceleration; of 1e4
+    m/s2 none does, and what was asked for beyond stays as it is, on either side.
+    """
+    h, ki = 0.005, 1e4
+    plant = pam.AntagonisticSlide("DMSP-20-300", mass=2.0, pre_contraction=0.10)
+    inner = HysteresisCompensation(plant, sample_time=h, stiffness=stiffness)
+    none = Residual.none(Memory(0.0, 0.01, h))
+    law = LearnedInverse(inner, none, 2 * h, PID(0.0, ki=ki))
+    run = law.tracking({"x": lambda t: 0.008}, {}, True)
+    measured = {"x": 0.008 - error, "muscle1.pressure": 4e5, "muscle2.pressure": 3e5}
+    for k in range(600):
+        run(k * h, measured)
+    ends = np.isclose(run.asked[-1][1], 0) | np.isclose(run.asked[-1][1], inner.inverse.high)
+    assert list(ends) == ([True, False] if grows else [True, True])
+    step = ki * h * error
+    assert run.added[-1] - run.added[-2] == pytest.approx(grows * step, rel=1e-9, abs=1e-12)
+    measured["x"] += 2 * error  # what drives back acts at once
+    run(600 * h, measured)
+    assert run.added[-1] - run.added[-2] == pytest.approx(-step, rel=1e-6)
 
 
 @pytest.mark.parametrize("order", [1, 2])
