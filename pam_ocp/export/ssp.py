@@ -18,6 +18,7 @@ from ..core.files import atomic_path, require_ending
 from ..core.quantities import outside
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
+from ..core.units import unit
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import assembly, description, quantities
@@ -325,6 +326,21 @@ def _warn_of_delays(
 # ---- connections --------------------------------------------------------------------------------
 
 
+def _remedy(source: Variable, sink: Variable) -> str:
+    """For a connection of an output to an input of another unit."""
+    given, taken = unit(source.unit), unit(sink.unit)
+    if not given.compatible(taken):
+        return f"connect an output in {sink.unit}"
+    if given.offset or taken.offset:
+        how = f"converted to {sink.unit}"
+    else:
+        how = f"its values times {given.factor / taken.factor:.10g}"
+    return (
+        f"a connection hands numbers over as they are, so let the output be one in {sink.unit} "
+        f"({how})"
+    )
+
+
 def _wires(parts: Mapping[str, Part], connections: Mapping[str, str]) -> list[Wire]:
     outputs = {f"{n}.{v.name}": (n, v) for n, part in parts.items() for v in part.outputs}
     inputs = {f"{n}.{v.name}": (n, v) for n, part in parts.items() for v in part.inputs}
@@ -337,7 +353,8 @@ def _wires(parts: Mapping[str, Part], connections: Mapping[str, str]) -> list[Wi
         (to, sink), (of, source) = inputs[target], outputs[start]
         if sink.unit != source.unit:
             raise InputError(
-                f"{target} is in {sink.unit}, but {start} is in {source.unit}: they do not fit"
+                f"{target} is in {sink.unit}, but {start} is in {source.unit}: they do not fit; "
+                + _remedy(source, sink)
             )
         types = [parts[n].types.get(v.name) for n, v in ((to, sink), (of, source))]
         if types[0] != types[1]:

@@ -116,7 +116,12 @@ def test_what_does_not_fit_is_refused_in_a_sentence(tmp_path):
         export_ssp(parts, {**WIRES, "pid.position": "plant.y"}, path)
     with pytest.raises(UnknownNameError, match=r"pid\.speed"):
         export_ssp(parts, {**WIRES, "pid.speed": "plant.v"}, path)
-    refused("do not fit", export_ssp, parts, {**WIRES, "pid.position": "plant.v"}, path)
+    wrong = {**WIRES, "pid.position": "plant.v"}
+    refused("do not fit; connect an output in m$", export_ssp, parts, wrong, path)
+    gauge = pam.Trajectory([0, 1], {"p": [1, 2]}, [pam.Variable("p", "output", unit="bar")])
+    wrong = {**WIRES, "pid.feedforward.muscle1.command": "gauge.p"}
+    words = r"is in Pa, but gauge\.p is in bar: .* one in Pa \(its values times 100000\)"
+    refused(words, export_ssp, {**parts, "gauge": gauge}, wrong, path)
     refused("weight 0", pid_controller, plant, "x", {COMMANDS[0]: 0.0}, proportional=1.0)
     refused("give inputs of the plant", pid_controller, plant, "x", {"v": 1.0}, proportional=1.0)
     assert not path.exists()
