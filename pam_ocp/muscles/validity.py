@@ -17,6 +17,9 @@ UNLIMITED: Range = (-math.inf, math.inf)
 ROUNDING = 1e-9
 """Leaving a range by this much of its upper end is rounding, not extrapolation."""
 
+FAR = 0.1
+"""Of a range: so far beyond it a motion is worth a warning."""
+
 _QUANTITIES = {
     "pressure": Variable("pressure", "parameter", unit="Pa"),
     "contraction": Variable("contraction", "parameter", display_unit="%"),
@@ -80,6 +83,27 @@ def warn_beyond(
         warnings.warn(
             f"{subject}: {quantity} = {most:g} {unit} is above {largest:g} {unit}, at which "
             f"{gives_way} way",
+            ValidityWarning,
+            stacklevel=outside(),
+        )
+
+
+def warn_outside(subject: str, variable: Variable, values: Any, t: Any) -> None:
+    """Warn, once for each ``subject`` and variable, where a motion goes beyond a variable's range
+    by more than a tenth of its width: so little the law goes on as it did.
+    """
+    low, high = variable.min, variable.max
+    if (subject, variable.name) in _WARNED or not math.isfinite(high - low):
+        return
+    beyond = np.maximum(low - values, values - high)
+    k = int(np.argmax(beyond))
+    if beyond[k] > FAR * (high - low):
+        _WARNED.add((subject, variable.name))
+        warnings.warn(
+            f"{subject}: {variable.name} = {variable.shown(values[k])} at {t[k]:.4g} s is outside "
+            f"{variable.shown(low)} .. {variable.shown(high)}. Nothing stops it there, and the "
+            "force law is an extrapolation: check start, inputs and load, or add stops "
+            "(pam.loads.Wall)",
             ValidityWarning,
             stacklevel=outside(),
         )

@@ -22,6 +22,7 @@ from ..core.errors import (
 from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, joined, signals
 from ..core.stop import verb
 from ..core.trajectory import Event, Trajectory
+from ..muscles.validity import warn_outside
 from ..plants.dead_time import DelayLine
 from ..plants.plant import Given, Plant, Values, by_name, require_plant
 from ..plants.undelayed import without_dead_times
@@ -238,6 +239,9 @@ def simulate(
     Jumps of the inputs are met exactly: no step crosses one.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
+    Warns (ValidityWarning, once for each plant) of a position that goes beyond its range, that of
+    the measured contractions, by more than a tenth of it: nothing stops it there.
+
     Raises InputError for bad arguments, SimulationError (with the time reached and the part
     computed so far) when the integrator cannot go on.
 
@@ -291,7 +295,10 @@ def simulate(
         assert part is not None
         raise _failure(moved, run, part)
     machine = run.machine if moved is plant else None
-    return evaluated(plant, times, whole(run.at(times, states)), u, found, machine)
+    motion = evaluated(plant, times, whole(run.at(times, states)), u, found, machine)
+    for name in plant.load_positions:
+        warn_outside(f"simulate: {plant.name}", plant.variable(name), motion[name], times)
+    return motion
 
 
 def _check_numerics(rtol: float, step: float | None, max_steps: int) -> tuple[float, float | None]:

@@ -8,6 +8,7 @@ from conftest import BAR, refused, scipy_states
 
 import pam_ocp as pam
 from pam_ocp import SimulationError
+from pam_ocp.muscles.validity import ValidityWarning, forget_warnings
 
 
 @pytest.mark.parametrize("interpolation", ["previous", "linear"])
@@ -248,3 +249,16 @@ def test_a_function_that_jumps_is_followed_on_both_sides(hanging, at):
     near = at + np.array([-1e-3, -1e-6, -3e-9, 3e-9, 1e-6, 1e-3])
     wanted = [jump(s) for s in near]
     assert np.abs(signals(near)[:, 0] - wanted).max() < 3e-9 * 1e5
+
+
+def test_a_load_thrown_beyond_the_muscle_is_told_once(recwarn):
+    """At rest, slack, 8 m/s upwards: it flies to v^2/(2 g), ten times the stroke."""
+    forget_warnings()
+    plant = pam.HangingLoad("DMSP-20-300", mass=5.0, damping=0.0, feed=pam.feeds.IdealPressure())
+    high = 8.0**2 / (2 * 9.80665)
+    for _ in range(2):
+        flown = pam.simulate(plant, {"muscle.pressure": 0.0}, duration=0.9, start={"v": 8.0})
+    assert flown["x"].max() == pytest.approx(high, rel=5e-3)
+    (said,) = [str(w.message) for w in recwarn if w.category is ValidityWarning]
+    assert said.startswith("simulate: hanging_load: x = 326")
+    assert " is outside 0 mm .. 78 mm. Nothing stops it there" in said
