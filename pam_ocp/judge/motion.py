@@ -339,19 +339,18 @@ def _objective(run: Driven, goal: Goal) -> float:
 
 
 def _rate(plant: Plant, inputs: PiecewisePolynomial) -> float:
-    """Integral of the squared rate of the inputs in nominals; of held ones, that of the lines that
-    join the middles of their pieces.
+    """Integral of the squared rate of the inputs in nominals; a jump is one over the mean length of
+    the pieces beside it (of held inputs, the lines that join the middles of their pieces).
     """
     nominal = plant.vector("input", attribute="nominal")
     h = np.diff(inputs.breaks)
-    c = inputs.coefficients / nominal
-    if inputs.degree == 0:
-        jumps = np.sum(np.diff(c[:, 0], axis=0) ** 2, axis=1)
-        return float(np.sum(jumps / ((h[:-1] + h[1:]) / 2)))
+    c, j = inputs.coefficients / nominal, np.arange(inputs.degree + 1)
+    ends = np.einsum("kj,kji->ki", h[:, None] ** j, c)
+    jumps = np.sum((c[1:, 0] - ends[:-1]) ** 2, axis=1)
+    total = float(np.sum(jumps / ((h[:-1] + h[1:]) / 2)))
     taus, weights = np.polynomial.legendre.leggauss(inputs.degree + 1)
-    total, j = 0.0, np.arange(1, inputs.degree + 1)
     for tau, weight in zip((taus + 1) / 2, weights / 2, strict=True):
-        slopes = np.einsum("kj,kji->ki", j * (tau * h)[:, None] ** (j - 1), c[:, 1:])
+        slopes = np.einsum("kj,kji->ki", j[1:] * (tau * h)[:, None] ** j[:-1], c[:, 1:])
         total += weight * float(np.sum(h * np.sum(slopes**2, axis=1)))
     return total
 

@@ -95,13 +95,17 @@ def test_a_motion_known_by_hand_keeps_all_and_costs_what_theory_says():
     assert judgement.objective == pytest.approx(expected, rel=1e-9)
 
 
+SLOPES = (4.4**3 - 2**3) / 18 + 16 * 0.6
+
+
 @pytest.mark.parametrize(
     ("breaks", "coefficients", "expected"),
     [
         # held: steps of 2 and -4, between the middles of 0.2, 0.3 and 1 s
         ([0.0, 0.2, 0.5, 1.5], [[1.0], [3.0], [-1.0]], 2**2 / 0.25 + 4**2 / 0.65),
-        # slopes 2 + 6 s over 0.4 s, -4 over 0.6 s
-        ([0.0, 0.4, 1.0], [[1.0, 2.0, 3.0], [0.0, -4.0, 0.0]], (4.4**3 - 2**3) / 18 + 16 * 0.6),
+        # slopes 2 + 6 s over 0.4 s, -4 over 0.6 s; joined, and with a jump of 2.28 between them
+        ([0.0, 0.4, 1.0], [[1.0, 2.0, 3.0], [2.28, -4.0, 0.0]], SLOPES),
+        ([0.0, 0.4, 1.0], [[1.0, 2.0, 3.0], [0.0, -4.0, 0.0]], SLOPES + 2.28**2 / 0.5),
     ],
 )
 def test_the_rate_of_inputs_by_hand(breaks, coefficients, expected):
