@@ -1,5 +1,6 @@
 """Muscles in MuJoCo and Modelica, and alone as an FMU."""
 
+import dataclasses
 import re
 import xml.etree.ElementTree as ET
 
@@ -162,6 +163,27 @@ def test_a_muscle_is_a_component_with_flanges_and_a_port(pymoca, tmp_path):
     assert "flange_b.f = force;" in text
     with pytest.raises(pam.InputError, match="has no diameter"):
         pam.export(pam.Muscle(pam.muscle(MUSCLE).law, rest_length=0.3), tmp_path / "other.mo")
+
+
+@pytest.mark.parametrize("name", ["my model", "2nd", "a-b", "model", "Übung", ""])
+def test_a_model_gets_no_name_that_modelica_does_not_take(name, tmp_path):
+    for system in (pam.muscle(MUSCLE), pam.HangingLoad(MUSCLE)):
+        refused("name = .* is none of a Modelica model", pam.export.export_modelica, system,
+                tmp_path / "m.mo", name=name)  # fmt: skip
+    assert not (tmp_path / "m.mo").exists()
+
+
+def test_names_of_the_language_are_written_otherwise(tmp_path):
+    plant = pam.Plant("real")
+    for name in ("Real", "der", "time"):
+        x = plant.state(name)
+        plant.der(x, -x)
+    text = pam.export.export_modelica(plant, tmp_path / "m.mo").read_text("utf-8")
+    assert text.startswith("model MReal")
+    assert all(f"der({n}_2) = -{n}_2;" in text for n in ("Real", "der", "time"))
+    piece = dataclasses.replace(pam.muscle(MUSCLE), name="Übungsmuskel")
+    text = pam.export.export_modelica(piece, tmp_path / "m.mo").read_text("utf-8")
+    assert re.match(r"package [A-Za-z]\w* ", text, re.ASCII)
 
 
 # ---- a muscle alone ------------------------------------------------------------------------------

@@ -65,7 +65,7 @@ false final flow for function if import impure in initial inner input loop model
 outer output package parameter partial protected public pure record redeclare replaceable return
 stream then true type when while within time abs acos asin atan atan2 ceil cos cosh exp floor log
 max min sign sin sinh smooth sqrt sum tan tanh noEvent pre terminal sample delay cross size fill
-zeros ones vector mod rem
+zeros ones vector mod rem Real Integer Boolean String
 """
 RESERVED = frozenset(_WORDS.split())
 OWN = frozenset({"flange_a", "flange_b", "port", "length", "speed", "pressure", "volume"})
@@ -101,14 +101,19 @@ def export_modelica(
 
     losses : of a muscle. name : of the model; by default that of the system.
 
-    Raises InputError (a muscle without diameter, whose volume nobody knows), ExportError for an
-    operation that Modelica has not.
+    Raises InputError (a muscle without diameter, whose volume nobody knows; a name that Modelica
+    does not take), ExportError for an operation that Modelica has not.
 
     Examples
     --------
     >>> pam.export.export_modelica(muscle, "Muscle.mo").name
     'Muscle.mo'
     """
+    if name is not None and (name in RESERVED or not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)):
+        raise InputError(
+            f"name = {name!r} is none of a Modelica model: give letters (A-Z, a-z), digits and "
+            "underscores, a letter first, and no word of the language"
+        )
     if isinstance(system, Muscle):
         text = _component(system, losses, name)
     elif losses:
@@ -132,7 +137,7 @@ def _class(name: str) -> str:
     plain = next(iter(identifiers([name]).values()))
     words = [w[:1].upper() + w[1:] for w in plain.split("_") if w]
     made = "".join(words)
-    return made if made[:1].isalpha() else f"M{made}"
+    return made if made[:1].isalpha() and made not in RESERVED else f"M{made}"
 
 
 def _quoted(text: str) -> str:
@@ -276,7 +281,7 @@ def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str,
     """{name: an identifier for it}, dots as underscores, no two alike."""
     taken, found = set(reserved), {}
     for name in names:
-        plain = base = re.sub(r"\W", "_", name)
+        plain = base = re.sub(r"\W", "_", name, flags=re.ASCII)
         count = 1
         while plain in taken:
             count += 1
