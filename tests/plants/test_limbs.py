@@ -449,6 +449,23 @@ def test_the_arm_moves_in_mujoco_as_here():
     np.testing.assert_allclose(np.array(path), found, atol=1e-3)
 
 
+@pytest.mark.parametrize("effort", ["1", "1000"])
+def test_a_joint_s_effort_is_no_limit_in_mujoco_either(effort, limb):
+    """Largest efforts bound plans: the muscle's torque of some 30 N m acts in full."""
+    mujoco = pytest.importorskip("mujoco")
+    hinge = joint("a", "base", "bar").replace('effort="0"', f'effort="{effort}"')
+    pull = [LimbMuscle("flexor", MUSCLE, [("a", 0.03)], pre_contraction=0.05)]
+    plant = limb(link("base"), BAR, hinge, muscles=pull)
+    model, made = pam.export.mujoco_limb(plant)
+    data = mujoco.MjData(model)
+    made.reset(model, data, {"flexor.pressure": 4e5})
+    with made.installed(model):
+        mujoco.mj_forward(model, data)
+    expected = rates(plant, {"flexor.pressure": 4e5})["a.velocity"]
+    assert expected > 100
+    assert data.qacc[0] == pytest.approx(expected, rel=1e-5)
+
+
 def test_mujoco_takes_no_path_of_points_and_pulleys(limb):
     pytest.importorskip("mujoco")
     refused("of points or of pulleys", pam.export.mujoco_limb, wrapped(limb, 0.03))

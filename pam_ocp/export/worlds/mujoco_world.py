@@ -102,8 +102,9 @@ def to_mujoco(muscles: MujocoMuscle | Sequence[MujocoMuscle]) -> MujocoMuscles:
 def mujoco_limb(limb: Limb, *, timestep: float = 1e-3) -> tuple[Any, MujocoMuscles]:
     """(MuJoCo's model of a limb, its muscles there): the bodies of the limb's file, by RK4.
 
-    Its damping and offsets are the limb's, limits and contacts are off. Paths are of points alone
-    or of pulleys alone; loads, friction and stops of the limb are not taken along.
+    Its damping and offsets are the limb's; limits of range and effort and contacts are off. Paths
+    are of points alone or of pulleys alone; loads, friction and stops of the limb are not taken
+    along.
 
     Raises InputError where MuJoCo is missing, and for a path that mixes points and pulleys.
 
@@ -130,7 +131,7 @@ def mujoco_limb(limb: Limb, *, timestep: float = 1e-3) -> tuple[Any, MujocoMuscl
         muscles.append(MujocoMuscle(one.name, one.muscle, way, one.feed, one.losses, offset))
     for joint in limb.joints:
         own = spec.joint(joint.name)
-        own.limited = False
+        own.limited = own.actfrclimited = False  # of the range, and of the effort
         damping = limb.variable(f"{joint.name}.damper.coefficient").start or 0.0
         own.damping = [damping, *[0.0] * (np.size(own.damping) - 1)]
         own.frictionloss = 0.0
