@@ -101,8 +101,8 @@ def warn_outside(subject: str, variable: Variable, values: Any, t: Any) -> None:
         _WARNED.add((subject, variable.name))
         warnings.warn(
             f"{subject}: {variable.name} = {variable.shown(values[k])} at {t[k]:.4g} s is outside "
-            f"{variable.shown(low)} .. {variable.shown(high)}. Nothing stops it there, and the "
-            "force law is an extrapolation: check start, inputs and load, or add stops "
+            f"{variable.shown(low)} .. {variable.shown(high)}. Nothing stops it there, where "
+            "the force law may be an extrapolation: check start, inputs and load, or add stops "
             "(pam.loads.Wall)",
             ValidityWarning,
             stacklevel=outside(),
