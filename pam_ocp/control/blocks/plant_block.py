@@ -136,7 +136,8 @@ def _jumping_motion(plant: Plant, length: float, rtol: float) -> tuple[Array, Ar
     random = np.random.default_rng(0).uniform(low, high, (LEVELS - 3, len(start)))
     samples = max(1, round(HELD_FOR / length))
     exact = SampledPlant(plant, samples * length, rtol, samples)
-    x, rows = plant.vector("state"), []
+    x = plant.vector("state")
+    rows: list[tuple[Array, Array, Array]] = []
     for u in (start, high, low, *random):
         try:
             after = exact(x, u)
