@@ -27,13 +27,14 @@ if TYPE_CHECKING:
 
 
 def frequency_response(system: control.StateSpace, hertz: ArrayLike) -> NDArray[np.complex128]:
-    """C (s I - A)^-1 B + D at frequencies [Hz]: (n, outputs, inputs).
+    """C (s I - A)^-1 B + D at frequencies [Hz]: (n, outputs, inputs); at z of a sampled system.
 
     As ``system(2j pi f)``, which solves one frequency after the other in Python: clouds and margins
     ask for some 100 000 of them, so all are solved at once here.
     """
     a, b, c, d = (np.asarray(getattr(system, n)) for n in ("A", "B", "C", "D"))
     s = 2j * np.pi * np.asarray(hertz, float)[:, None, None]
+    s = np.exp(s * system.dt) if system.dt else s
     return np.asarray(c @ np.linalg.solve(s * np.eye(len(a)) - a, b.astype(complex)[None]) + d)
 
 
@@ -43,7 +44,8 @@ def frequency_response(system: control.StateSpace, hertz: ArrayLike) -> NDArray[
 class Margins:
     """Of a loop broken at each of its inputs in turn, the others closed; and of all at once.
 
-    gain : factor by which the gain may rise (inf: any). phase : [deg]. crossover : [Hz].
+    gain : factor by which the gain may rise (inf: any); of a loop that is unstable when closed, one
+    below 1, to which it must fall (nan: none is enough). phase : [deg]. crossover : [Hz].
     modulus : smallest distance of the Nyquist curve from -1, 1/modulus is the largest sensitivity.
     all_inputs : smallest singular value of I + L over frequency: as modulus, all inputs at once.
     """
@@ -70,7 +72,8 @@ class Margins:
 def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) -> Margins:
     """Margins of a square loop gain L under negative feedback, as ``StateFeedback.loop``.
 
-    By ``control.stability_margins`` for each input; modulus over 2000 frequencies in ``hertz``.
+    By ``control.stability_margins`` for each input; modulus over 2000 frequencies in ``hertz``, of
+    a sampled loop (delays are exact there) up to half its sampling rate.
 
     Examples
     --------
@@ -87,18 +90,21 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
         )
     if loop.ninputs != loop.noutputs:
         raise InputError(f"margins: the loop has {loop.ninputs} inputs and {loop.noutputs} outputs")
-    a, b, k = (np.asarray(getattr(loop, n)) for n in ("A", "B", "C"))
-    frequency = np.geomspace(*_rising(hertz), 2000)
-    found = []
+    if loop.dt is True:
+        raise InputError("margins: the loop's sample time is not known; give it as dt [s]")
+    low, high = _rising(hertz)
+    frequency = np.geomspace(low, min(high, 0.5 / loop.dt) if loop.dt else high, 2000)
+    stable, found = _stable(loop), []
     for i in range(loop.ninputs):
         others = [j for j in range(loop.ninputs) if j != i]
-        single = control.ss(a - b[:, others] @ k[others], b[:, [i]], k[[i]], 0)
+        single = control.ss(*_closed(loop, others, [i]), loop.dt)
         gains, phases, _, _, crossings, _ = control.stability_margins(single, returnall=True)
         nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
         response = frequency_response(single, frequency)
+        more, less = (g for g in gains if g > 1), (g for g in gains if g < 1)
         found.append(
             (
-                min((g for g in gains if g > 1), default=np.inf),
+                min(more, default=np.inf) if stable else max(less, default=np.nan),
                 np.inf if nearest is None else phases[nearest],
                 np.nan if nearest is None else crossings[nearest] / (2 * np.pi),
                 np.abs(1 + response).min(),
@@ -110,6 +116,26 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
         tuple(float(v) for v in column) for column in zip(*found, strict=True)
     )
     return Margins(tuple(loop.input_labels), gain, phase, crossover, modulus, float(least))
+
+
+def _closed(loop: control.StateSpace, shut: list[int], left: list[int]) -> tuple[Array, ...]:
+    """A, B, C, D from the inputs ``left`` to their outputs, those in ``shut`` fed back."""
+    a, b, c, d = (np.asarray(getattr(loop, n)) for n in "ABCD")
+    rows = np.hstack([c, d[:, left]])
+    back = np.linalg.solve(np.eye(len(shut)) + d[np.ix_(shut, shut)], rows[shut])
+    whole = np.block([[a, b[:, left]], [rows[left]]])
+    whole = whole - np.vstack([b[:, shut], d[np.ix_(left, shut)]]) @ back
+    n = len(a)
+    return whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+
+
+def _stable(loop: control.StateSpace) -> bool:
+    """Whether nothing grows when it is closed; a pole on the border is one of states that no input
+    reaches.
+    """
+    poles = np.linalg.eigvals(_closed(loop, list(range(loop.ninputs)), [])[0])
+    grown = np.log(np.abs(poles) + 1e-300) if loop.dt else np.real(poles)
+    return bool(np.all(grown <= 1e-9 * max(1.0, np.abs(poles).max(initial=0.0))))
 
 
 def _rising(hertz: Any) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, SimulationError, require_instance, require_numbers
 from ..core.stop import verb
+from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle
 from ..numerics.newton import iterate, least_squares
 from ..numerics.solvers import integrator
@@ -71,7 +72,8 @@ def describing_function(
 ) -> DescribingFunction:
     """The sinusoidal-input describing function of a plant, which need not be memoryless.
 
-    source : an input; output : a state or output. amplitudes [SI] > 0; hertz : frequencies > 0.
+    source : an input; output : a state or output. amplitudes [SI] > 0, by which the input stays in
+    its range; hertz : frequencies > 0.
     at : the point about which the input swings and where the other inputs stay; by default the
         start values.
     samples : of a period, for the harmonics.
@@ -99,6 +101,7 @@ def describing_function(
     if samples < 16:
         raise InputError(f"samples = {samples} must be >= 16")
     plant, x, u = point_of(plant, at)
+    _require_room(plant.variable(source), u[[v.name for v in plant.inputs].index(source)], size)
     period = _Period(plant, source, output, u, samples, rtol)
     table = np.empty((4, len(size), len(frequency)), dtype=complex)
     for j, f in enumerate(frequency):
@@ -109,6 +112,18 @@ def describing_function(
     return DescribingFunction(
         source, output, size, frequency, table[0], table[1].real, table[2].real, table[3].real > 0.5
     )
+
+
+def _require_room(v: Variable, middle: float, amplitudes: Array) -> None:
+    """InputError where a swing leaves the input's range."""
+    most = float(amplitudes.max())
+    room = min(middle - v.min, v.max - middle)
+    if most > room + 1e-9 * v.nominal:
+        raise InputError(
+            f"amplitudes: {v.name} swings by {v.shown(most)} about {v.shown(middle)}, beyond its "
+            f"range {v.shown(v.min)} .. {v.shown(v.max)}; give at most {v.shown(max(room, 0.0))}, "
+            "or another point"
+        )
 
 
 def _positive(name: str, values: ArrayLike) -> Array:

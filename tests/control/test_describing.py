@@ -93,6 +93,9 @@ def test_what_has_no_describing_function_is_refused(slide):
     with pytest.raises(InputError, match="amplitudes must hold finite numbers > 0"):
         describing_function(slide, "muscle1.command", "x", [0.0], [1.0])
     refused("hertz = 'fast'", describing_function, slide, "muscle1.command", "x", [1.0], "fast")
+    words = r"swings by 4 bar about 3 bar, beyond its range 0 bar .*; give at most 3 bar"
+    three = {"muscle1.command": 3 * BAR}
+    refused(words, describing_function, slide, "muscle1.command", "x", [4 * BAR], [1.0], three)
     drifting = pam.Plant("drifting")
     x, u = drifting.state("x"), drifting.input("u")
     drifting.der(x, u + 1.0)

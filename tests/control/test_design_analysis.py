@@ -42,6 +42,34 @@ def test_frequency_responses_are_python_controls(slide):
     assert np.allclose(found, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
 
 
+def test_margins_of_sampled_fed_through_and_unstable_loops():
+    """An integrator k T/(z - 1) behind two samples of delay, by hand: at w T = pi/5 its phase is
+    -180 deg, where |L| = k T/(2 sin(pi/10)); at |L| = 1 the phase is -90 deg - 2.5 w T.
+    """
+    k, dt = 20.0, 0.01
+    z = control.tf([1, 0], [1], dt)
+    found = margins(control.ss(k * dt * z**-2 / (z - 1)))
+    assert found.gain[0] == pytest.approx(2 * np.sin(np.pi / 10) / (k * dt), rel=1e-6)
+    angle = 2 * np.arcsin(k * dt / 2)
+    assert found.crossover[0] == pytest.approx(angle / dt / (2 * np.pi), rel=1e-6)
+    assert found.phase[0] == pytest.approx(90 - np.rad2deg(2.5 * angle), rel=1e-5)
+    # 2/(s + 1) + 1/2: |L| = 1 at w = sqrt(7), |1 + L| falls to 3/2
+    found = margins(control.ss([[-1.0]], [[1.0]], [[2.0]], [[0.5]]))
+    turned = np.rad2deg(np.angle(0.5 + 2 / (1 + 1j * np.sqrt(7))))
+    assert found.phase[0] == pytest.approx(180 + turned, rel=1e-6)
+    assert found.modulus[0] == pytest.approx(1.5, rel=1e-5)
+    # the third-order loop of gain 10 is unstable: 6 is the most
+    unstable = margins(control.ss(control.tf([10.0], [1.0, 3.0, 2.0, 0.0])))
+    assert unstable.gain[0] == pytest.approx(0.6, rel=1e-6)
+    assert unstable.phase[0] < 0
+    # two loops fed through: each alone, the other closed, 1/(s+1) + d12 d21 terms by hand
+    both = control.ss([[-1.0]], [[1.0, 0.0]], [[1.0], [0.0]], [[0.0, 0.4], [0.5, 1.0]])
+    single = margins(both).modulus[0]
+    w = 1j * 2 * np.pi * np.geomspace(1e-2, 1e3, 2000)
+    assert single == pytest.approx(np.abs(1 + 1 / (1 + w) - 0.4 * 0.5 / 2).min(), rel=1e-9)
+    refused("sample time is not known", margins, control.ss(control.tf([1], [1, 0.5], True)))
+
+
 def test_the_gramian_is_theorys_for_unstable_stable_and_stiff_systems():
     scalar = gramian(np.array([[1.0]]), np.array([[1.0]]), 2.0)
     assert scalar[0, 0] == pytest.approx((np.exp(4) - 1) / 2, rel=1e-12)
