@@ -137,11 +137,11 @@ class _System:
                 raise InputError(f"env: input {v.name} has no finite range; give it min and max")
 
     @cached_property
-    def begin(self) -> Array:
-        """States at the start of an episode."""
+    def begin(self) -> tuple[Array, Array]:
+        """States and inputs at the start of an episode."""
         point = self.plant.equilibrium(self.start) if self.start else None
         plant = self.plant if point is None else self.plant.with_values(point)
-        return plant.vector("state")
+        return plant.vector("state"), plant.vector("input")
 
     @cached_property
     def places(self) -> tuple[NDArray[np.int64], Array]:
@@ -237,7 +237,7 @@ class _System:
         if self.task.kind == "track":
             raise InputError("optimum: a task that tracks has none; its measure is the error")
         middle = {n: float(np.mean(v)) for n, v in self.task.target.items()}
-        states = {v.name: x for v, x in zip(self.plant.states, self.begin, strict=True)}
+        states = {v.name: x for v, x in zip(self.plant.states, self.begin[0], strict=True)}
         first = {n: v for n, v in states.items() if n in self.plant.load_positions}
         return plan(self.plant, stops=[self.start or first, middle])
 
@@ -265,7 +265,7 @@ def _classes() -> tuple[type, type]:
     from gymnasium.vector import AutoresetMode, VectorEnv
 
     def spaces(system: _System) -> tuple[Any, Any]:
-        sizes = len(system.begin) + len(system.task.target), len(system.plant.inputs)
+        sizes = len(system.plant.states) + len(system.task.target), len(system.plant.inputs)
         return (
             gymnasium.spaces.Box(-np.inf, np.inf, (sizes[0],), np.float64),
             gymnasium.spaces.Box(-1.0, 1.0, (sizes[1],), np.float32),
@@ -276,7 +276,7 @@ def _classes() -> tuple[type, type]:
 
         def __init__(self, system: _System, count: int) -> None:
             self.system, self.count = system, count
-            self._x = np.tile(system.begin, (count, 1))
+            self._x = np.tile(system.begin[0], (count, 1))
             self._t = np.zeros(count)
             self._target = np.zeros((count, len(system.task.target)))
             self._off = np.zeros_like(self._target)
@@ -293,10 +293,9 @@ def _classes() -> tuple[type, type]:
         def begun(self, which: NDArray[np.bool_], rng: np.random.Generator) -> None:
             """Start these episodes."""
             system, n = self.system, int(np.sum(which))
-            self._x[which], self._t[which] = system.begin, 0.0
+            self._x[which], self._t[which] = system.begin[0], 0.0
             self._target[which] = system.drawn(rng, n)
-            u = np.tile(system.plant.vector("input"), (self.count, 1))
-            y = system.outputs(self._x, u)
+            y = system.outputs(self._x, np.tile(system.begin[1], (self.count, 1)))
             off = system.off(self._x, y, self._target, self._t)
             self._off[which] = off[which]
 

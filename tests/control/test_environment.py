@@ -29,6 +29,15 @@ def test_gymnasium_finds_nothing_wrong(plant, kind):
     checker.check_env(made, skip_render_check=True)
 
 
+def test_an_episode_is_seen_to_begin_at_its_rest():
+    """Outputs of ideal pressures hang on the inputs: those of the rest, not the plant's own."""
+    slide = pam.AntagonisticSlide("DMSP-20-300", feed=pam.feeds.IdealPressure())
+    start, goal = {"x": 0.0, "stiffness": 2.0e4}, {"x": 0.01, "stiffness": 2.5e4}
+    seen, _ = pam.env(slide, "stiffness", goal, start=start).reset(seed=0)
+    off = [(goal[n] - start[n]) / slide.variable(n).nominal for n in goal]
+    np.testing.assert_allclose(seen[-2:], off, atol=1e-9)
+
+
 def to_pressure(plant, pressure):
     return np.array([2 * pressure / plant.variable("muscle.command").max - 1], np.float32)
 
