@@ -21,8 +21,10 @@ from .running import block as block_of
 
 MOST = 1024
 """Substeps in a sample."""
-LEVELS, HELD_FOR = 8, 0.1
-"""Of the motion that substeps are chosen for: jumps of the inputs, and the time [s] between two."""
+LEVELS, HELD_FOR, LONGEST = 8, 0.1, 1000
+"""Of the motion that substeps are chosen for: jumps of the inputs, the time [s] between two, and
+samples in that, at most.
+"""
 STATE, HELD = "state.", "held."
 
 
@@ -54,7 +56,8 @@ def plant_block(
     substeps : equal steps of RODAS3 (linearly implicit, order 3, L-stable) in a sample. By default
         the fewest, in powers of 2, that miss no state after a sample by more than ``tolerance``
         of its nominal value (against an adaptive integration), along a motion from the start
-        values whose inputs jump every 0.1 s: to either end of their ranges, then to random values.
+        values whose inputs jump every 0.1 s (1000 samples, at most): to either end of their
+        ranges, then to random values.
 
     Parameters of the block are those of the plant and, with its name in front, of the controller.
 
@@ -134,7 +137,7 @@ def _jumping_motion(plant: Plant, length: float, rtol: float) -> tuple[Array, Ar
         )
     )
     random = np.random.default_rng(0).uniform(low, high, (LEVELS - 3, len(start)))
-    samples = max(1, round(HELD_FOR / length))
+    samples = min(max(1, round(HELD_FOR / length)), LONGEST)
     exact = SampledPlant(plant, samples * length, rtol, samples)
     x = plant.vector("state")
     rows: list[tuple[Array, Array, Array]] = []
