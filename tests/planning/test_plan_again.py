@@ -76,9 +76,9 @@ def test_meshes_that_differ_by_margins_share_expressions_and_keep_their_own_limi
     planner = pam.Planner(cart, FAR, method=Collocation(5, 4, "polynomial", guarded=False))
     problem, mesh = planner._program.problem, planner._program.mesh
 
-    def watching(margin: float):
-        each = (replace(i, watched=(("u", margin),)) for i in mesh.intervals)
-        return replace(mesh, intervals=tuple(each))
+    def watching(*margins: float):
+        each = zip(mesh.intervals, margins * (len(mesh.intervals) // len(margins)), strict=True)
+        return replace(mesh, intervals=tuple(replace(i, watched=(("u", m),)) for i, m in each))
 
     known = transcribe(problem, watching(0.0))
     shared = on_mesh(problem, watching(0.1), [known])
@@ -88,6 +88,11 @@ def test_meshes_that_differ_by_margins_share_expressions_and_keep_their_own_limi
         assert np.array_equal(ours, theirs)
     assert not np.array_equal(known.limits()[1], own.limits()[1])
     assert on_mesh(problem, mesh, [known]).nlp is not known.nlp
+    # intervals that share their rows can have but one margin
+    several = watching(0.1, 0.2, 0.1, 0.2, 0.1)
+    found, own = on_mesh(problem, several, [known, shared]), transcribe(problem, several)
+    for ours, theirs in zip(found.limits(), own.limits(), strict=True):
+        assert np.array_equal(ours, theirs)
 
 
 def test_a_program_serves_no_other_plant_and_no_other_objective(cart):
