@@ -324,6 +324,20 @@ def _start(run: Driven, statement: Statement, wanted: Asked) -> list[Finding]:
 
 
 # ---- the objective ------------------------------------------------------------------------------
+def objectives(plant: Plant, statements: Sequence[Statement], motion: Motion) -> list[float]:
+    """What several statements minimise, of one motion; NaN where its integration stops.
+
+    Raises InputError as :func:`judge`.
+    """
+    wanted = [asked(plant, statement, motion.durations) for statement in statements]
+    times = [point.time for point in wanted[0].points]
+    try:
+        run, _ = driven(plant, motion.start, motion.inputs, times)
+    except SimulationError:
+        return [float("nan")] * len(wanted)
+    return [_objective(run, each.goal) for each in wanted]
+
+
 def _objective(run: Driven, goal: Goal) -> float:
     total = goal.time * float(run.t[-1, -1] - run.t[0, 0])
     if not goal.integrand.is_zero():

@@ -219,7 +219,7 @@ def replayed(
     nominal = plant.vector("state", attribute="nominal")
     deviation = np.abs(motion.array(names)[::per] - samples.array(names)) / nominal
     worst = names[int(np.argmax(deviation.max(axis=0)))]
-    check = _Check(problem, plant, mesh, solution, motion.t, motion.array(names).T, per)
+    check = Check(problem, plant, mesh, solution, motion.t, motion.array(names).T, per)
     beyond, at_points = check.along()
     others = {**check.at_stops(), **check.closing(), **check.budgets()}
     every = [*(pair for each in beyond for pair in each.items()), *others.items()]
@@ -238,13 +238,14 @@ def replayed(
 
 
 @dataclass(frozen=True)
-class _Check:
+class Check:
     """All that was asked for, looked at along a motion.
 
     Each interval is looked at from its start to its end with its own inputs, so a jump of the
     inputs is seen from both sides.
 
-    t, x : (n,) and (nx, n) the motion, ``per`` times from one sample to the next.
+    t, x : (n,) and (nx, n) the motion, ``per`` times from one sample to the next. looks : parts of
+    each gap between these that are looked at; 0: as many as the kind of inputs needs.
     """
 
     problem: Problem
@@ -254,6 +255,7 @@ class _Check:
     t: Array
     x: Array
     per: int
+    looks: int = 0
 
     @cached_property
     def _interval(self) -> NDArray[np.intp]:
@@ -272,7 +274,7 @@ class _Check:
         """Times (gaps, places), states (nx, gaps, places) and inputs (nu, gaps, places): each gap
         from its start to its end, the states by cubic Hermite polynomials.
         """
-        finer = FINER.get(self.mesh.form.control, USUALLY)
+        finer = self.looks or FINER.get(self.mesh.form.control, USUALLY)
         s = np.linspace(0.0, 1.0, finer + 1)
         h = np.diff(self.t)[:, None]
         t = self.t[:-1, None] + h * s

@@ -1,5 +1,6 @@
 """pareto: the front of two objectives against known optima."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ def test_time_against_effort_of_the_double_integrator(first, second):
     """E = 12 d^2/T^3 while u = 6 d/T^2 (1 - 2 t/T) keeps its limit; bang-bang at its end, u^2 T."""
     limits = {} if first == "time" else {"duration": (0.05, 0.6)}
     asked = {"first": first, "second": second, "rest": False, "method": METHOD, "points": 9}
+    asked["budgets"] = {"square(v)": 1e3}  # one of the user's own, far away
     front = pareto(pushed(LIMIT), STOPS, **asked, **limits)
     assert not front.failures
     time, effort = front.values.T if first == "time" else front.values.T[::-1]
@@ -86,6 +88,38 @@ def test_a_users_own_budget_stays(slide):
     front = pareto(slide, stops, budgets=budgets, until=1.0, points=3, method=method)
     assert front.values[:, 0].max() <= 0.06 + 1e-7
     assert front.values[:, 1].max() <= 1.5 + 1e-7
+
+
+@pytest.mark.slow
+def test_work_that_is_not_minimised_is_that_of_the_motion(slide):
+    """At the end of the least time: the integral of max(power, 0) over an integration."""
+    asked = {"second": "work", "points": 2, "until": "80 ms", "method": Collocation(6)}
+    front = pareto(slide, [{"x": -0.01}, {"x": 0.01}], **asked)
+    for plan, (_, work) in zip(front.plans, front.values, strict=True):
+        t = np.linspace(0.0, plan.duration, 4001)
+        run = pam.simulate(slide, plan.trajectory, t=t)
+        powers = (np.maximum(run[f"muscle{i}.power"], 0.0) for i in (1, 2))
+        assert work == pytest.approx(sum(np.trapezoid(p, t) for p in powers), rel=1e-3)
+
+
+def test_a_plan_that_another_is_no_worse_than_is_not_on_the_front():
+    """All end at x = 1: the quickest is best. Bounds of a peak in units are kept, without a word
+    about how far away none is."""
+    asked = {"rest": False, "method": METHOD, "points": 2, "until": "0.6 s"}
+    held = {**asked, "method": Collocation(2, 3)}  # switches halfway
+    front = pareto(pushed(LIMIT), STOPS, second="final(x)", **held)
+    assert len(front) == 1
+    assert front.plans[0].duration == pytest.approx(2 * np.sqrt(DISTANCE / LIMIT), rel=1e-5)
+    assert all("no worse in either" in words for _, words in front.failures)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bounds = {"v": ("-1 m/s", "800 cm/s")}
+        slower = pareto(pushed(LIMIT), STOPS, second="peak(v)", bounds=bounds, **asked)
+    time, peak = slower.values.T
+    assert peak[0] == pytest.approx(8.0, rel=1e-3)
+    assert time[0] == pytest.approx(DISTANCE / 8.0 + 8.0 / LIMIT, rel=3e-3)
+    assert time[1] == pytest.approx(0.6, rel=1e-6)
+    assert peak[1] == pytest.approx(30 - np.sqrt(800.0), rel=1e-2)  # d/v + v/a = T
 
 
 @pytest.mark.parametrize(

@@ -167,6 +167,8 @@ def test_a_spread_that_cannot_be_is_named():
         ({"draws": [{"x": 1.0}]}, "x is a state, not a parameter"),
         ({"draws": [{"mass": 1.0}, {"damping": 3.0}]}, "same parameters"),
         ({"draws": [{"mass": -1.0}]}, "outside"),
+        ({"draws": [{"mass": "1 m"}]}, "mass: draws = '1 m'"),
+        ({"draws": [{"parameters": {"mass": 2.0}, "start": {"v": 0.1}}]}, "a case holds start"),
         ({"spread": {}}, "spread is empty"),
         ({"spread": {"mass": 1.0}}, "mass is a parameter"),
         ({"spread": {"x": -1.0}}, "must be > 0"),

@@ -9,7 +9,7 @@ from scipy.stats import binomtest, norm
 from test_plan_robust import METHOD, STOPS, WIDTH, draws, plant  # noqa: F401 - a fixture
 
 import pam_ocp as pam
-from pam_ocp import Collocation, PlanError, PlanWarning
+from pam_ocp import Collocation, PlanError, PlanWarning, Stop
 from pam_ocp.planning.studies.robust import robust_plan
 from pam_ocp.planning.studies.robust_result import Share
 
@@ -39,6 +39,28 @@ def in_a_second(spread, stops=FROM_TO, **asked):
     """A robust plan of the mass, of least effort unless something else is asked for."""
     asked = {"minimise": "effort", "duration": 1.0, **MASS, **asked}
     return robust_plan(pushed_mass(), stops, spread=spread, **asked)
+
+
+def test_limits_are_looked_at_between_the_points_of_the_plan():
+    """v = 6 t (1 - t) - f t is largest, 1.5 - f/2 + f^2/24, at t = (1 - f/6)/2: for f = -3 N that
+    is 3.375 m/s, and 3.344 m/s at the nearest point.
+    """
+    asked = {"draws": [{"force": 0.1}], "share": None, "method": Collocation(2, 3, "linear")}
+    asked |= {"rest": False, "stops": [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]}
+    for most, kept in ((3.35, False), (3.38, True)):
+        robust = in_a_second({"x": 5.0}, bounds={"v": (None, most)}, **asked)
+        assert robust.judge(robust.verify([{"force": "-3 N"}])).kept.tolist() == [kept]
+
+
+def test_a_dwell_varies_as_its_stop_does():
+    """Plants are f T^2/2 off: 0.05 f m when the nominal one comes to rest, 0.072 f when it goes."""
+    stops = [{"x": 0.0}, Stop({"x": 1.0}, dwell=0.2), {"x": 0.9}]
+    asked = {"draws": [{"force": 0.1}], "share": None, "stops": stops, "duration": [1.0, 0.5]}
+    robust = in_a_second([None, {"x": 0.08}, None], **asked)
+    assert robust.verified
+    assert np.abs(robust.members.at_stops("x")) == pytest.approx(np.array([[0.05, 0.072]]))
+    found = robust.judge(robust.verify([{"force": 0.11}, {"force": 0.115}]))
+    assert found.kept.tolist() == [True, False]
 
 
 @pytest.mark.slow

@@ -6,11 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,12 +22,13 @@ from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
-from ...judge.statement import Stop, subject
+from ...judge.motion import objectives
+from ...judge.statement import Profile, Stop, budget_range, subject
 from ...plants.plant import Plant, require_plant
 from ..planner import PlanKeywords, Planner
+from ..problem.limits import range_of
 from ..problem.problem import budget
 from ..result import Plan
-from ..transcription.guess import from_solution
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,6 +48,8 @@ CONTINUOUS = 1e-12
 """Weight of the inputs' rates that keeps inputs from jumping, and no more."""
 POLISH = 1e-4
 """What the second objective weighs, relative to the first, to choose among equally good anchors."""
+SAME = 1e-7
+"""By so much of itself the second must fall where the first may be larger: solvers know no more."""
 
 
 @shown
@@ -170,15 +173,14 @@ def pareto(
         raise InputError(f"first = {first!r} cannot be bounded; exchange first and second")
     least = sweep.least_first()
     last = sweep.least_second(least, until)
-    low, high = (sweep.first.value(p) for p in (least, last))
+    low, high = least[1], last[1]
     if high <= low:  # one plan is best in both
-        return sweep.result([sweep.point(least)], [])
+        return sweep.result([last if last[2] <= least[2] else least], [])
     spaced = np.geomspace if low > 0 else np.linspace
     bounds = spaced(low, high, points)[-2:0:-1].tolist()
     between = sweep.in_turn if place is None else partial(sweep.side_by_side, place)
-    found, failures = between(bounds, last)
-    ends = sweep.point(least), sweep.point(last)
-    return sweep.result([ends[0], *found[::-1], ends[1]], failures)
+    found, failures = between(bounds, last[0])
+    return sweep.result([least, *found[::-1], last], failures)
 
 
 class _Term:
@@ -203,30 +205,27 @@ class _Term:
         else:
             self.variable = budget(plant, name, 0.0)[0].shown
 
-    def limit(self, most: float | None) -> dict[str, Any]:
-        """The arguments of plan that bound it; None for no bound, in the same form."""
+    def limited(self, arguments: dict[str, Any], most: float | None) -> None:
+        """Bound it in the arguments of plan, on top of what the user says; None: by no bound, in
+        the same form. Raises InputError.
+        """
         if not self.bounded:
-            return {}
-        value = _UNBOUNDED if most is None else most
-        if self.peak is not None:
-            return {"bounds": {self.peak: (None, value)}}
-        return {"budgets": {self.name: value}}
-
-    def value(self, plan: Plan) -> float:
-        """Of a plan that minimises or bounds it [SI]."""
-        if self.name == "time":
-            return plan.duration
-        if self.peak is not None:
-            return float(np.max(plan.trajectory[self.peak]))
-        solved, label = plan._solved, f"budget of {self.name}"
-        assert solved is not None  # a fresh plan
-        nlp = solved.program.nlp
-        for row, own in solved.program.placed():
-            if row.conditions and row.conditions[0].label == label:
-                g = ca.Function("g", [nlp["x"], nlp["p"]], [nlp["g"][own.start]])
-                value = float(g(solved.outcome.w, solved.program.parameters()))
-                return value * row.conditions[0].nominal
-        return plan.objective * self.variable.nominal  # what is minimised alone
+            return
+        name = self.peak or self.name
+        key, limit = ("bounds", inf) if self.peak else ("budgets", _UNBOUNDED)
+        most = limit if most is None else most
+        own = arguments.get(key) or {}
+        given, low, high = own.get(name), None, inf
+        if given is not None and self.peak:
+            if isinstance(given, Sequence) and any(isinstance(v, Profile) for v in given):
+                raise InputError(
+                    f"bounds[{name!r}] is a Profile; a sweep of {self.name} takes numbers there"
+                )
+            low, high = range_of(f"bounds[{name!r}]", given, self.variable)
+        elif given is not None:
+            low, high = budget_range(name, given, self.variable.unit)
+        low = None if low == -inf else low
+        arguments[key] = {**own, name: (low, min(most, high))}
 
 
 class _Sweep:
@@ -243,23 +242,10 @@ class _Sweep:
         """The user's arguments with bounds of terms on top."""
         found = dict(self.arguments)
         for term, most in terms:
-            for key, limit in term.limit(most).items():
-                found[key] = {**(found.get(key) or {}), **self._narrowed(key, limit)}
+            term.limited(found, most)
         return found
 
-    def _narrowed(self, key: str, limit: Mapping[str, Any]) -> dict[str, Any]:
-        """A limit that leaves what the user says of the same name."""
-        own = self.arguments.get(key) or {}
-        found = {}
-        for name, value in limit.items():
-            most = value[1] if isinstance(value, tuple) else value
-            given = own.get(name)
-            pair = given if isinstance(given, tuple | list) else (None, given)
-            low, high = pair
-            found[name] = (low, most if high is None else min(most, high))
-        return found
-
-    def least_first(self) -> Plan:
+    def least_first(self) -> _Point:
         """The plan with the least of the first; among equally good ones,
         with little of the second.
         """
@@ -267,33 +253,37 @@ class _Sweep:
         alone: dict[str, float] = {self.first.name: 1.0}
         if self.second.name == "rate":  # inputs that jump have none: they shall not
             alone["rate"] = CONTINUOUS
-        plan = Planner(self.plant, self.stops, minimise=alone, **asked)()
-        one, two = self.first.value(plan), self.second.value(plan)
+        plan, one, two = found = self.point(
+            Planner(self.plant, self.stops, minimise=alone, **asked)()
+        )
         if not self.second.bounded or two <= 0 or one <= 0:
-            return plan
+            return found
         sizes = one / self.first.variable.nominal, two / self.second.variable.nominal
         weights = {self.first.name: 1.0, self.second.name: POLISH * sizes[0] / sizes[1]}
         try:
-            improved = Planner(self.plant, self.stops, minimise=weights, **asked)(guess=plan)
+            improved = self.point(
+                Planner(self.plant, self.stops, minimise=weights, **asked)(guess=plan)
+            )
         except PlanError:
-            return plan
-        better = self.second.value(improved) < 0.99 * two
-        return improved if better and self.first.value(improved) < one * 1.001 else plan
+            return found
+        better = improved[2] < 0.99 * two or improved[1] < 0.999 * one
+        return improved if better and improved[1] < 1.001 * one else found
 
-    def least_second(self, least: Plan, until: float | None) -> Plan:
+    def least_second(self, least: _Point, until: float | None) -> _Point:
         """The plan with the least of the second, as far as the first may go."""
-        most = None if until is None else require_positive("until", until)
+        first = self.first.variable
+        most = None if until is None else require_positive("until", until, first.unit)
         endless = self.first.name == "time" and self.second.name in ("effort", "rate")
         if most is None and endless:
-            most = SLOWEST * least.duration
-        if most is not None and most <= self.first.value(least):
+            most = SLOWEST * least[1]
+        if most is not None and most <= least[1]:
             raise InputError(
-                f"until = {self.first.variable.exactly(most)} is not more than the least of "
-                f"{self.first.name}, {self.first.variable.exactly(self.first.value(least))}"
+                f"until = {first.exactly(most)} is not more than the least of {self.first.name}, "
+                f"{first.exactly(least[1])}"
             )
         asked = self._with((self.first, most), (self.second, None))
         self.planner = Planner(self.plant, self.stops, minimise=self.second.name, **asked)
-        return self.planner(guess=least)
+        return self.point(self.planner(guess=least[0]))
 
     def second_under(self, most: float, near: Plan) -> Plan:
         """The least of the second with the first bounded."""
@@ -308,13 +298,11 @@ class _Sweep:
         for bound in counted(bounds, "plans of the front"):
             try:
                 near = self.second_under(bound, near)
+                found.append(self.point(near))
             except TimeIsUp:
                 failures.append((bound, f"{deadline()} was over"))
-                continue
             except PlanError as error:
                 failures.append((bound, str(error)))
-                continue
-            found.append(self.point(near))
         return found, failures
 
     def side_by_side(self, executor: Place, bounds: Sequence[float], last: Plan) -> _Points:
@@ -337,22 +325,25 @@ class _Sweep:
         return found, failures
 
     def point(self, plan: Plan) -> _Point:
-        """A plan, and both objectives of it."""
-        return plan, self.first.value(plan), self._second_of(plan)
-
-    def _second_of(self, plan: Plan) -> float:
-        """The second objective of any plan of the sweep."""
-        if self.second.bounded:
-            return self.second.value(plan)
-        assert self.planner is not None
-        assert plan._solved is not None  # a fresh plan
-        program = self.planner._program  # what it minimises, at this plan's unknowns
-        f = ca.Function("f", [program.nlp["x"], program.nlp["p"]], [program.nlp["f"]])
-        w = from_solution(program.problem, program.mesh, plan._solved.solution)
-        return float(f(w, program.parameters())) * self.second.variable.nominal
+        """A plan, and both objectives of it [SI], along the judge's integration: a program counts
+        work that it does not minimise as it pleases.
+        """
+        said, terms = plan._statement, (self.first, self.second)
+        assert said is not None  # a fresh plan
+        rest: dict[str, Any] = {"track": None, "integrand": None, "final": None}
+        alone = [replace(said, minimise=term.name, **rest) for term in terms]
+        values = objectives(plan.plant, alone, plan.motion)
+        one, two = (v * t.variable.nominal for v, t in zip(values, terms, strict=True))
+        if not np.isfinite(one + two):
+            raise PlanError(f"the plan of {plan.plant.name} is {plan.verdict}", plan)
+        return plan, one, two
 
     def result(self, found: Sequence[_Point], failures: Sequence[tuple[float, str]]) -> Pareto:
-        """The front, both objectives of each plan."""
+        """The front, both objectives of each plan; no other is to be preferred to one of it."""
+        values = np.array([both for _, *both in found])
+        kept = _front(values)
+        worse = "a plan of the front is no worse in either objective"
+        dropped = [(float(row[0]), worse) for i, row in enumerate(values) if i not in kept]
         variables = (self.first.variable, self.second.variable)
         named = [
             Variable(
@@ -364,8 +355,18 @@ class _Sweep:
             )
             for term, v in zip((self.first, self.second), variables, strict=True)
         ]
-        values = np.array([both for _, *both in found])
-        return Pareto(named[0], named[1], tuple(p for p, *_ in found), values, tuple(failures))
+        plans = tuple(found[i][0] for i in kept)
+        return Pareto(named[0], named[1], plans, values[kept], (*failures, *dropped))
+
+
+def _front(values: Array) -> list[int]:
+    """Those points (n, 2) to which no other is to be preferred, by the first value."""
+    kept: list[int] = []
+    for i in np.lexsort(values.T[::-1]).tolist():
+        least = values[kept[-1], 1] if kept else inf
+        if values[i, 1] < least - SAME * abs(least if kept else 0.0):
+            kept.append(i)
+    return kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -330,18 +330,39 @@ class _Task:
 
     def demand(self, found: Plan) -> Demand:
         """What plants are judged by under a plan's inputs."""
-        solved = found._solved
+        solved, legs = found._solved, self.nominal._problem
         assert solved is not None  # a fresh plan
-        problem = self.nominal._problem if self.all_within else None
-        peaks = solved.solution.peaks
+        assert legs is not None
+        problem = legs if self.all_within else None
+        ends = np.concatenate([[0.0], np.cumsum(found.durations)])
+        at = [int(np.argmin(np.abs(found.trajectory.t - end))) for end in ends]
+        stops, dwells = [(at[0], 1)], []
+        for leg, here, there in zip(legs.legs, at[:-1], at[1:], strict=True):
+            number = stops[-1][1]  # a dwell ends at the stop at which it begins
+            if leg.dwell:
+                dwells.append((slice(here, there + 1), number))
+            stops.append((there, number if leg.dwell else number % len(self.allowed) + 1))
         return Demand(
-            _bounded_stops(found, self.allowed), problem, solved.solution.durations, peaks
+            tuple((i, n, self.allowed[n - 1]) for i, n in stops if self.allowed[n - 1]),
+            tuple((s, n, self._strayed(n)) for s, n in dwells if self.allowed[n - 1]),
+            problem,
+            found.meshes[-1],
+            solved.solution,
         )
+
+    def _strayed(self, number: int) -> dict[str, float]:
+        """The spread that a dwell allows: what is held there may stray by ``within``."""
+        stop = self.stops[number - 1]
+        assert isinstance(stop, Stop)  # it has a dwell
+        return {
+            n: width + stop.within * self.plant.variable(n).nominal
+            for n, width in self.allowed[number - 1].items()
+        }
 
     def simulated(self, of: Plan, motion: Trajectory, draws: Sequence[Draw]) -> Spread:
         """The plants under the inputs of a plan."""
         own = self.plant.with_values(of.design)
-        at = [sample for sample, _, _ in _bounded_stops(of, self.allowed)]
+        at = [sample for sample, _, _ in self.demand(of).stops]
         ways: dict[str, Any] = {"cyclic": self.cyclic, "rest": self.rest}
         return spread_of(own, motion, draws, at, executor=self.executor, **ways)
 
@@ -452,21 +473,3 @@ def _stacked(ensemble: Ensemble, base: Plan, motion: Trajectory, cyclic: bool, r
     states = np.column_stack(columns)
     shown = replace(solution, t=motion.t, states=states)
     return replace(base, plant=ensemble, _solved=Solved(solved.program, solved.outcome, shown))
-
-
-def _bounded_stops(found: Plan, allowed: Sequence[Widths]) -> tuple[tuple[int, int, Widths], ...]:
-    """(sample of a plan, number of the stop from 1,
-    its widths) of stops whose spread is bounded.
-    """
-    problem = found._problem
-    assert problem is not None
-    stops = [0]
-    for leg in problem.legs:  # a dwell ends at the stop at which it begins
-        stops.append(stops[-1] if leg.dwell else (stops[-1] + 1) % len(allowed))
-    times = np.concatenate([[0.0], np.cumsum(found.durations)])
-    t = found.trajectory.t
-    return tuple(
-        (int(np.argmin(np.abs(t - at))), i + 1, allowed[i])
-        for at, i in zip(times, stops, strict=True)
-        if allowed[i]
-    )

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
@@ -19,9 +20,11 @@ from ...core.shown import shown
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...plants.plant import Plant
-from ..problem.problem import Leg, Problem
-from ..replay import values_along
+from ..problem.problem import Problem
+from ..replay import Check
 from ..result import Plan
+from ..transcription.mesh import Mesh
+from ..transcription.solution import Solution
 from .spread import Spread, drawn, spread_of
 
 if TYPE_CHECKING:
@@ -33,6 +36,8 @@ SLACK = 1e-3
 """By so much of nominal the plants planned for may miss by simulation what the plan promised."""
 TOLERANCE = 1e-3
 """By so much of nominal a plant may exceed a bound or path constraint and still keeps it."""
+LOOKS = 8
+"""Parts of each gap between two points of a plan in which limits are looked at."""
 ROUNDING = 1e-6
 """The same of a spread, as a part of it."""
 
@@ -42,15 +47,32 @@ class Demand:
     """What every plant is asked for under the inputs of one motion.
 
     stops : (sample of the motion, number of the stop from 1, {variable: largest deviation}).
+    dwells : the same of samples, along a dwell at a stop.
     problem : the nominal plant's, for bounds and path conditions along its legs; None to leave them
         out.
-    durations : of the legs [s]. peaks : as in :class:`Solution`.
+    mesh, solution : of the plan.
     """
 
     stops: tuple[tuple[int, int, Mapping[str, float]], ...]
+    dwells: tuple[tuple[slice, int, Mapping[str, float]], ...]
     problem: Problem | None
-    durations: Array
-    peaks: Array
+    mesh: Mesh
+    solution: Solution
+
+    @cached_property
+    def every(self) -> Problem | None:
+        """The problem with what every plant has to keep: peaks are the nominal plant's business, as
+        all of the objective, and what a dwell holds varies as the stop does.
+        """
+        problem = self.problem
+        if problem is None:
+            return None
+        legs = []
+        for leg, values in zip(problem.legs, problem.stops, strict=False):
+            path = leg.path[: len(leg.path) - len(values)] if leg.dwell else leg.path
+            kept = (c for c in path if not ca.depends_on(c.expression, problem.m))
+            legs.append(replace(leg, path=tuple(kept)))
+        return replace(problem, legs=tuple(legs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,22 +161,28 @@ class Share:
 def judged(spread: Spread, demand: Demand) -> Judged:
     """What the plants of a spread exceed."""
     columns: list[tuple[str, tuple[Variable, float] | None, Array, Array]] = []
-    for sample, stop, widths in demand.stops:
+    places: list[tuple[str, slice, Mapping[str, float]]] = [
+        *((f"stop {n}", slice(at, at + 1), widths) for at, n, widths in demand.stops),
+        *((f"dwell at stop {n}", along, widths) for along, n, widths in demand.dwells),
+    ]
+    for place, samples, widths in places:
         for name, width in widths.items():
-            deviation = spread.deviation(name)[:, sample]
+            along = spread.deviation(name)[:, samples]
+            farthest = np.argmax(np.abs(along), axis=1)[:, None]
+            deviation = np.take_along_axis(along, farthest, axis=1)[:, 0]
             variable = spread.plant.variable(name)
             excess = np.abs(deviation) / (width * (1 + ROUNDING)) - 1
-            columns.append((f"stop {stop}: {name}", (variable, width), excess, np.sign(deviation)))
-    if demand.problem is not None:
+            columns.append((f"{place}: {name}", (variable, width), excess, np.sign(deviation)))
+    if demand.every is not None:
         rows = [
-            {}
+            None
             if isinstance(motion, PamError)
-            else _violations(demand, spread.plant.with_values(draw), motion)
+            else _violations(demand, demand.every, spread.plant.with_values(draw), motion)
             for draw, motion in zip(spread.draws, spread.motions, strict=True)
         ]
-        labels = dict.fromkeys(label for row in rows for label in row)
+        labels = dict.fromkeys(label for row in rows if row is not None for label in row)
         for label in labels:
-            values = np.array([row.get(label, np.nan) for row in rows])
+            values = np.array([np.nan if row is None else row.get(label, 0.0) for row in rows])
             columns.append((label, None, values - TOLERANCE, np.ones(len(rows))))
     names, widths_of, excesses, signs = zip(*columns, strict=True)
     excess = np.column_stack(excesses)
@@ -203,48 +231,17 @@ def _quantile(values: Array, share: float) -> float:
     return float(np.sort(values)[count - 1])
 
 
-def _violations(demand: Demand, plant: Plant, motion: Trajectory) -> dict[str, float]:
+def _violations(
+    demand: Demand, problem: Problem, plant: Plant, motion: Trajectory
+) -> dict[str, float]:
     """{bound or path condition: how far it is exceeded along a motion, in units of nominal}."""
-    problem = demand.problem
-    assert problem is not None
-    ends = np.concatenate([[0.0], np.cumsum(demand.durations)])
-    found: dict[str, float] = {}
-    for i, leg in enumerate(problem.legs):
-        inside = (motion.t >= ends[i] - 1e-12) & (motion.t <= ends[i + 1] + 1e-12)
-        for label, value in _along(problem, leg, plant, motion, inside, demand.peaks):
+    states = motion.array([v.name for v in plant.states]).T
+    check = Check(problem, plant, demand.mesh, demand.solution, motion.t, states, 1, LOOKS)
+    found = dict.fromkeys([v.name for v in plant.states], 0.0)
+    found |= {c.label: 0.0 for leg in problem.legs for c in leg.path}
+    for beyond in check.along():
+        for label, value in beyond.items():
             found[label] = max(found.get(label, 0.0), value)
-    return found
-
-
-def _along(
-    problem: Problem,
-    leg: Leg,
-    plant: Plant,
-    motion: Trajectory,
-    inside: NDArray[np.bool_],
-    peaks: Array,
-) -> list[tuple[str, float]]:
-    """(label, largest excess in nominals) of the bounds of states and the path conditions
-    of a leg.
-    """
-    if not inside.any():
-        return []
-    found = []
-    for variable in plant.states:
-        low, high = leg.bounds[variable.name]
-        values = motion[variable.name][inside]
-        beyond = float(np.max(np.maximum(low - values, values - high)))
-        found.append((variable.name, beyond / variable.nominal))
-    # the peak of a variable is the nominal plant's business, as all of the objective
-    path = [c for c in leg.path if not ca.depends_on(c.expression, problem.m)]
-    if not path:
-        return found
-    x, u = (motion.array(motion.named(c))[inside].T for c in ("state", "input"))
-    given = problem.arguments(plant, motion.t[inside], x, u, peaks)
-    values = values_along(problem, plant, [c.expression for c in path], given)
-    for c, row in zip(path, values, strict=True):
-        beyond = float(np.max(np.maximum(c.low - row, row - c.high)))
-        found.append((c.label, beyond / c.nominal))
     return found
 
 
@@ -407,7 +404,8 @@ class RobustPlan:
             (sample, number, widths)
             for sample, (_, number, widths) in zip(spread.stops, self.demand.stops, strict=True)
         )
-        return float(judged(spread, replace(self.demand, stops=stops, problem=None)).kept.mean())
+        alone = replace(self.demand, stops=stops, dwells=(), problem=None)
+        return float(judged(spread, alone).kept.mean())
 
     @property
     def price(self) -> float:
@@ -437,6 +435,6 @@ class RobustPlan:
                     for s in both
                 )
                 lines.append(f"{name} {count:<{29 - len(name)}}{cells}   allowed {shown(width)}")
-            shares = "".join(f"{100 * self._within(s):>14.0f} %" for s in both)
+            shares = "".join(f"{100 * self._within(s):>14.3g} %" for s in both)
             lines.append(f"{'within at all stops':<30}{shares}")
         return "\n".join(lines)

@@ -38,11 +38,16 @@ def drawn(plant: Plant, draws: Sequence[Mapping[str, Any]]) -> tuple[dict[str, f
     found = []
     for draw in draws:
         values = draw.get("parameters", draw)
-        for name in values:
+        if values is not draw and len(draw) > 1:
+            others = ", ".join(sorted(set(draw) - {"parameters"}))
+            raise InputError(f"draws: a case holds {others}; only parameters can be drawn")
+        own = {}
+        for name, value in values.items():
             variable = plant.variable(name)
             if variable.causality != "parameter":
                 raise InputError(f"draws: {name} is {variable.kind}, not a parameter")
-        found.append({plant.variable(n).name: float(v) for n, v in values.items()})
+            own[variable.name] = variable.number(value, "draws")
+        found.append(own)
     if not found or not found[0]:
         raise InputError("draws is empty; give a list of {parameter: value}")
     if any(set(d) != set(found[0]) for d in found):
