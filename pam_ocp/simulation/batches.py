@@ -103,7 +103,7 @@ class Batch:
         for i, case in enumerate(self.cases):
             given = case.get("parameters")
             for name, value in given.items() if isinstance(given, Mapping) else ():
-                if _plain(value):
+                if plain(value):
                     found.setdefault(str(name), np.full(len(self), np.nan))[i] = float(value)
         return found
 
@@ -146,10 +146,11 @@ def _row(case: Case, names: tuple[tuple[str, str], ...]) -> list[float] | None:
         row = [case[key][name] for key, name in names]
     except (KeyError, TypeError):
         return None
-    return row if all(map(_plain, row)) else None
+    return row if all(map(plain, row)) else None
 
 
-def _plain(value: Any) -> bool:
+def plain(value: Any) -> bool:
+    """Whether a value is a number as it stands."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 

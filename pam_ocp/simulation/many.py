@@ -17,6 +17,7 @@ from ..core.errors import (
     SimulationError,
     kind_of,
     require_count,
+    require_finite,
     require_known_keywords,
     with_kinds,
 )
@@ -27,7 +28,7 @@ from ..core.shown import shown
 from ..core.stores import Store, folder_of
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
-from .batches import CASE_KEYS, Case, Keep, Numbers, Simulation, keep_of
+from .batches import CASE_KEYS, Case, Keep, Numbers, Simulation, keep_of, plain
 from .integrate import Integration
 from .kept import KeptNumbers, keep_numbers
 from .simulator import simulate
@@ -118,15 +119,19 @@ def draws(
     scale[scale == 0] = 1.0  # a constant stays one
     # in units of standard errors: the coefficients' sizes differ by many decades
     relative = matrix / np.outer(scale, scale)
+    wrong = InputError(
+        "covariance is none: it has to be symmetric, without negative eigenvalues; give that of a "
+        "fit, as fit.covariance"
+    )
+    if not np.allclose(relative, relative.T):  # NaN is not close to itself
+        raise wrong
     try:
         factor = np.linalg.cholesky(relative + 1e-14 * np.eye(len(scale)))
     except np.linalg.LinAlgError:
-        raise InputError(
-            "covariance is none: it has to be symmetric, without negative eigenvalues; give that "
-            "of a fit, as fit.covariance"
-        ) from None
+        raise wrong from None
     normal = np.random.default_rng(seed).standard_normal((count, len(scale)))
-    samples = np.array(list(values.values())) + (normal @ factor.T) * scale
+    means = [require_finite(f"values[{name!r}]", value) for name, value in values.items()]
+    samples = np.array(means) + (normal @ factor.T) * scale
     return [
         {"parameters": {prefix + n: float(v) for n, v in zip(values, row, strict=True)}}
         for row in samples
@@ -256,13 +261,13 @@ def simulate_many(
         if keep is not None:
             numbers = Loop(Numbers(work, keep_of(plant, keep)), placed(executor), count)
             drawn = cases if isinstance(cases, SobolCases) else None
-            given = _checked(cases)
+            given = _in_numbers(plant, _checked(cases), keep)
             return keep_numbers(numbers, given, place, chunk, progress, rows, until or {}, drawn)
         if not rows or until is not None:
             raise InputError("rows and until go with keep={...}")
         if place is not None:
             run = Loop(work, placed(executor), count, lost=SimulationError)
-            return store(run, _checked(cases), place, chunk, progress)
+            return store(run, _in_numbers(plant, _checked(cases)), place, chunk, progress)
         kept: list[Case] = []
         found = dict(
             ending(
@@ -296,5 +301,27 @@ def _checked(cases: Iterable[Case]) -> Iterator[Case]:
         if unknown:
             raise InputError(
                 f"case {number} holds {sorted(unknown)}; a case may hold {', '.join(CASE_KEYS)}"
+            )
+        yield case
+
+
+def _in_numbers(plant: Plant, cases: Iterable[Case], keep: Keep | None = None) -> Iterator[Case]:
+    """Cases with their parameters as numbers by their own names, as columns have them. What is none
+    fails in its simulation.
+    """
+    own = {v.name for v in plant.parameters}
+    for number, case in enumerate(cases):
+        given = case.get("parameters")
+        if isinstance(given, Mapping) and not all(n in own and plain(v) for n, v in given.items()):
+            with suppress(InputError):
+                variables = {n: plant.variable(n) for n in given}
+                found = {v.name: v.number(given[n]) for n, v in variables.items()}
+                if len(found) == len(given):
+                    case, given = {**case, "parameters": found}, found
+        both = set(keep or {}).intersection(given if isinstance(given, Mapping) else ())
+        if both:
+            raise InputError(
+                f"keep: {min(both)!r} is a parameter of case {number}, a column of its own; give "
+                "the number another name"
             )
         yield case

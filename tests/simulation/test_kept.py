@@ -340,10 +340,23 @@ def test_a_case_that_kills_its_worker_is_the_only_one_lost():
     assert np.isfinite(np.delete(kept["x"], 17)).all()
 
 
+def test_columns_of_parameters_are_numbers_by_their_own_names():
+    """Whatever units and names the cases have; a case that is none fails alone."""
+    plant = spring()
+    plant.parameter("mass.of_load", 1.0, unit="kg")
+    given = [{"mass.of_load": "500 g"}, {"mass_of_load": 2.0}, {"mass.of_load": "1 m"}]
+    cases = [{"parameters": each} for each in given]
+    kept = pam.simulate_many(plant, cases, keep={"x": "0 * x.final"}, t=T, executor=0)
+    assert kept["mass.of_load"] == pytest.approx([0.5, 2.0, np.nan], nan_ok=True)
+    assert "mass_of_load" not in kept.frame()
+    assert list(kept.failures) == [2]
+
+
 @pytest.mark.parametrize(
     ("given", "match"),
     [
         ({"keep": {}}, "keep = {}"),
+        ({"keep": {"mass": "x.final"}}, "'mass' is a parameter of case 0"),
         ({"keep": {"x": 3}}, "give words such as"),
         ({"keep": {"case": "x.final"}}, "no name for a column"),
         ({"keep": {"x": "y.final"}}, "unknown signal in keep.*known: .*spring.force"),
