@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -26,7 +27,7 @@ from ..judge.motion import TOLERANCE, Judgement, Motion, Verdict
 from ..judge.statement import Statement
 from ..numerics.collocation import collocation_matrices
 from ..plants.plant import Plant
-from .problem.formulation import formulate
+from .problem.formulation import DWELLING, formulate
 from .problem.problem import Problem
 from .problem.statement_data import data_of, statement_of
 from .replay import Replay
@@ -447,10 +448,17 @@ def _sensitivities(program: Program, outcome: Outcome) -> dict[str, float]:
 
 
 def _stop_sensitivities(program: Program, outcome: Outcome) -> dict[str, float]:
-    """{label of a condition at a stop: derivative of the objective by its value}."""
-    return {
-        condition.label: -float(push) / condition.nominal
-        for row, own in program.placed()
-        if row.kind == "stop"
-        for condition, push in zip(row.conditions, outcome.lam_g[own], strict=True)
-    }
+    """{label of a condition at a stop: derivative of the objective by its value}, which a dwell
+    holds from its beginning to its end.
+    """
+    found: dict[str, float] = {}
+    for row, own in program.placed():
+        if row.kind not in ("stop", "path"):
+            continue
+        stands = row.kind == "stop"
+        held = [stands or c.label.startswith(DWELLING) for c in row.conditions]
+        slopes = outcome.lam_g[own].reshape(-1, max(len(held), 1)).sum(axis=0)
+        for condition, push in compress(zip(row.conditions, slopes, strict=False), held):
+            label = condition.label.removeprefix(DWELLING)
+            found[label] = found.get(label, 0.0) - float(push) / condition.nominal
+    return found

@@ -332,6 +332,18 @@ def test_costates_are_the_slopes_of_the_optimal_value(slide):
         assert slope == pytest.approx(change / nominal, rel=1e-4, abs=1e-12)
 
 
+def test_the_slope_of_a_stop_with_a_dwell_is_that_of_both_legs():
+    """Least effort 12 d^2/T^3 of each leg, 1 m in 1 s, then 0.6 m in 0.8 s: its slope by where the
+    dwell is, 24 d/T^3 of both.
+    """
+    stops = [{"x": 0.0}, Stop({"x": 1.0}, dwell=0.1), {"x": 0.4}]
+    asked = {"minimise": "effort", "duration": [1.0, 0.8], "method": POLYNOMIAL}
+    plan = pam.plan(double_integrator(20.0), stops, **asked)
+    assert plan.objective == pytest.approx(12.0 + 12 * 0.36 / 0.512, rel=1e-6)
+    slopes = [plan.stop_sensitivities[f"stop {i}: x"] for i in (1, 2, 3)]
+    assert slopes == pytest.approx([-24.0, 24.0 + 14.4 / 0.512, -14.4 / 0.512], rel=1e-5)
+
+
 def test_a_plan_survives_a_file_and_another_process(slide, tmp_path):
     asked = {"cyclic": True, "method": Collocation(15, 4, "polynomial")}
     stops = [{"x": -0.015}, {"x": 0.015}]

@@ -128,6 +128,10 @@ def _in_si(plant: Plant, name: str, value: Any) -> Any:
     return variable.number(value, name) if is_quantity(value) else value
 
 
+DWELLING = "dwell at "
+"""What is held along a dwell is called this and the condition at its stop."""
+
+
 def _laid_out(
     plant: Plant,
     statement: Statement,
@@ -188,7 +192,7 @@ def _held(plant: Plant, conditions: Sequence[Condition], stop: Stop) -> list[Con
         margin = stop.within * condition.nominal
         held.append(
             Condition(
-                f"dwell at {condition.label}",
+                f"{DWELLING}{condition.label}",
                 condition.expression,
                 condition.low - margin,
                 condition.high + margin,
