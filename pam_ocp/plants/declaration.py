@@ -85,6 +85,7 @@ class Declaration:
         self._expressions: dict[str, ca.SX] = {}  # derivatives, outputs and constraints by name
         self._stated: dict[str, ca.SX] = {}  # the same as declared, with symbols for openings
         self._mirror: dict[str, tuple[float, str]] = {}
+        self._copies: frozenset[str] = frozenset()  # states of further specimens
         self._openings: tuple[Opening, ...] = ()
         self._flow_paths: tuple[FlowPath, ...] = ()
         self._shared: dict[str, tuple[Any, Any]] = {}

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 
 import casadi as ca
 
 from ..core.system import Scope
 from .plant import Plant
-from .stillness import Position
 
 Draw = Mapping[str, float]
-
-_COPY = re.compile(r"\.draw\d+$")
 
 
 class Ensemble(Plant):
@@ -28,7 +23,7 @@ class Ensemble(Plant):
 
     What differs in copy k is called ``NAME.draw<k>``, and ``NAME.deviation<k>`` its difference from
     the nominal; states that the draws do not touch (a regulator's pressure under a drawn force law)
-    are shared. Objectives see the nominal plant.
+    are shared. Objectives see the nominal plant, and rest at a stop is asked of it alone.
     """
 
     def __init__(
@@ -60,6 +55,7 @@ class Ensemble(Plant):
         for i, v in enumerate(self.nominal.states):
             if v.name in self.own:
                 named = replace(v, name=f"{v.name}.draw{k}")
+                self._copies |= {named.name}
                 inf = float("inf")
                 states[i] = self._declare(named if kept else replace(named, min=-inf, max=inf))
         drawn = self.draws[k - 1]
@@ -95,20 +91,6 @@ class Ensemble(Plant):
             variable.unit, variable.nominal, display_unit=variable.display_unit
         )
         scope.output(f"deviation{k}", here - there, f"of {name} in draw {k}")
-
-    @cached_property
-    def positions(self) -> dict[str, str]:
-        """The nominal plant's: rest at a stop is asked of it alone."""
-        return {x: v for x, v in super().positions.items() if not _COPY.search(x)}
-
-    def resting(self, named: Collection[str] = ()) -> tuple[Position, ...]:
-        """The nominal plant's."""
-        return tuple(q for q in super().resting(named) if not _COPY.search(q.name))
-
-    @property
-    def copies(self) -> frozenset[str]:
-        """The states of the draws."""
-        return frozenset(v.name for v in self.states if _COPY.search(v.name))
 
     # ---- what is said of the plant, said of the ensemble ---------------------------------------
     def images(self, name: str) -> list[str]:

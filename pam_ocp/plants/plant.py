@@ -88,6 +88,7 @@ class Travelling(Declaration):
             "openings": [(o.variable, o.commands) for o in self._openings],
             "carried": [tuple(c.name for c in o.carried) for o in self._openings],
             "paths": [(way.opening, way.way) for way in self._flow_paths],
+            **({"copies": sorted(self._copies)} if self._copies else {}),
         }
 
     def _travelling(self) -> ca.Function:
@@ -110,6 +111,7 @@ class Travelling(Declaration):
         Declaration.__init__(self, state["name"], state["description"])
         self._variables = {v.name: v for v in state["variables"]}
         self._mirror = state["mirror"]
+        self._copies = frozenset(state.get("copies", ()))
         self._delay_lines = state.get("delay_lines", ())
         symbols = {v.name: ca.SX.sym(v.name) for v in state["variables"]}
         self._symbols = {v.name: symbols[v.name] for c in CHANGEABLE for v in self._of(c)}
@@ -373,10 +375,12 @@ class Plant(Travelling):
 
     @cached_property
     def positions(self) -> dict[str, str]:
-        """{position: velocity} for the states whose derivative is itself a state (x' = v)."""
+        """{position: velocity} for the states whose derivative is itself a state (x' = v); those
+        of :attr:`copies` aside.
+        """
         self._finished()
         pairs = {}
-        for name in (v.name for v in self.states):
+        for name in (v.name for v in self.states if v.name not in self._copies):
             for other in (v.name for v in self.states):
                 if ca.is_equal(self._expressions[name], self._symbols[other]):
                     pairs[name] = other
@@ -393,12 +397,12 @@ class Plant(Travelling):
 
         ``named`` states come first where the equations leave a choice; see :mod:`.stillness`.
         """
-        return resting(self, named)
+        return tuple(q for q in resting(self, named) if q.name not in self._copies)
 
     @property
     def copies(self) -> frozenset[str]:
         """States of further specimens, of which nothing is asked but what a statement says."""
-        return frozenset()
+        return self._copies
 
     @property
     def mirror_map(self) -> dict[str, tuple[float, str]]:

@@ -89,6 +89,16 @@ def test_unseen_plants_are_only_simulated(robust):
     assert "unseen" in str(robust)
 
 
+def test_a_robust_plan_survives_a_file_and_another_process(robust, tmp_path):
+    """Rest at the stops is asked of the nominal plant alone there, too."""
+    stored = pam.load_plan(robust.plan.save(tmp_path / "robust.npz"))
+    assert stored.verified
+    assert stored.duration == robust.plan.duration
+    there, draws = pickle.loads(pickle.dumps(robust)), robust.unseen.draws[:2]
+    one, other = (each.judge(each.verify(draws)).excess for each in (robust, there))
+    assert other == pytest.approx(one, abs=1e-9)
+
+
 def test_pressures_that_all_plants_share_are_not_copied(plant, robust):
     names = [v.name for v in robust.plan.plant.states]
     assert sorted(n for n in names if ".draw1" in n) == ["v.draw1", "x.draw1"]

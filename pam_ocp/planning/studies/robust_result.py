@@ -173,11 +173,13 @@ def judged(spread: Spread, demand: Demand) -> Judged:
             variable = spread.plant.variable(name)
             excess = np.abs(deviation) / (width * (1 + ROUNDING)) - 1
             columns.append((f"{place}: {name}", (variable, width), excess, np.sign(deviation)))
-    if demand.every is not None:
+    problem = demand.every
+    if problem is not None:
+        values = {v.name: v.start for v in spread.plant.parameters}
         rows = [
             None
             if isinstance(motion, PamError)
-            else _violations(demand, demand.every, spread.plant.with_values(draw), motion)
+            else _violations(demand, problem, problem.plant.with_values({**values, **draw}), motion)
             for draw, motion in zip(spread.draws, spread.motions, strict=True)
         ]
         labels = dict.fromkeys(label for row in rows if row is not None for label in row)
@@ -359,6 +361,15 @@ class RobustPlan:
     """What every plant is judged by."""
     rounds: tuple[Round, ...]
     """The plans of the search in their order."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Symbols do not travel between processes; the nominal plan builds its problem anew."""
+        limited = self.demand.problem is not None
+        return {**self.__dict__, "demand": replace(self.demand, problem=None), "limited": limited}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        problem = state["nominal_plan"]._problem if state.pop("limited") else None
+        self.__dict__.update(state, demand=replace(state["demand"], problem=problem))
 
     @property
     def verified(self) -> bool:
