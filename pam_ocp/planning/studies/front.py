@@ -72,7 +72,7 @@ class Pareto:
     values: Array
     """(plans, 2) both objectives of each plan, in SI."""
     failures: tuple[tuple[float, str], ...] = ()
-    """(bound of the first objective, message) of points that were not found."""
+    """(bound of the first objective, message) of points that are not on the front."""
 
     @property
     def knee(self) -> int:
@@ -150,7 +150,8 @@ def pareto(
         least ``second``, so that it is the same wherever that is. Pays where a plan takes seconds.
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
-    points between that are not found stand in ``failures``.
+    points between that are not found stand in ``failures``, as do those that another is no worse
+    than in either objective. Values are those of the judge.
 
     Examples
     --------

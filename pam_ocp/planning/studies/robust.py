@@ -98,9 +98,9 @@ def robust_plan(
         plant. ``cyclic="mirrored"`` is refused: unequal muscles have no mirror image.
     draws : a function (count, seed) that gives so many draws {parameter: value}, or cases of
         :func:`pam_ocp.simulation.draws`, all of the same parameters; or a list of them, which are
-        then all planned
-        for. spread : {variable: largest deviation from the nominal plant} at every stop, in SI; or
-        a list with one of these, or None, per stop.
+        then all planned for.
+    spread : {variable: largest deviation from the nominal plant} at every stop, and all along its
+        dwell, in SI; or a list with one of these, or None, per stop.
     unseen : further draws, simulated only: a list, on which the share is judged, or a function as
         ``draws`` where ``draws`` is a list to begin with.
     share : part of all plants that shall keep the spread and (``all_within``) all limits. It is met
