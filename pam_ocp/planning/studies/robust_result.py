@@ -175,11 +175,11 @@ def judged(spread: Spread, demand: Demand) -> Judged:
             columns.append((f"{place}: {name}", (variable, width), excess, np.sign(deviation)))
     problem = demand.every
     if problem is not None:
-        values = {v.name: v.start for v in spread.plant.parameters}
+        own = {v.name: v.start for v in spread.plant.parameters}
         rows = [
             None
             if isinstance(motion, PamError)
-            else _violations(demand, problem, problem.plant.with_values({**values, **draw}), motion)
+            else _violations(demand, problem, problem.plant.with_values({**own, **draw}), motion)
             for draw, motion in zip(spread.draws, spread.motions, strict=True)
         ]
         labels = dict.fromkeys(label for row in rows if row is not None for label in row)
