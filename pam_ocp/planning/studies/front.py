@@ -151,7 +151,7 @@ def pareto(
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
     points between that are not found stand in ``failures``, as do those that another is no worse
-    than in either objective. Values are those of the judge.
+    than in either objective. Values are those of the judge, peaks those at the plan's points.
 
     Examples
     --------
@@ -327,14 +327,17 @@ class _Sweep:
 
     def point(self, plan: Plan) -> _Point:
         """A plan, and both objectives of it [SI], along the judge's integration: a program counts
-        work that it does not minimise as it pleases.
+        work that it does not minimise as it pleases. Peaks are bounded at the points of the plan.
         """
         said, terms = plan._statement, (self.first, self.second)
         assert said is not None  # a fresh plan
         rest: dict[str, Any] = {"track": None, "integrand": None, "final": None}
         alone = [replace(said, minimise=term.name, **rest) for term in terms]
         values = objectives(plan.plant, alone, plan.motion)
-        one, two = (v * t.variable.nominal for v, t in zip(values, terms, strict=True))
+        one, two = (
+            v * t.variable.nominal if t.peak is None else float(np.max(plan.trajectory[t.peak]))
+            for v, t in zip(values, terms, strict=True)
+        )
         if not np.isfinite(one + two):
             raise PlanError(f"the plan of {plan.plant.name} is {plan.verdict}", plan)
         return plan, one, two

@@ -241,7 +241,7 @@ def _violations(
     check = Check(problem, plant, demand.mesh, demand.solution, motion.t, states, 1, LOOKS)
     found = dict.fromkeys([v.name for v in plant.states], 0.0)
     found |= {c.label: 0.0 for leg in problem.legs for c in leg.path}
-    for beyond in check.along():
+    for beyond in check.along()[0]:
         for label, value in beyond.items():
             found[label] = max(found.get(label, 0.0), value)
     return found
