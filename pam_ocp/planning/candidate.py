@@ -452,14 +452,10 @@ def renewed(program: Program, problem: Problem, mesh: Mesh | None = None) -> Pro
 
 def on_mesh(problem: Problem, mesh: Mesh, known: Iterable[Program]) -> Program:
     """The program of a problem on a mesh, with the expressions of a known one where these are the
-    same: margins are limits, and no part of them. Intervals that share their rows have one margin.
+    same: margins are limits, and no part of them.
     """
     for program in known:
-        same = _structure(program.mesh) == _structure(mesh) and all(
-            mesh.intervals[k].watched == mesh.intervals[group.members[0]].watched
-            for group in program.groups
-            for k in group.members
-        )
+        same = _structure(program.mesh) == _structure(mesh)
         if same and same_form(program.problem, problem):
             return renewed(program, problem, mesh)
     return transcribe(problem, mesh)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import benchmark_slide, pushed, refused, scipy_states
 
+import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, PlanError, Stop
 from pam_ocp.planning.studies.robust import robust_plan
 from pam_ocp.plants.ensemble import Ensemble

@@ -71,8 +71,7 @@ def test_draws_have_the_covariance_asked_for():
     assert samples.mean(axis=0) == pytest.approx([1.0, 2e-6], abs=0.05, rel=0.02)
     assert np.cov(samples.T) == pytest.approx(covariance, rel=0.05)
     for none in ([[1.0, 0.5], [0.0, 1.0]], [[np.nan, 0.0], [0.0, 1.0]]):
-        with pytest.raises(InputError, match="has to be symmetric"):
-            pam.simulation.draws({"a": 1.0, "b": 1.0}, none, 2)
+        refused("has to be symmetric", pam.simulation.draws, {"a": 1.0, "b": 1.0}, none, 2)
 
 
 def test_a_case_with_a_wrong_key_is_refused(hanging):
