@@ -214,7 +214,7 @@ def test_a_folder_has_the_same_bits_by_any_way(tmp_path, needs_arrow):
 
 KILLED = """
 import os, signal, sys
-sys.path.insert(0, sys.argv[3])
+sys.path[:0] = [sys.argv[3], os.path.dirname(sys.argv[3])]
 from test_kept import SAID, masses, spring
 import pam_ocp as pam
 
