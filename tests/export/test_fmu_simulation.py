@@ -19,7 +19,9 @@ from pam_ocp.export.runner import Runner
 # ---- accuracy ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("step", [0.001, pytest.param(0.005, marks=pytest.mark.slow), 0.02])
+@pytest.mark.parametrize(
+    "step", [0.001, *(pytest.param(step, marks=pytest.mark.slow) for step in (0.005, 0.02))]
+)
 def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(fmus, step):
     plant = benchmark_slide()
     t, commands = bars_every(step, 30 * step)

@@ -162,6 +162,7 @@ def test_random_plants_move_as_simulate_says(jnp):
     assert count >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_random_plants_have_the_same_slopes_in_torch_and_onnx(tmp_path):
     torch, runtime = pytest.importorskip("torch"), pytest.importorskip("onnxruntime")

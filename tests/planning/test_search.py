@@ -302,6 +302,7 @@ def test_the_same_motion_in_commands_is_a_candidate_where_no_solver_gets_there(
     assert not any(s["name"] == "starts" for s in plan.statistics["stages"])
 
 
+@pytest.mark.slow
 def test_more_starts_are_never_worse_than_one() -> None:
     """The usual guess leads nowhere here, another one further than the other starts."""
     muscle, losses = pam.muscle("DMSP-20-400N"), (pam.losses.BoucWen(10.7, 0.0073),)

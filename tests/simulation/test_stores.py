@@ -75,7 +75,10 @@ def test_numbers_in_memory_of_fsspec(memory, tmp_path):
     check_kept("memory://bucket/numbers", tmp_path)
 
 
-@pytest.mark.parametrize("kind", ["dir", "pair", "arrow"])
+SLOW_PAIR = pytest.param("pair", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("kind", ["dir", SLOW_PAIR, "arrow"])
 def test_file_systems_are_taken_as_folders(kind, tmp_path):
     inner = tmp_path / "elsewhere"
     inner.mkdir()
