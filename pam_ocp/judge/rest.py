@@ -257,12 +257,17 @@ def begun(
     groups = [ca.vertcat(*(rates[i] for i in rows)) for rows in (before.kept, before.free)]
     limits = [c for c in limits if c.nominal]
     still, held = _still(plant, x, u, groups, limits, point.time)
-    found = list(before.left(still))
-    if not held.numel() or np.abs(before.slid_off(still)).max(initial=0.0) < STAYS:
+    off = before.memories_off(still)
+    found = list(before.left(still, off))
+    if not held.numel() or np.abs(off[before.slid]).max(initial=0.0) < STAYS:
         return found
+
+    def slid_off(u: Array) -> Array:
+        return before.memories_off(u)[before.slid]
+
     # a plant may be held by more inputs than one, and memories are left as they are by some alone
-    still, _ = _holding(plant, held, x, still, limits, point.time, before.slid_off)
-    either = found, list(before.left(still))
+    still, _ = _holding(plant, held, x, still, limits, point.time, slid_off)
+    either = found, list(before.left(still, before.memories_off(still)))
     return min(
         either, key=lambda each: max((off for _, off, said in each if not said), default=0.0)
     )
@@ -300,11 +305,16 @@ class _Before:
         columns = (tuple(memories), tuple(kept), tuple(free))
         return cls(plant, point, memory, x, frozenset(said), *columns)
 
-    def left(self, still: Array) -> Iterator[tuple[str, float, bool]]:
-        """What had not come to rest under these inputs."""
+    @property
+    def slid(self) -> list[int]:
+        """Which of the memories are no stores: those rest with all else."""
+        return [k for k, i in enumerate(self.memories) if i not in self.kept]
+
+    def left(self, still: Array, off: Array) -> Iterator[tuple[str, float, bool]]:
+        """What had not come to rest under these inputs; off : see :meth:`memories_off`."""
         plant, point, said, free = self.plant, self.point, self.said, self.free
         names = [v.name for v in plant.states]
-        yield from self._given(still)
+        yield from self._given(off)
         moving = not point.rest or any(n.startswith("der(") for n in point.stop.values)
         lags = [i for i in free if names[i] in settled_names(plant)] * (not point.rest)
         # what a stop names is as it says, wherever it goes; the rest has settled beside it, and
@@ -318,29 +328,25 @@ class _Before:
             if name not in plant.copies:
                 yield f"{point.label}: {name} as its surroundings leave it", off, name in said
 
-    def _given(self, still: Array) -> Iterator[tuple[str, float, bool]]:
+    def _given(self, off: Array) -> Iterator[tuple[str, float, bool]]:
         """Of totals, which begin at their start values, and of memories."""
-        off = dict(zip(self.memories, self.memories_off(still, self.memories), strict=True))
+        by = dict(zip(self.memories, off.tolist(), strict=True))
         for i, v in enumerate(self.plant.states):
             if v.name in totals(self.plant):
-                off[i] = (float(self.x[i]) - float(v.start or 0.0)) / v.nominal
-            if i in off and v.name not in self.plant.copies:
-                yield f"{self.point.label}: {v.name} at the start", abs(off[i]), v.name in self.said
+                by[i] = (float(self.x[i]) - float(v.start or 0.0)) / v.nominal
+            if i in by and v.name not in self.plant.copies:
+                yield f"{self.point.label}: {v.name} at the start", abs(by[i]), v.name in self.said
 
-    def memories_off(self, still: Array, memories: Sequence[int]) -> Array:
-        """By how much memories are above what rest under these inputs may have left."""
+    def memories_off(self, still: Array) -> Array:
+        """By how much each memory is above what rest under these inputs may have left."""
         found = []
-        for i in memories:
+        for i in self.memories:
             low = high = _remembered(self.plant, i, self.memory, self.x, still)
             if not isinstance(self.memory, Mapping):
                 low, high = sorted(_left(self.plant, i, low, self.x, still))
             here = float(self.x[i])
             found.append((here - np.clip(here, low, high)) / self.plant.states[i].nominal)
         return np.array(found, float)
-
-    def slid_off(self, still: Array) -> Array:
-        """The same of memories that are no stores: these rest with all else."""
-        return self.memories_off(still, [i for i in self.memories if i not in self.kept])
 
 
 def _remembered(

@@ -8,6 +8,7 @@ import pytest
 from conftest import judged_held, refused
 
 import pam_ocp as pam
+from pam_ocp.judge import Motion, Statement, judge
 
 
 def heated(**supply) -> pam.Plant:
@@ -158,3 +159,41 @@ def test_a_memory_that_cannot_be_is_refused(memory, words):
     rest = plant.equilibrium(x=0.02)
     inputs, stops = [rest["muscle.command"]], [{"x": 0.02}] * 2
     refused(words, judged_held, plant, rest.x, inputs, stops, memory=memory)
+
+
+def test_a_tank_that_drains_before_a_motion_is_no_rest():
+    """Level h' = -in, w' = in - out: with both ways open w stands, and the tank runs empty."""
+    plant = pam.Plant("tank")
+    tank = plant.state("tank", unit="Pa", start=5e5, min=0.0, max=1e6, nominal=1e5, memory="held")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    w = plant.state("w", unit="Pa", start=1e5, nominal=1e5)
+    fill, vent = (plant.input(n, min=0.0, max=1.0) for n in ("fill", "vent"))
+    flows = fill * (tank - w), vent * w
+    plant.der(tank, -flows[0])
+    plant.der(w, flows[0] - flows[1])
+    plant.der(x, v)
+    plant.der(v, 1e-5 * w - v - x)
+    leaky = [pam.Constraint(vent, low=0.5, name="leaky")]
+    start, stops = [5e5, 1.0, 0.0, 1e5], [{"x": 1.0}, pam.Stop({}, rest=False)]
+    judgement = judged_held(plant, start, [0.125, 0.5], stops, 0.1, constraints=leaky)
+    assert {f.label: f.by for f in judgement.findings}["stop 1: tank settled"] > 0.01
+
+
+@pytest.mark.parametrize(("slid", "fits"), [(0.3, 1), (1.0, 1), (1.3, 1), (1.5, 0), (-0.1, 0)])
+def test_a_memory_whose_envelope_grows_with_the_inputs_is_left_by_any_that_hold(slid, fits):
+    """v' = a - b - z, where z has come from below and was let down to its envelope c (a + b):
+    inputs of 0 to 4 hold the cart where z is between 0 and 8 c/(1 + c) = 1.33.
+    """
+    c, plant = 0.2, pam.Plant("cart")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s2")
+    a, b = (plant.input(name, unit="m/s2", min=0.0, max=4.0) for name in "ab")
+    z = plant.state("z", min=-2.0, max=2.0, memory="held")  # in 1 m/s2
+    plant.der(x, v)
+    plant.der(v, a - b - z)
+    beyond = ca.fmax(z - c * (a + b), 0) + ca.fmin(z + c * (a + b), 0)
+    plant.der(z, 10 * v - 20 * beyond)
+    lines = {name: ([0.0, 0.5], [2.0, 2.0]) for name in "ab"}  # the motion begins with others
+    motion = Motion.of(plant, {"x": 0.0, "z": slid}, lines, [0.5])
+    statement = Statement([{"x": 0.0}, {"x": 0.0}], memory="below", duration=0.5)
+    said = {f.label for f in judge(plant, statement, motion).findings if f.by > 1e-3}
+    assert ("stop 1: z at the start" not in said) == bool(fits)

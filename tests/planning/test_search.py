@@ -314,6 +314,12 @@ def test_more_starts_are_never_worse_than_one() -> None:
     assert four.objective <= one.objective * (1 + 1e-6)
 
 
+def at_the_end() -> tuple[Any, Any, Any]:
+    """(engine, continuation, a candidate of the user's own problem)."""
+    search = search_of(planner())
+    return search.engine, search.continuation, search._candidate(solved(planner()), 1.0)
+
+
 @pytest.mark.parametrize(
     ("reason", "cost", "taken"),
     [
@@ -327,9 +333,7 @@ def test_what_a_solver_had_where_its_work_ended_is_taken_where_it_is_worth_it(
     reason: str, cost: float, taken: bool, monkeypatch: Any
 ) -> None:
     """At the end of the path, and on a finer mesh: the motion next to where it stopped."""
-    search = search_of(planner())
-    engine, continuation = search.engine, search.continuation
-    c = search._candidate(solved(planner()), 1.0)
+    engine, continuation, c = at_the_end()
 
     def solve(
         program: Any, place: float, guess: Any, start: str, why: Any, warm: Any = None
@@ -356,9 +360,7 @@ def test_a_finer_mesh_that_costs_more_is_solved_by_short_steps_too(
     missed: float, finer: float, taken: float, monkeypatch: Any
 ) -> None:
     """Where the coarser mesh, off by ``missed`` in all, had resolved its motion."""
-    search = search_of(planner())
-    engine, continuation = search.engine, search.continuation
-    c = search._candidate(solved(planner()), 1.0)
+    engine, continuation, c = at_the_end()
     c.__dict__["errors"] = [missed]
 
     def solve(

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -343,40 +344,42 @@ def _watchdogs():
     return found
 
 
-def test_a_watchdog_that_is_killed_ends_the_run(plant):
+@contextmanager
+def watched(plant):
+    """A twin over UDP, and its armed rig, which a watchdog's process looks after."""
     twin = pam.rig.Twin(plant)
     with pam.rig.serve(twin, "udp") as served:
         guard = pam.rig.Guard(max_age=1.0, late=1.0, heartbeat=0.5)
         driver = pam.rig.driver(**served.address, timeout=0.2)
         with pam.Rig(driver, plant=plant, guard=guard) as rig:
             rig.arm()
-            looks = itertools.count()
+            yield twin, rig
 
-            def law(t, seen):
-                if next(looks) == 20:
-                    rig._watchdog._process.kill()
-                return {"muscle.command": 3e5}
 
-            with pytest.raises(pam.rig.RigError, match="watchdog's process has ended"):
-                pam.closed_loop(law, rig, duration=20.0)
-            assert not twin.armed
+def test_a_watchdog_that_is_killed_ends_the_run(plant):
+    with watched(plant) as (twin, rig):
+        looks = itertools.count()
+
+        def law(t, seen):
+            if next(looks) == 20:
+                rig._watchdog._process.kill()
+            return {"muscle.command": 3e5}
+
+        with pytest.raises(pam.rig.RigError, match="watchdog's process has ended"):
+            pam.closed_loop(law, rig, duration=20.0)
+        assert not twin.armed
 
 
 def test_a_rig_that_was_vented_runs_again_once_it_is_armed(plant):
-    twin = pam.rig.Twin(plant)
-    with pam.rig.serve(twin, "udp") as served:
-        guard = pam.rig.Guard(max_age=1.0, late=1.0, heartbeat=0.5)
-        driver = pam.rig.driver(**served.address, timeout=0.2)
-        with pam.Rig(driver, plant=plant, guard=guard) as rig:
-            rig.arm()
-            first = rig._watchdog._process
-            with pytest.raises(ZeroDivisionError):
-                rig.run(lambda t: 1 / 0, 0.1)
-            assert not rig.armed
-            rig.arm()
-            assert first.poll() is not None  # it would have gone on venting
-            assert rig.run(lambda t: {"muscle.command": 1e5}, 0.2).duration > 0.1
-            assert rig.armed
+    with watched(plant) as (_, rig):
+        first = rig._watchdog._process
+        with pytest.raises(ZeroDivisionError):
+            rig.run(lambda t: 1 / 0, 0.1)
+        assert not rig.armed
+        rig.arm()
+        assert first.poll() is not None  # it would have gone on venting
+        assert rig.run(lambda t: {"muscle.command": 1e5}, 0.2).duration > 0.1
+        assert rig.armed
 
 
 NOISY = """

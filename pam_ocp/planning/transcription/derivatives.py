@@ -124,16 +124,15 @@ class _Local:
 
     def function(self, name: str, value: ca.SX, more: list[ca.SX], count: int) -> ca.Function:
         """(given, more) -> the stored entries of ``value``, as one column; count : of intervals."""
-        arguments, results = [*self.given, *more], [stored(value)]
-        if name not in self.operations:
-            plain = ca.Function(name, arguments, results)
-            self.operations[name], self.functions[name] = plain.n_instructions(), plain
-        if count < MANY:
-            return self.functions[name]
-        shared = f"{name}_of_many"
-        if shared not in self.functions:
-            self.functions[shared] = ca.Function(name, arguments, results, {"cse": True})
-        return self.functions[shared]
+        key = f"{name}_of_many" if count >= MANY else name
+        if key not in self.functions:
+            arguments, results = [*self.given, *more], [stored(value)]
+            function = ca.Function(name, arguments, results)
+            self.operations[name] = function.n_instructions()
+            if count >= MANY:
+                function = ca.Function(name, arguments, results, {"cse": True})
+            self.functions[key] = function
+        return self.functions[key]
 
 
 _local = lru_cache(maxsize=32)(_Local.of)
