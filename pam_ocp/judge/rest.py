@@ -324,9 +324,9 @@ class _Before:
             for i, rate, far in zip(group, *_away(plant, self.x, still, group), strict=True):
                 as_stated = names[i] in said or (moving and i not in lags)
                 yield f"{point.label}: {names[i]} settled", max(rate, far), as_stated
-        for name, off in _unreached(plant, self.x, still):
+        for name, by in _unreached(plant, self.x, still):
             if name not in plant.copies:
-                yield f"{point.label}: {name} as its surroundings leave it", off, name in said
+                yield f"{point.label}: {name} as its surroundings leave it", by, name in said
 
     def _given(self, off: Array) -> Iterator[tuple[str, float, bool]]:
         """Of totals, which begin at their start values, and of memories."""
