@@ -331,6 +331,7 @@ def outside() -> int:
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None:
         level, frame = level + 1, frame.f_back
-        if frame.f_globals.get("__name__", "").partition(".")[0] != "pam_ocp":
+        package = frame.f_globals.get("__name__", "").partition(".")[0]
+        if package not in ("pam_ocp", "functools"):  # which stands between, in cached properties
             return level
     return 2

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,12 +29,12 @@ from ..plants.opening import WAYS
 from ..plants.plant import Plant
 from .candidate import Candidate, Engine, is_elsewhere
 from .mesh_sequence import MeshSequence
-from .problem.formulation import formulate
+from .problem.formulation import HOLDS, formulate
 from .problem.problem import Problem
 from .result import Solved
 from .solvers.ipopt import Start
 from .solvers.solver import PROJECTIONS, SETTLED
-from .transcription.guess import from_solution
+from .transcription.guess import from_solution, rest_point
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution, pack
 from .transcription.transcription import Program, is_nonsmooth
@@ -308,24 +309,45 @@ class ValveOpenings:
             return self.inversion.sent(self._openings(found.inputs(t)))
 
         sent: Any = commands  # all that is asked of the inputs is their values
-        return from_solution(problem, mesh, replace(found, inputs=sent))
+        same = replace(found, inputs=sent, peaks=self._peaks(problem, found))
+        return from_solution(problem, mesh, same)
 
     def in_commands(self, program: Program, found: Solved) -> Solved | None:
         """A solution in openings on the same mesh, as one of the program in commands: the same
-        motion, with the multipliers of its equations; None where inputs are not held, or the
-        equations are others.
+        motion, with the multipliers of its equations where there are as many; None where inputs
+        are not held.
         """
-        solution = found.solution
+        solution, lam = found.solution, found.outcome.lam_g
         held = solution.inputs.coefficients
-        rows = program.nlp["g"].numel()
-        if held.shape[1] > 1 or found.outcome.lam_g.size != rows:
+        if held.shape[1] > 1:
             return None
+        rows = program.nlp["g"].numel()
+        if lam.size != rows:  # filling and venting may each have an input, here or there
+            lam = np.zeros(rows)
         commands = self.inversion.sent(self._openings(held[:, 0]))
         inputs = PiecewisePolynomial(solution.inputs.breaks, commands[:, None])
-        same = replace(solution, inputs=inputs)
+        same = replace(solution, inputs=inputs, peaks=self._peaks(program.problem, solution))
         w = program.completed(pack(program.problem, program.mesh, same))
-        outcome = replace(found.outcome, w=w, lam_x=np.zeros(w.size))
+        outcome = replace(found.outcome, w=w, lam_g=lam, lam_x=np.zeros(w.size))
         return Solved(program, outcome, same)
+
+    def _peaks(self, problem: Problem, found: Solution) -> Array:
+        """Peaks in commands, and among them the commands that hold the plant where it begins."""
+        own, theirs = _holders(problem), _holders(self.problem)
+        peaks = np.ones(problem.m.numel())
+        others = np.setdiff1d(np.arange(len(peaks)), [*own.values()])
+        peaks[others] = np.delete(found.peaks, [*theirs.values()])
+        begin = dict(zip([v.name for v in problem.plant.states], found.states[0], strict=True))
+        point = (
+            rest_point(problem, dict[str, object](begin)) if own.keys() - theirs.keys() else None
+        )
+        for (stop, name), at in own.items():
+            if (stop, name) in theirs:
+                peaks[at] = found.peaks[theirs[stop, name]]
+            elif point is not None:
+                k = [v.name for v in problem.plant.inputs].index(name)
+                peaks[at] = point[1][k] / problem.plant.inputs[k].nominal
+        return peaks
 
     def _openings(self, inputs: Array) -> Array:
         """Columns of openings from those of their ways."""
@@ -338,6 +360,15 @@ class ValveOpenings:
                 filling, venting = (columns[f"{name}.{way}"] for way in WAYS)
                 found.append(filling - venting)
         return np.column_stack(found)
+
+
+def _holders(problem: Problem) -> dict[tuple[str, str], int]:
+    """{(stop, input): its place among the peaks} of what holds the plant."""
+    found = {}
+    for c in (c for node in problem.nodes for c in node if c.label.endswith(HOLDS)):
+        stop, name = c.label.removesuffix(HOLDS).split(": ", 1)
+        found[stop, name] = ca.which_depends(c.expression, problem.m, 1, False).index(True)
+    return found
 
 
 def _of_ways(bounds: dict[str, Any], openings: Plant, ways: Plant) -> dict[str, Any]:

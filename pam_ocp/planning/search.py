@@ -451,16 +451,19 @@ class Search:
         ]
 
     def _in_commands(self, opened: ValveOpenings, c: Candidate) -> Candidate | None:
-        """A candidate in openings as one in commands: the least there, or the same motion."""
+        """A candidate in openings as one in commands: the same motion, where it costs the same and
+        each opening has its command; else the least there from it.
+        """
         program = self.engine.program(c.mesh)
         sent = opened.in_commands(self.engine.smoothed(program, c.place), c.solved)
-        same = None if sent is None else replace(c, solved=sent, rounds=0)
-        if self._costly and same is not None:
-            self._take(same)
+        if sent is not None and self._costly:
+            return replace(c, solved=sent, rounds=0)
         guess = opened.guess(self.problem, c.mesh, c.solved.solution)
         why = ("valve openings", "back to commands")
         found = self.engine.solve(program, c.place, guess, "near", why)
-        return replace(c, solved=found, rounds=0) if found.outcome.success else same
+        if not found.outcome.success and sent is None:
+            return None
+        return replace(c, solved=found if found.outcome.success else sent, rounds=0)
 
     # ---- where no start leads anywhere ----------------------------------------------------------
     def _fallbacks(self) -> Iterator[Candidate]:

@@ -103,6 +103,34 @@ def test_a_point_of_rest_balances_the_springs_and_keeps_the_limits():
     assert rest_point(problem, {"u": 1.5})[0] == pytest.approx([0.0, 0.5], abs=1e-6)
 
 
+def test_closed_valves_rest_where_both_pulls_are_within_their_limits():
+    """v' = (p1 - 2) - (p2 - 3), both pulls at least zero; what a closed valve holds has no slope,
+    and of what a stop names too much may be said.
+    """
+    plant = pam.Plant("pair")
+    x, v = plant.state("x", unit="m", nominal=1.0), plant.state("v", unit="m/s", nominal=1.0)
+    pulls = []
+    for name, least in (("1", 2.0), ("2", 3.0)):
+        p = plant.state(f"p{name}", nominal=1.0, start=1.0, min=0.0, max=9.0)
+        u = plant.input(f"u{name}", min=-1.0, max=1.0, nominal=1.0)
+        plant.der(p, ca.fmax(u - 0.1, 0) * (9 - p) + ca.fmin(u + 0.1, 0) * p)
+        pulls.append(plant.constraint(f"pull{name}", p - least, min=0.0))
+    tank = plant.state("tank", nominal=1.0, start=5.0)
+    plant.der(tank, 5 - tank)
+    plant.der(x, v)
+    plant.der(v, pulls[0] - pulls[1])
+    stops = [{"x": 0.1}, {"x": 0.3}]
+    problem = formulate(plant, Statement(stops, duration=1.0, minimise="effort"))
+
+    def pressures(**named):
+        point = rest_point(problem, {"x": 0.1, "tank": 5.0} | named)
+        return None if point is None else point[0][2:4]
+
+    assert pressures() == pytest.approx([2.0, 3.0], abs=1e-6)
+    assert pressures(p1=2.5) == pytest.approx([2.5, 3.5], abs=1e-6)
+    assert pressures(p2=1.0) is None  # both would pull with -2
+
+
 def test_free_durations_start_at_their_usual_ones_within_their_range():
     def durations(duration, stretch=1.0):
         problem = formulate(geared(), Statement([{"x": 0.0}, {"x": 0.5}], duration=duration))

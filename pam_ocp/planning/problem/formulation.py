@@ -356,6 +356,10 @@ def _named_places(plant: Plant, stops: Sequence[Stop]) -> tuple[Position, ...]:
     )
 
 
+HOLDS = " that holds it"
+"""End of the label of an unknown that stands for an input where it holds the plant."""
+
+
 @dataclass
 class Holding:
     """How rest is asked for: what an input sets at once need not vanish before the stop.
@@ -402,7 +406,7 @@ class Holding:
             values.append(held)
             conditions.append(
                 Condition(
-                    f"{label}: {variable.name} that holds it",
+                    f"{label}: {variable.name}{HOLDS}",
                     held,
                     low,
                     high,

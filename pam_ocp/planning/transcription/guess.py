@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, combinations, pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -33,7 +33,11 @@ IDLE = 1e-6
 """Least change of a state's rate, in nominals per second and nominal of an input, to be influence.
 """
 AT_REST = 1e-5
-"""Rates [nominal/s] of an equilibrium, at most."""
+"""Rates [nominal/s] of an equilibrium, at most, and what it may miss of a limit [nominal]."""
+WITHIN = 1e-9
+"""Half width of ranges in place of the equations of rest: of equations there may be no more than
+unknowns, but what closed valves hold and a stop names is said twice, and has no slope.
+"""
 PLACES = 8
 """Parts of a way between two stops whose ends are equilibria."""
 LEVELS = 12
@@ -307,10 +311,10 @@ def _sampled(
 
 
 def rest_point(problem: Problem, stop: dict[str, object]) -> Point | None:
-    """(states, inputs) with which the plant rests at a stop, nearest to their start values; None
-    where none are found.
+    """(states, inputs) with which the plant rests at a stop in its limits, nearest to their start
+    values; None where none are found.
     """
-    plant = problem.plant
+    plant, path = problem.plant, problem.legs[0].path
     x, u = _node(problem, stop, balanced=True)
     rates = np.asarray(plant.function(x, u, plant.vector("parameter"))[0], float).ravel()
     kept = {*totals(plant), *(n for n in held_names(plant) if n in stop)}
@@ -318,7 +322,16 @@ def rest_point(problem: Problem, stop: dict[str, object]) -> Point | None:
         abs(rate) <= AT_REST * v.nominal or v.name in kept
         for rate, v in zip(rates, plant.states, strict=True)
     )
-    return (x, u) if still else None
+    values = problem.conditions("path", path)(x, u, *_others(problem)) if path else np.zeros(0)
+    low, high = limits(path) if path else (values, values)
+    missed = np.maximum(low - np.ravel(values), np.ravel(values) - high)
+    return (x, u) if still and np.all(missed <= AT_REST) else None
+
+
+def _others(problem: Problem) -> tuple[Any, ...]:
+    """What conditions ask for besides states and inputs, as it is before a motion."""
+    p, profiles = problem.plant.vector("parameter"), np.zeros(problem.r.numel())
+    return p, 0.0, profiles, np.array(problem.aims), np.ones(problem.m.numel())
 
 
 def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> Point:
@@ -343,21 +356,21 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> P
     state, given_input = z[: len(x)] * x_nominal, z[len(x) :] * u_nominal
     p = plant.vector("parameter")
     wanted = [plant.expression(n) / subject(plant, n)[0].nominal for n in known]
-    rest = (p, 0.0, np.zeros(problem.r.numel()), np.array(problem.aims), np.ones(problem.m.numel()))
+    others = _others(problem)
     low, high = limits(leg.path) if leg.path else (np.zeros(0), np.zeros(0))
     aims = np.array([value / subject(plant, n)[0].nominal for n, value in known.items()])
     # a memory that is given keeps what it holds; rounded, it may give up some of it
     kept = {n for n in held_names(plant) if n in known}
     free = [i for i, v in enumerate(plant.states) if v.name not in kept]
-    still = np.zeros(len(free))
+    equal = np.concatenate([np.zeros(len(free)), aims])
     box = np.array([leg.bounds[v.name] for v in (*plant.states, *plant.inputs)]) / scale[:, None]
     nlp = {
         "x": z,
         "f": ca.sumsqr(z - given),
         "g": ca.veccat(
             (plant.function(state, given_input, p)[0] / x_nominal)[free],
-            problem.function("wanted", wanted)(state, given_input, *rest),
-            problem.conditions("path", leg.path)(state, given_input, *rest),
+            problem.function("wanted", wanted)(state, given_input, *others),
+            problem.conditions("path", leg.path)(state, given_input, *others),
         ),
     }
     solver = nlpsol("balance", "ipopt", nlp, quiet_ipopt(max_iter=200))
@@ -365,8 +378,8 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> P
         x0=given,
         lbx=box[:, 0],
         ubx=box[:, 1],
-        lbg=np.concatenate([still, aims, low]),
-        ubg=np.concatenate([still, aims, high]),
+        lbg=np.concatenate([equal - WITHIN, low]),
+        ubg=np.concatenate([equal + WITHIN, high]),
     )
     if not solver.stats()["success"]:
         # from start values behind a clamp (a slack tendon) this finds nothing
