@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from .candidate import Candidate
 from .problem.problem import Problem, is_nonnegative
 from .settings import Settings
+from .solvers.solver import SETTLED
 from .transcription.mesh import (
     Interval,
     Mesh,
@@ -42,6 +43,8 @@ count.
 """
 UNSEEN = 2.0
 """Times as much may be gained as first-order gradients show."""
+LEAST_CAME = 0.1
+"""Of what gradients promised of the mesh before, at least: that nothing came may be luck."""
 
 
 class MeshSequence:
@@ -143,12 +146,13 @@ class MeshSequence:
         return [(mesh, f"objective may fall by {100 * self.gap(c):.2g} %")]
 
     def gap(self, c: Candidate) -> float:
-        """What finer meshes may gain, as a part of the objective: by the gradients, or by the
-        changes so far (Richardson), whichever is less.
+        """What finer meshes may gain, as a part of the objective: by the gradients, in so far as
+        they held before, or by the changes so far (Richardson), whichever is less.
         """
         if c.gap is not None:
             return c.gap
-        known = [v for v in (UNSEEN * self._left(c), self._extrapolated(c)) if np.isfinite(v)]
+        left = UNSEEN * self._left(c) * self._came(c)
+        known = [v for v in (left, self._extrapolated(c)) if np.isfinite(v)]
         if self._bounded:  # no more can be gained than there is
             known.append(c.objective / c.scale)
         return min(known) if known else float("inf")
@@ -156,6 +160,21 @@ class MeshSequence:
     def _left(self, c: Candidate) -> float:
         gained = c.gains
         return float("nan") if gained is None else float(gained.sum()) / c.scale
+
+    def _came(self, c: Candidate) -> float:
+        """How much came of what the gradients promised of the intervals that were split (an index
+        of effectivity), at most all; where both meshes' costs are at their least.
+        """
+        before, s = c.coarser, self.settings
+        if before is None or SETTLED in (c.solved.outcome.status, before.solved.outcome.status):
+            return 1.0
+        promised = s.marked * self._left(before)
+        if not promised > 0 or sum(before.errors) > s.resolved or before.place < 1.0:
+            return 1.0
+        if self.split(before.mesh, before.gains, s) != c.mesh:
+            return 1.0
+        came = (before.objective - c.objective) / c.scale / promised
+        return float(np.clip(came, LEAST_CAME, 1.0))
 
     @staticmethod
     def change(c: Candidate) -> float:
