@@ -273,7 +273,7 @@ class _Run:
             self._tell(StudyStep(name, entry.kind, "left out", said, False))
             return None
         for case in entry.cases:  # a sweep tells of those that failed
-            self.found.setdefault(case, {"numbers": {}, "files": {}})
+            self.found.setdefault(case, {"numbers": None, "files": {}})
         self.keys[name] = self._key(entry)
         found = self.found.get(name) or (None if self.fresh else self.kept.get(self.keys[name]))
         if found is not None:
@@ -413,14 +413,14 @@ def _remove_empty(folder: Path, top: Path) -> None:
 def work(
     entry: Entry,
     parts: Mapping[str, tuple[Entry, Mapping[str, bytes]]],
-    cases: Sequence[Mapping[str, Any]],
+    cases: Sequence[Mapping[str, Any] | None],
     folder: Path,
     allow_code: bool,
 ) -> dict[str, Any]:
     """Do a step: {files, numbers, verdict, good, sure, text, html, seconds, when}: plain data.
 
     parts : {key: the step that it names, and that step's files}. cases : numbers of a sweep's
-    cases. folder : of the study.
+    cases, None of those that failed. folder : of the study.
     """
     begin = time.perf_counter()
     with as_written(), tempfile.TemporaryDirectory(prefix="pam_ocp_") as place:
