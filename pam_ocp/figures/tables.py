@@ -97,11 +97,12 @@ def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
     """Numbers and texts of an object, those of its parts behind a dot."""
     found: dict[str, Any] = {}
     pairs: Iterator[tuple[str, Any]] = (
-        ((f.name, getattr(thing, f.name)) for f in fields(thing) if not f.name.startswith("_"))
+        ((n, getattr(thing, n)) for n in _names(thing))
         if is_dataclass(thing)
         else iter(thing.items() if isinstance(thing, Mapping) else ())
     )
-    for name, value in pairs:
+    for key, value in pairs:
+        name = f"{key:.6g}" if isinstance(key, float) else str(key)
         if isinstance(value, bool | int | float | str):
             found[f"{prefix}{name}"] = value
         elif isinstance(value, np.number | np.bool_):
@@ -111,6 +112,12 @@ def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
         elif isinstance(value, Mapping) and not prefix:
             found |= _flat(value, f"{name}.")
     return found
+
+
+def _names(thing: Any) -> list[str]:
+    """Its fields, and the figures that its class derives from them."""
+    own = [f.name for f in fields(thing) if not f.name.startswith("_")]
+    return [*own[:1], *getattr(type(thing), "_figures", ()), *own[1:]]
 
 
 # ---- out of it -----------------------------------------------------------------------------------

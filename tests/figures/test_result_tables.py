@@ -121,3 +121,17 @@ def test_interactive_panels_hold_the_motion_in_display_units(load_motion):
     drawn = {trace.name: trace for trace in figure.data}
     assert np.allclose(drawn["x"].y, 1e3 * load_motion["x"])
     assert np.allclose(drawn["muscle.command"].y, 3.0)
+
+
+def test_a_ranking_in_tables_has_what_it_is_ranked_by(static_fit, tmp_path):
+    found = pam.compare_laws(static_fit.table, ["three-element", "geometric", "polynomial-1-3"])
+    assert found.laws[-1].problem  # of the one whose constants are not known
+    frame = found.to_pandas()
+    rows = list(csv.DictReader(found.save(tmp_path / "laws.csv").open()))
+    for law, row, (_, line) in zip(found.laws, rows, frame.iterrows(), strict=True):
+        for name in ("parameters", "rmse", "aic", "bic", "left_out_rmse"):
+            value = getattr(law, name)
+            assert line[name] == pytest.approx(value, nan_ok=True)
+            assert float(row[name]) == pytest.approx(value, nan_ok=True)
+    assert not any(len(head) > len("left_out.0.123456") for head in frame.columns)
+    assert [a.get_xlabel() for a in found.plot().axes][:2] == ["parameters", "rmse"]
