@@ -135,6 +135,10 @@ class LimitCycle:
             )
         return text
 
+    def plot(self) -> Figure:
+        """A period over time."""
+        return self.trajectory.plot()
+
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portrait: rate over state."""
         return courtesy.plot_phase(
