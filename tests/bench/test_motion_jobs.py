@@ -195,3 +195,17 @@ def test_a_stop_more_or_less_leaves_the_other_legs_their_times(cyclic):
         less = [s for s in stops if s != stops[i]]
         after = named(less, legs_without(times, i, cyclic))
         assert after == {leg: before.get(leg) for leg in after}
+
+
+def test_a_report_has_all_motions_whatever_their_names(state, motion, tmp_path):
+    motions = [
+        {**motion, "id": f"motions{i}", "name": name, "durations": [0.05 + 0.01 * i]}
+        for i, name in enumerate(("Plant", "swing", "swing"), start=1)
+    ]
+    world = World(tmp_path, {**state, "motions": motions})
+    (tmp_path / "files").mkdir()
+    page = tmp_path / "exports" / export_jobs.report(say, world, "")["file"]
+    text = page.read_text("utf-8")
+    assert all(f"{t} s</td>" in text for t in ("0.06", "0.07", "0.08"))
+    assert "swing (2)" in text
+    assert "AntagonisticSlide antagonistic_slide" in text or "antagonistic_slide: " in text

@@ -10,7 +10,8 @@ import shutil
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -158,9 +159,9 @@ def report(say: Say, world: World, title: str) -> dict[str, Any]:
         things["Operating point"] = point_of(world, plant)
     for i, motion in enumerate(state["motions"]):
         say(i / (len(state["motions"]) + 1), motion["name"])
-        things[motion["name"]] = plan_of(world, motion)
+        things[_unlike(motion["name"], things)] = plan_of(world, motion)
     for said in state["controllers"] if state["point"] else ():
-        things[f"Run of {said['name']}"] = loop_of(world, said).trajectory
+        things[_unlike(f"Run of {said['name']}", things)] = loop_of(world, said).trajectory
     shown = {k: v for k, v in things.items() if hasattr(v, "_repr_html_")}
     path = write_report(
         world.exported("report.html"),
@@ -169,6 +170,12 @@ def report(say: Say, world: World, title: str) -> dict[str, Any]:
         sources=sources,
     )
     return _made(path)
+
+
+def _unlike(name: str, others: Container[str]) -> str:
+    """A heading that no other has: users may give one name twice."""
+    numbered = (f"{name} ({i})" for i in count(2))
+    return name if name not in others else next(n for n in numbered if n not in others)
 
 
 @job("One page")
