@@ -205,7 +205,8 @@ def is_of_now(state: State, said: Mapping[str, Any]) -> bool:
     """Whether an exported file is made of what the session says now; those of before that was
     noted are taken to be.
     """
-    return said.get("of", made_of_export(state, said)) == made_of_export(state, said)
+    now = made_of_export(state, said)
+    return bool(said.get("of", now) == now)
 
 
 def own_plants(folder: Path) -> dict[str, str]:

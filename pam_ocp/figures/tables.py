@@ -96,7 +96,7 @@ def _columns(thing: Any) -> dict[str, Any]:
 def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
     """Numbers and texts of an object, those of its parts behind a dot."""
     found: dict[str, Any] = {}
-    pairs: Iterator[tuple[str, Any]] = (
+    pairs: Iterator[tuple[Any, Any]] = (
         ((n, getattr(thing, n)) for n in _names(thing))
         if is_dataclass(thing)
         else iter(thing.items() if isinstance(thing, Mapping) else ())

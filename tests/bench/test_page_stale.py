@@ -160,3 +160,27 @@ def test_an_exported_file_of_earlier_values_says_so(hand, server):
     assert "checked: all well" not in hand.text
     hand.press("Run it and compare")
     hand.until(lambda: "There are no figures yet" in hand.text)
+
+
+def test_a_motion_of_another_arrangement_is_planned_anew_or_says_why_not(hand, server):
+    begin(hand)
+    new_motion(hand)
+    tab(hand, "Plant")
+    hand.choose("Arrangement", "HangingLoad")
+    tab(hand, "Motion")
+    hand.until(lambda: "no plan: stop 1: x = -9 mm is outside the stroke" in hand.text)
+    assert duration_shown(hand) is None
+    retype(hand, "x", "10")
+    hand.sees("planning")
+    hand.until(lambda: duration_shown(hand), "a plan")
+    at = [{"x": s["at"]} for s in motion_of(server, hand)["stops"]]
+    assert [s["x"] for s in at] == pytest.approx([0.010, 0.009])
+    own = pam.plan(pam.HangingLoad("DMSP-20-300"), at, time_limit=120.0)
+    hand.until(lambda: duration_shown(hand) == pytest.approx(own.duration, rel=1e-4))
+    tab(hand, "Plant")
+    hand.choose("Arrangement", "AntagonisticJoint")
+    tab(hand, "Motion")
+    hand.sees("Motion 1 moves x or bounds what antagonistic_joint does not have")
+    assert duration_shown(hand) is None
+    assert empty(hand, "Curves of the plan over time")
+    assert "unknown variable" not in hand.text

@@ -79,12 +79,16 @@ class Motion(Members):
         self._hand = None
         self._show()
         motion = self.at_hand
-        if motion is None:
+        if motion is None or self.state["muscle"] is None:
+            return
+        plant = self._plant()
+        if not self._can_do(motion, plant):
             return
         if self._made_of.get(motion["id"]) != self._key(motion):
             self.bench.soon(self._plan())
         for other in self._compared(motion):
-            if self._made_of.get(other["id"]) != self._key(other):
+            known = self._made_of.get(other["id"]) == self._key(other)
+            if not known and self._can_do(other, plant):
                 self.bench.soon(self._plan_other(other["id"]))
 
     def _plant(self) -> Plant:
@@ -92,6 +96,13 @@ class Motion(Members):
 
     def _key(self, motion: Said) -> Any:
         return copy.deepcopy(made_of_plan(self.state, motion))
+
+    @staticmethod
+    def _can_do(motion: Said, plant: Plant) -> bool:
+        """Whether the plant has what the motion moves and bounds."""
+        names = {motion["variable"], motion["second"] or motion["variable"]}
+        names |= {b["name"] for b in motion["bounds"]}
+        return names <= {v.name for v in plant.variables}
 
     def _is_of_now(self, motion: Said) -> bool:
         """Whether the plan that is known of a motion is that of what is said now."""
@@ -116,12 +127,11 @@ class Motion(Members):
             if motion is None:
                 self._clear()
                 return
-            known = {v.name for v in plant.variables}
-            if not {motion["variable"], motion["second"] or motion["variable"]} <= known:
+            if not self._can_do(motion, plant):
                 self._clear()
                 self._verdict.say(
-                    f"{motion['name']} moves {motion['variable']}, which {plant.name} does not "
-                    "have: begin a new motion"
+                    f"{motion['name']} moves {motion['variable']} or bounds what {plant.name} "
+                    "does not have: begin a new motion"
                 )
                 return
             rows[1] = self._stop_rows(motion, plant)
@@ -497,13 +507,8 @@ class Motion(Members):
                 el.note("No plan yet.")
                 return
             rows = []
-            plant = self._plant()
-            for name in self._told[shown[0]["id"]]["figures"]:
-                row = []
-                for m in shown:
-                    value = self._told[m["id"]]["figures"].get(name)
-                    row.append("" if value is None else with_unit(plant, name, value))
-                rows.append([name, *row])
+            for name in self._told[shown[0]["id"]]["shown"]:
+                rows.append([name, *[self._told[m["id"]]["shown"].get(name, "") for m in shown]])
             rows.append(["found in", *[f"{self._told[m['id']]['seconds']:.3g} s" for m in shown]])
             heads = [m["name"] + ("" if self._is_of_now(m) else ", before") for m in shown]
             el.table(["figure", *heads], rows, label="Figures of the plans")
@@ -613,11 +618,3 @@ def style(name: str, k: int) -> tuple[str, str]:
         colour = look.COLOURS[(int(number) - 1 if number.isdigit() else 0) % len(look.COLOURS)]
         return colour, "dot" if name.endswith(".command") else "solid"
     return look.colour(k + 2), "solid"
-
-
-def with_unit(plant: Plant, name: str, value: float) -> str:
-    if name == "duration":
-        return f"{1e3 * value:.5g} ms"
-    if name.startswith("max("):
-        return plant.variable(name[4:-1]).shown(value)
-    return f"{value:.4g}"
