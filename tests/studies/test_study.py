@@ -686,3 +686,10 @@ def test_cases_of_a_sweep_that_failed_are_counted_and_say_why(tmp_path, workers)
         stiffness = result["rest[some 1]"].numbers["stiffness"][0]
         own = math.sqrt(stiffness / 5.0) / (2 * math.pi)
         assert result["rest[some 1]"].numbers["frequency1"][0] == pytest.approx(own, rel=1e-6)
+
+
+def test_an_unknown_number_is_told_alike_by_a_worker(tmp_path):
+    """The error itself crosses; what cannot be read again breaks a pool of processes."""
+    (tmp_path / "study.toml").write_text(FAILING.replace('"frequency1"', '"frequency"', 1))
+    said = [run(tmp_path, workers=n, fresh=True)["some"].verdict for n in (1, 2)]
+    assert said[0] == said[1] == "unknown number of rest 'frequency': did you mean 'frequency1'?"
