@@ -137,7 +137,8 @@ class LimitCycle:
 
     def plot(self) -> Figure:
         """A period over time."""
-        return self.trajectory.plot()
+        figure: Figure = self.trajectory.plot()
+        return figure
 
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portrait: rate over state."""
