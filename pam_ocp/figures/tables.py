@@ -14,7 +14,7 @@ from ..core.errors import InputError, kind_of, require_instance
 from ..core.files import atomic_path, write_json
 from ..core.interrupts import interruptible
 from ..core.lazy import library
-from .canvas import COLOURS, new_figure
+from .canvas import COLOURS, caption, new_figure
 from .sheets import SHEETS, Grid, cell_text, number_in, sheet_of
 
 if TYPE_CHECKING:
@@ -207,11 +207,12 @@ def plot_table(thing: Any) -> Figure:
     units = [r[table.head.index("unit")] for r in rows] if "unit" in table.head else []
     if units:
         labels = [f"{n} [{unit}]" for n, unit in zip(labels, units, strict=True)]
-    numbers = [
+    every = [
         j
         for j in range(len(table.head))
         if j not in named and any(_finite(r[j]) for r in rows) and len(rows) > 0
-    ][:MOST_PANELS]
+    ]
+    numbers = every[:MOST_PANELS]
     if not numbers:
         raise InputError(f"{type(thing).__name__} holds no column of numbers to draw; print it")
     size = (3.0 + 2.2 * len(numbers), 1.4 + 0.28 * len(rows))
@@ -236,7 +237,15 @@ def plot_table(thing: Any) -> Figure:
         ax.set_xlabel(words)
         ax.set_yticks(range(len(rows)), labels if first(ax) else [""] * len(rows))
         ax.invert_yaxis()
+    caption(axes[0][0], title=_left_out(len(table.rows), len(rows), len(every), len(numbers)))
     return figure
+
+
+def _left_out(rows: int, shown: int, columns: int, panels: int) -> str:
+    """What a picture says of a table that is larger."""
+    parts = [f"{shown} of {rows} rows"] if shown < rows else []
+    parts += [f"{panels} of {columns} columns"] if panels < columns else []
+    return f"the first {', '.join(parts)}" if parts else ""
 
 
 def _finite_or_none(cell: Any) -> Any:

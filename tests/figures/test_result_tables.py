@@ -11,7 +11,7 @@ import pytest
 from conftest import refused
 
 import pam_ocp as pam
-from pam_ocp.figures.tables import save_result
+from pam_ocp.figures.tables import plot_table, save_result
 
 METHODS = ("plot", "report", "save", "to_excel", "to_pandas")
 
@@ -135,3 +135,19 @@ def test_a_ranking_in_tables_has_what_it_is_ranked_by(static_fit, tmp_path):
             assert float(row[name]) == pytest.approx(value, nan_ok=True)
     assert not any(len(head) > len("left_out.0.123456") for head in frame.columns)
     assert [a.get_xlabel() for a in found.plot().axes][:2] == ["parameters", "rmse"]
+
+
+def test_a_picture_of_a_long_table_says_what_it_leaves_out():
+    @dataclass
+    class Part:
+        a: float
+
+    @dataclass
+    class Found:
+        parts: tuple[Part, ...]
+
+    for count, title in ((40, ""), (41, "the first 40 of 41 rows")):
+        figure = plot_table(Found(tuple(Part(float(i)) for i in range(count))))
+        assert figure.axes[0].get_title(loc="left") == title
+        assert len(figure.axes[0].patches) == 40
+        plt.close(figure)
