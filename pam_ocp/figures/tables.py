@@ -29,8 +29,8 @@ _BY_COLUMN = {"ForceTable"}
 
 
 def table_of(thing: Any) -> Grid:
-    """The table of a result: the largest that it shows in a notebook; else its parts, if it is made
-    of several; else its own numbers.
+    """The table of a result: the largest that it shows in a notebook; else the rows that it names
+    (``_table_rows``), or its parts, if it is made of several; else its own numbers.
 
     Values are as the object has them: SI, but for what stands in units in the notebook's table.
     """
@@ -39,7 +39,8 @@ def table_of(thing: Any) -> Grid:
         grid = max(sheet_of(thing).grids, key=lambda g: len(g.rows), default=None)
         if grid is not None:
             return Grid(grid.head, tuple(tuple(map(number_in, row)) for row in grid.rows))
-    rows = _cases(thing) or [_flat(p) for p in _parts(thing)]
+    own = getattr(thing, "_table_rows", None)
+    rows = own() if own else _cases(thing) or [_flat(p) for p in _parts(thing)]
     if rows:
         heads = tuple(dict.fromkeys(n for row in rows for n in row))
         if heads:
