@@ -314,14 +314,20 @@ class Slider(Component, component=STATIC / "slider.js"):
     def __init__(self, said: Slide) -> None:
         super().__init__()
         self._props.update(label=said.label, low=said.low, high=said.high, unit=said.unit)
-        self._props.update(log=said.log, seen=0, title=said.hint or said.label)
+        self._props.update(log=said.log, seen=0, heard=0, title=said.hint or said.label)
 
         def moved(event: Any) -> None:
             self._slide(float(event.args))
             self.set(seen=self._props["seen"] + 1)  # the next may come
 
+        def settled(event: Any) -> None:
+            try:
+                self._settle(float(event.args))
+            finally:
+                self.set(heard=self._props["heard"] + 1)  # what was not taken is taken back
+
         self.on("slide", moved)
-        self.on("settle", lambda event: self._settle(float(event.args)))
+        self.on("settle", settled)
 
     def show(
         self, value: float, act: tuple[Callable[[float], Any], Callable[[float], Any]]

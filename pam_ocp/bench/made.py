@@ -192,6 +192,23 @@ def made_of_loop(state: State, controller: Mapping[str, Any] | None) -> list[Any
     return [{k: state[k] for k in ("plant", "muscle", "point")}, controller]
 
 
+def made_of_export(state: State, said: Mapping[str, Any]) -> list[Any]:
+    """All that an exported file depends on, and what it is held against."""
+    part = "controllers" if said["kind"] == "c" else "motions"
+    id = said["controller"] if said["kind"] == "c" else said["motion"]
+    member = next((m for m in state[part] if m["id"] == id), None)
+    point = state["point"] if said["kind"] == "c" or not said["motion"] else {}
+    return [state["muscle"], state["plant"], point, member]
+
+
+def is_of_now(state: State, said: Mapping[str, Any]) -> bool:
+    """Whether an exported file is made of what the session says now; those of before that was
+    noted are taken to be.
+    """
+    now = made_of_export(state, said)
+    return bool(said.get("of", now) == now)
+
+
 def own_plants(folder: Path) -> dict[str, str]:
     """{FILE.py:NAME: words}: what Python files of the session name at their top. None is run.
 

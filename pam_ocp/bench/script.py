@@ -401,12 +401,20 @@ def platforms_of(said: Mapping[str, Any]) -> list[str] | None:
     return PLATFORMS[said.get("platforms", "native")][1] or None
 
 
+def exports_of(state: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The exports whose motion or controller is still there."""
+    there = {"", *(m["id"] for m in state["motions"])}
+    if state["point"]:
+        there |= {c["id"] for c in state["controllers"]}
+    return [e for e in state["exports"] if {e["motion"], e.get("controller", "")} <= there]
+
+
 def export_lines(state: Mapping[str, Any]) -> list[str]:
     """Each FMU with its check, each SSP."""
     lines: list[str] = []
     if state["muscle"] is None:
         return lines
-    for said in state["exports"]:
+    for said in exports_of(state):
         id, motion = said["id"], said["motion"]
         if said["kind"] == "fmu":
             made = call(

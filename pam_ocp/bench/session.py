@@ -243,8 +243,10 @@ class Session:
         self.change(label, **{part: [m for m in self.state[part] if m.get("id") != id]})
 
     def fresh_id(self, part: str) -> str:
-        """An id that no member of this list has had since the page began to count: "data3"."""
-        ids = (re.fullmatch(rf"{part}(\d+)", str(m["id"])) for m in self.state[part])
+        """An id that no member of this list has or, as far as undo goes, has had: "data3"."""
+        steps = (state for _, state in (*self._past, *self._future))
+        members = (m for state in (self.state, *steps) for m in state[part])
+        ids = (re.fullmatch(rf"{part}(\d+)", str(m["id"])) for m in members)
         return f"{part}{max((int(i[1]) for i in ids if i), default=0) + 1}"
 
     # ---- files ---------------------------------------------------------------------------------

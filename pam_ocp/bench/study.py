@@ -14,7 +14,15 @@ from ..studies.steps.measured import TableStep
 from .jobs.control import law_arguments
 from .jobs.export import STEPS, TOLERANCE
 from .made import World, muscle_of, plant_of, point_of
-from .script import METHODS, arguments, can_be_pushed, platforms_of, pushed, run_keywords
+from .script import (
+    METHODS,
+    arguments,
+    can_be_pushed,
+    exports_of,
+    platforms_of,
+    pushed,
+    run_keywords,
+)
 
 MUSCLE_FILE = "muscle.toml"
 """Beside the study, where no step makes the muscle."""
@@ -40,7 +48,7 @@ def study_of(world: World, title: str = "") -> str:
             steps[motion["id"]] = {"kind": "plan", "plant": "plant", **_plan(motion)}
         if state["point"] and state["controllers"]:
             steps |= _controllers(world, plant_of(world), muscle)
-        for said in state["exports"]:
+        for said in exports_of(state):
             steps |= _exported(said, state)
     content = {"title": title or "A session of pam-ocp bench", "steps": steps}
     return tomli_w.dumps(content)

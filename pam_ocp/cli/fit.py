@@ -42,7 +42,7 @@ from .command import (
     pairs,
     several,
 )
-from .options import ALLOW_CODE
+from .options import ALLOW_CODE, from_here
 from .output import coefficients, deliver, picture, tell, wrote
 
 if TYPE_CHECKING:
@@ -202,14 +202,14 @@ def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
         study["noise"] = pairs("--noise", options.noise)
     described = study.get("plant", options.plant)
     if isinstance(described, Mapping):
-        changed = {"muscle": _from_here(options.muscle)} if options.muscle else {}
+        changed = {"muscle": from_here(options.muscle)} if options.muscle else {}
         plant = plant_of({**described, **changed}, "plant", folder, allow_code=options.allow_code)
     elif described == options.plant and options.plant.endswith(".toml"):
         raise InputError(
             f"{options.plant} describes no plant: give a [plant] table, or plant = NAME"
         )
     else:
-        name = _from_here(options.muscle) or study.get("muscle", "DMSP-20-300")
+        name = from_here(options.muscle) or study.get("muscle", "DMSP-20-300")
         typed = described == options.plant  # on the command line: that is the consent
         plant = plant_called(
             described,
@@ -219,13 +219,6 @@ def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
         )
     said = {**table("set", study.get("set", {})), **pairs("--set", options.set)}
     return study, plant.with_values(values("set", plant, said))
-
-
-def _from_here(muscle: str | None) -> str | None:
-    """A muscle file named on the command line lies in the working folder, not beside the study."""
-    from ..muscles.muscle_file import ENDINGS
-
-    return str(Path(muscle).absolute()) if muscle and muscle.endswith(ENDINGS) else muscle
 
 
 def _variables(plant: Plant) -> str:

@@ -71,12 +71,12 @@ PLANT = (
     "Plant, or a function that returns one); FILE.toml with a table [plant]; or a file that "
     "carries its plant: a plan, motion or closed loop (.npz), a fit of a plant (.json)"
 )
+MUSCLE = "DMSP-20-300"
 PLANT_VALUES = (
     option(
         "--muscle",
         "MUSCLE",
-        "name in the catalogue, or a muscle file (default: DMSP-20-300)",
-        default="DMSP-20-300",
+        f"name in the catalogue, or a muscle file (default: {MUSCLE})",
     ),
     named("--set", "value of a parameter, or start value, such as mass='3 kg'; SI without a unit"),
     ALLOW_CODE,
@@ -96,15 +96,32 @@ def plant_said(options: argparse.Namespace) -> Plant:
     return plant.with_values(pairs("--set", options.set))
 
 
-def plant_named(name: str, muscle: str, allow_code: bool) -> Plant:
+def plant_named(name: str, muscle: str | None, allow_code: bool) -> Plant:
     """A plant by its name, from a user's file (FILE.py:NAME), or from a table (FILE.toml).
 
-    A file named on the command line is run; one named in another file only with ``allow_code``.
+    muscle : None for the usual one. A file named on the command line is run; one named in another
+    file only with ``allow_code``. Raises InputError for a muscle beside a file that has its own.
     """
     from ..studies.file_kinds import plant_called
 
+    require_no_own_muscle(name, muscle)
     run = allow_code or not name.endswith(".toml")
-    return plant_called(name, muscle_named(muscle), allow_code=run)
+    return plant_called(name, muscle_named(muscle or MUSCLE), allow_code=run)
+
+
+def require_no_own_muscle(name: str, muscle: str | None) -> None:
+    """InputError where --muscle is given for a plant whose file has its muscle."""
+    from ..studies.file_kinds import is_plant_file
+
+    if muscle is not None and is_plant_file(name):
+        raise InputError(f"--muscle {muscle}: {name} has its own muscle; change it there")
+
+
+def from_here(muscle: str | None) -> str | None:
+    """A muscle file named on the command line lies in the working folder, not beside the study."""
+    from ..muscles.muscle_file import ENDINGS
+
+    return str(Path(muscle).absolute()) if muscle and muscle.endswith(ENDINGS) else muscle
 
 
 def muscle_named(name: str, rest_length: Any = None) -> Muscle:
@@ -113,6 +130,8 @@ def muscle_named(name: str, rest_length: Any = None) -> Muscle:
     from ..studies.file_kinds import muscle_in
 
     file = name.endswith(ENDINGS) or Path(name).is_file()
+    if file and rest_length is not None:
+        raise InputError(f"--rest-length: {name} has its own rest length; change it there")
     return muscle_in(name) if file else pam.muscle(name, rest_length=rest_length)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.files import read_toml, reading
 from ..core.progress import heard, working
 from .command import asked, command, count, file, flag, named, option, output, pairs, plot
-from .options import ALLOW_CODE, require_motion_ending, written
+from .options import ALLOW_CODE, from_here, require_motion_ending, require_no_own_muscle, written
 from .output import deliver, picture, tell
 
 if TYPE_CHECKING:
@@ -291,9 +292,12 @@ def _study(options: argparse.Namespace) -> dict[str, Any]:
             study = loop_settings(options.problem, said)
         study["folder"] = Path(options.problem).parent
     elif options.problem:
+        require_no_own_muscle(options.problem, options.muscle)
         study["plant"] = options.problem
     study |= {"file": options.problem, "allow_code": options.allow_code}
     study |= asked(options, "muscle", "against", "duration", "seed")
+    if options.muscle and isinstance(study["plant"], Mapping):
+        study["plant"] = {**study["plant"], "muscle": from_here(options.muscle)}
     if str(study["against"]).endswith(".fmu") and options.against is None:
         from ..plants.plant_file import require_allowed
 

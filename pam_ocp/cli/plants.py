@@ -33,6 +33,7 @@ from .command import (
     pairs,
     plot,
     repeated,
+    seconds,
     several,
 )
 from .options import (
@@ -68,7 +69,7 @@ if TYPE_CHECKING:
     ),
     rest("begin at rest under this condition"),
     option("--duration", "S", "such as '500 ms'; seconds without unit"),
-    count("--samples", "N", "rows of the result (default: 201)", default=201),
+    count("--samples", "N", "rows of the result (default: 201, or those of --inputs)"),
     option("--rtol", "R", "relative tolerance (default: 1e-8)", type=number, default=1e-8),
     output("--out", "FILE", "write the motion (.csv, .npz, .parquet, .xlsx)"),
     plot("draw the motion"),
@@ -80,15 +81,16 @@ def _simulate(options: argparse.Namespace) -> int:
     plant = plant_said(options)
     inputs = _inputs(plant, options)
     start = plant.equilibrium(pairs("--rest", options.rest)) if options.rest else None
+    given = 201 if options.samples is None else options.samples
+    samples = require_count("--samples", given, 2, MOST_ROWS)
+    times: Any = None
     if options.duration is not None:
-        require_count("--samples", options.samples, 2, MOST_ROWS)
         duration = quantity("--duration", options.duration, "s")
-        end = require_positive("--duration", duration, "s")
-        times: Any = np.linspace(0.0, end, options.samples)
+        times = np.linspace(0.0, require_positive("--duration", duration, "s"), samples)
     elif options.inputs is None:
         raise InputError("give --duration, such as --duration '500 ms', or --inputs FILE")
-    else:
-        times = None
+    elif options.samples is not None:
+        times = np.linspace(inputs.t[0], inputs.t[-1], samples)
     motion = pam.simulate(plant, inputs, t=times, start=start, rtol=options.rtol)
     tell(options, _last(motion), lambda: {"time": float(motion.t[-1]), **motion.row(-1)})
     deliver(options, out=lambda path: written(motion, path, plant), plot=picture(motion.plot))
@@ -281,6 +283,11 @@ _KEYS = ("components", "connections", "step_size", "stop_time", "fmi", "name", "
 def _export(options: argparse.Namespace) -> int:
     target: Path | None = options.out
     if is_system(options.plant):
+        for name in ("muscle", "set", "input", "output"):
+            if getattr(options, name):
+                raise InputError(
+                    f"--{name}: {options.plant} says what it is made of; change it there"
+                )
         given = (options.fmi, options.platform, options.allow_code)
         wrote(options, write_system(options.plant, target, *given))
         return 0
@@ -356,8 +363,8 @@ def _component(name: str, said: Any, folder: Path, allow_code: bool) -> Any:
     option(
         "--time-limit",
         "S",
-        "time limit in seconds; exceeding it fails the check (default: 60)",
-        type=number,
+        "time limit in seconds, or as '5 min'; exceeding it fails the check (default: 60)",
+        type=seconds,
         default=60.0,
     ),
     about="Validate an FMU and run it by fmpy. Exit code 0 if all is well, 1 otherwise.",
@@ -399,6 +406,9 @@ def _muscles(options: argparse.Namespace) -> int:
 
     if options.show:
         return _show(options)
+    for name, given in (("--rest-length", options.rest_length), ("--plot", options.plot)):
+        if given is not None:
+            raise InputError(f"{name}: of one muscle; give show NAME, too")
     lines = {name: summary(name) for name in pam.muscles.muscle_names()}
     text = "\n".join(lines.values())
     tell(options, f"{text}\n\n{transfer_note()}", {"muscles": lines})

@@ -116,6 +116,13 @@ def nearest(name: object, known: Iterable[str], cutoff: float = 0.4) -> list[str
     return [n for n in close if likeness[n] > NEARLY * likeness[close[0]]]
 
 
+def _copied(kind: type[Exception], said: tuple[Any, ...], state: dict[str, Any]) -> Exception:
+    """An error of a class whose arguments are not its message."""
+    error = kind.__new__(kind, *said)
+    error.__dict__.update(state)
+    return error
+
+
 class UnknownNameError(InputError):
     """A name that is not known here; the message lists the nearest ones.
 
@@ -138,6 +145,10 @@ class UnknownNameError(InputError):
         super().__init__(f"unknown {kind} {name!r}: {hint}")
         self.name = name
         self.nearest = near
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What crosses to another process: the message, which says all."""
+        return _copied, (type(self), self.args, self.__dict__)
 
 
 class SimulationError(PamError):

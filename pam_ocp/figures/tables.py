@@ -14,7 +14,7 @@ from ..core.errors import InputError, kind_of, require_instance
 from ..core.files import atomic_path, write_json
 from ..core.interrupts import interruptible
 from ..core.lazy import library
-from .canvas import COLOURS, new_figure
+from .canvas import COLOURS, caption, new_figure
 from .sheets import SHEETS, Grid, cell_text, number_in, sheet_of
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ _BY_COLUMN = {"ForceTable"}
 
 
 def table_of(thing: Any) -> Grid:
-    """The table of a result: the largest that it shows in a notebook; else its parts, if it is made
-    of several; else its own numbers.
+    """The table of a result: the largest that it shows in a notebook; else the rows that it names
+    (``_table_rows``), or its parts, if it is made of several; else its own numbers.
 
     Values are as the object has them: SI, but for what stands in units in the notebook's table.
     """
@@ -39,7 +39,8 @@ def table_of(thing: Any) -> Grid:
         grid = max(sheet_of(thing).grids, key=lambda g: len(g.rows), default=None)
         if grid is not None:
             return Grid(grid.head, tuple(tuple(map(number_in, row)) for row in grid.rows))
-    rows = _cases(thing) or [_flat(p) for p in _parts(thing)]
+    own = getattr(thing, "_table_rows", None)
+    rows = own() if own else _cases(thing) or [_flat(p) for p in _parts(thing)]
     if rows:
         heads = tuple(dict.fromkeys(n for row in rows for n in row))
         if heads:
@@ -96,12 +97,13 @@ def _columns(thing: Any) -> dict[str, Any]:
 def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
     """Numbers and texts of an object, those of its parts behind a dot."""
     found: dict[str, Any] = {}
-    pairs: Iterator[tuple[str, Any]] = (
-        ((f.name, getattr(thing, f.name)) for f in fields(thing) if not f.name.startswith("_"))
+    pairs: Iterator[tuple[Any, Any]] = (
+        ((n, getattr(thing, n)) for n in _names(thing))
         if is_dataclass(thing)
         else iter(thing.items() if isinstance(thing, Mapping) else ())
     )
-    for name, value in pairs:
+    for key, value in pairs:
+        name = f"{key:.6g}" if isinstance(key, float) else str(key)
         if isinstance(value, bool | int | float | str):
             found[f"{prefix}{name}"] = value
         elif isinstance(value, np.number | np.bool_):
@@ -111,6 +113,12 @@ def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
         elif isinstance(value, Mapping) and not prefix:
             found |= _flat(value, f"{name}.")
     return found
+
+
+def _names(thing: Any) -> list[str]:
+    """Its fields, and the figures that its class derives from them."""
+    own = [f.name for f in fields(thing) if not f.name.startswith("_")]
+    return [*own[:1], *getattr(type(thing), "_figures", ()), *own[1:]]
 
 
 # ---- out of it -----------------------------------------------------------------------------------
@@ -200,11 +208,12 @@ def plot_table(thing: Any) -> Figure:
     units = [r[table.head.index("unit")] for r in rows] if "unit" in table.head else []
     if units:
         labels = [f"{n} [{unit}]" for n, unit in zip(labels, units, strict=True)]
-    numbers = [
+    every = [
         j
         for j in range(len(table.head))
         if j not in named and any(_finite(r[j]) for r in rows) and len(rows) > 0
-    ][:MOST_PANELS]
+    ]
+    numbers = every[:MOST_PANELS]
     if not numbers:
         raise InputError(f"{type(thing).__name__} holds no column of numbers to draw; print it")
     size = (3.0 + 2.2 * len(numbers), 1.4 + 0.28 * len(rows))
@@ -229,7 +238,15 @@ def plot_table(thing: Any) -> Figure:
         ax.set_xlabel(words)
         ax.set_yticks(range(len(rows)), labels if first(ax) else [""] * len(rows))
         ax.invert_yaxis()
+    caption(axes[0][0], title=_left_out(len(table.rows), len(rows), len(every), len(numbers)))
     return figure
+
+
+def _left_out(rows: int, shown: int, columns: int, panels: int) -> str:
+    """What a picture says of a table that is larger."""
+    parts = [f"{shown} of {rows} rows"] if shown < rows else []
+    parts += [f"{panels} of {columns} columns"] if panels < columns else []
+    return f"the first {', '.join(parts)}" if parts else ""
 
 
 def _finite_or_none(cell: Any) -> Any:

@@ -234,6 +234,11 @@ def plant_in(path: str | os.PathLike[str], *, allow_code: bool = False) -> Plant
     return load_plant(path, allow_code=allow_code)
 
 
+def is_plant_file(name: str, folder: Path | None = None) -> bool:
+    """Whether a plant is named by a file, which brings its muscle along."""
+    return name.lower().endswith((".toml", *CARRYING)) or ((folder or Path()) / name).is_file()
+
+
 def plant_called(
     name: str, muscle: Muscle, folder: Path | None = None, *, allow_code: bool = False
 ) -> Plant:
@@ -241,9 +246,8 @@ def plant_called(
 
     muscle : for the first two. Raises InputError.
     """
-    file = (folder or Path()) / name
-    if name.lower().endswith((".toml", *CARRYING)) or file.is_file():
-        return plant_in(file, allow_code=allow_code)
+    if is_plant_file(name, folder):
+        return plant_in((folder or Path()) / name, allow_code=allow_code)
     return named_plant(name, muscle, folder, allow_code=allow_code)
 
 

@@ -131,7 +131,7 @@ def run_study(
         checked = study.entries if share is None or share.number == 1 else own
         run = _Run(study, target, kept, allow_code, fresh, progress, bar, own, checked, record)
         run.prepare()
-        run.go(pool)
+        run.go(pool, ours=where is None)
         return run.finish()
 
 
@@ -232,8 +232,12 @@ class _Run:
         return digest_of_files(self.found[name]["files"], entry.step.offers)
 
     # ---- running ------------------------------------------------------------------------------
-    def go(self, pool: Executor | None) -> None:
-        """All steps, each when what it stands on has ended."""
+    def go(self, pool: Executor | None, *, ours: bool) -> None:
+        """All steps, each when what it stands on has ended.
+
+        ours : a pool that ends with an error. Futures that were cancelled before would end it with
+        a trace (Python below 3.12).
+        """
         entries = self.study.entries
         graph = TopologicalSorter({n: entries[n].above for n in entries if n in self.share})
         graph.prepare()
@@ -261,7 +265,7 @@ class _Run:
                     self._ended(name, partial(_alone, job) if lost else future.result)
                     graph.done(name)
         finally:
-            for future in pending:
+            for future in pending if not ours else ():
                 future.cancel()
 
     def _begun(self, name: str) -> tuple[Any, ...] | None:
@@ -273,7 +277,7 @@ class _Run:
             self._tell(StudyStep(name, entry.kind, "left out", said, False))
             return None
         for case in entry.cases:  # a sweep tells of those that failed
-            self.found.setdefault(case, {"numbers": {}, "files": {}})
+            self.found.setdefault(case, {"numbers": None, "files": {}})
         self.keys[name] = self._key(entry)
         found = self.found.get(name) or (None if self.fresh else self.kept.get(self.keys[name]))
         if found is not None:
@@ -413,14 +417,14 @@ def _remove_empty(folder: Path, top: Path) -> None:
 def work(
     entry: Entry,
     parts: Mapping[str, tuple[Entry, Mapping[str, bytes]]],
-    cases: Sequence[Mapping[str, Any]],
+    cases: Sequence[Mapping[str, Any] | None],
     folder: Path,
     allow_code: bool,
 ) -> dict[str, Any]:
     """Do a step: {files, numbers, verdict, good, sure, text, html, seconds, when}: plain data.
 
     parts : {key: the step that it names, and that step's files}. cases : numbers of a sweep's
-    cases. folder : of the study.
+    cases, None of those that failed. folder : of the study.
     """
     begin = time.perf_counter()
     with as_written(), tempfile.TemporaryDirectory(prefix="pam_ocp_") as place:

@@ -97,7 +97,7 @@ class StudyResult:
         return pd.DataFrame(rows, index=list(self.steps), columns=list(names))
 
     def __str__(self) -> str:
-        own = {n: s for n, s in self.steps.items() if "[" not in n} or dict(self.steps)
+        own = _told(self.steps) or dict(self.steps)
         width = max((len(n) for n in own), default=0) + 2
         lines = [f"{self.title}: {'all well' if self.ok else 'NOT all well'}"]
         lines += [
@@ -105,6 +105,16 @@ class StudyResult:
             for n, s in own.items()
         ]
         return "\n".join(lines)
+
+
+MOST_CASES = 12
+"""Of sweeps that failed, in text and report; the table of a sweep counts all."""
+
+
+def _told(steps: Mapping[str, StudyStep]) -> dict[str, StudyStep]:
+    """The steps of the file, and the first cases of sweeps that are not good, which say why."""
+    cases = [n for n, s in steps.items() if "[" in n and not s.good][:MOST_CASES]
+    return {n: s for n, s in steps.items() if "[" not in n or n in cases}
 
 
 # ---- the report ----------------------------------------------------------------------------------
@@ -130,7 +140,7 @@ def study_report(study: Study, steps: Mapping[str, StudyStep], digests: Mapping[
     page = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     ).from_string(TEMPLATE.read_text("utf-8"))
-    shown = [_shown(study.entries[n], s) for n, s in steps.items() if "[" not in n]
+    shown = [_shown(study.entries[n], s) for n, s in _told(steps).items()]
     stages = [(title, [s for s in shown if s["stage"] == stage]) for stage, title in STAGES.items()]
     made = [s.made["when"] for s in steps.values() if s.made]
     return page.render(

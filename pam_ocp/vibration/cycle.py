@@ -135,6 +135,11 @@ class LimitCycle:
             )
         return text
 
+    def plot(self) -> Figure:
+        """A period over time."""
+        figure: Figure = self.trajectory.plot()
+        return figure
+
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portrait: rate over state."""
         return courtesy.plot_phase(

@@ -101,6 +101,10 @@ class FreeVibration:
             f"{v.shown(self.amplitudes[-1])}, damping ratio {self.damping_ratio:.4g}"
         )
 
+    def plot(self) -> Figure:
+        """The same as :meth:`plot_envelope`."""
+        return self.plot_envelope()
+
     def plot_phase(self) -> Figure:
         """Phase portrait: rate over state."""
         return courtesy.plot_phase(

@@ -172,3 +172,40 @@ def test_a_study_says_the_plan_as_the_script_does(state, motion, tmp_path):
     assert one["bounds"] == {"v": {"max": 1.5}}
     assert one["duration"] == [0.05]
     assert one["stops"][1] == {"x": motion["stops"][1]["at"], "rest": False}
+
+
+@pytest.mark.parametrize("cyclic", [False, True])
+def test_a_stop_more_or_less_leaves_the_other_legs_their_times(cyclic):
+    """Legs are told apart by their ends: what joins the same stops keeps its time."""
+    from pam_ocp.bench.tabs.motion import legs_with, legs_without
+
+    def named(stops, times):
+        ends = [*stops[1:], stops[0]] if cyclic else stops[1:]
+        assert len(times) == len(ends)
+        return dict(zip(zip(stops, ends, strict=False), times, strict=True))
+
+    stops = ["a", "b", "c", "d"]
+    times = [0.1, 0.2, 0.3, *([0.4] if cyclic else [])]
+    before = named(stops, times)
+    for i in range(5):
+        more = [*stops[:i], "new", *stops[i:]]
+        after = named(more, legs_with(times, i, cyclic))
+        assert after == {leg: before.get(leg) for leg in after}
+    for i in range(4):
+        less = [s for s in stops if s != stops[i]]
+        after = named(less, legs_without(times, i, cyclic))
+        assert after == {leg: before.get(leg) for leg in after}
+
+
+def test_a_report_has_all_motions_whatever_their_names(state, motion, tmp_path):
+    motions = [
+        {**motion, "id": f"motions{i}", "name": name, "durations": [0.05 + 0.01 * i]}
+        for i, name in enumerate(("Plant", "swing", "swing"), start=1)
+    ]
+    world = World(tmp_path, {**state, "motions": motions})
+    (tmp_path / "files").mkdir()
+    page = tmp_path / "exports" / export_jobs.report(say, world, "")["file"]
+    text = page.read_text("utf-8")
+    assert all(f"{t} s</td>" in text for t in ("0.06", "0.07", "0.08"))
+    assert "swing (2)" in text
+    assert "AntagonisticSlide antagonistic_slide" in text or "antagonistic_slide: " in text

@@ -9,9 +9,9 @@ from conftest import refused
 import pam_ocp as pam
 from pam_ocp.bench.jobs import control as jobs
 from pam_ocp.bench.jobs.motion import first_motion, motion_figures, plan_of
-from pam_ocp.bench.made import World, muscle_of, plant_of
+from pam_ocp.bench.made import World, muscle_of, plant_of, table_of
 from pam_ocp.bench.script import PLATFORMS, script_of
-from pam_ocp.bench.session import EMPTY
+from pam_ocp.bench.session import EMPTY, Session
 from pam_ocp.bench.study import save_muscle_file, study_of
 from pam_ocp.export.compile import native, platforms_named
 from pam_ocp.studies import run_study
@@ -181,3 +181,25 @@ def test_a_muscle_moved_by_hand_lies_beside_the_study(tmp_path):
     assert run_study(tmp_path / "session.toml", tmp_path / "out", cache=tmp_path / "kept").ok
     assert "muscle" not in read_study(tmp_path / "session.toml").entries
     assert muscle_of(World(tmp_path, state)).name == "mine"
+
+
+@pytest.mark.parametrize("said", [{"floor": "zero"}, {"floor": "none"}, {"missing": [777.0]}])
+def test_a_table_is_read_in_the_study_as_on_the_page(tmp_path, said):
+    """A load cell that reads 35 N where it hangs free, and a mark of what is missing."""
+    shape = {k: 3 * (1 - k / 100) ** 2 - 1 for k in range(0, 50, 5)}
+    cells = [
+        (p, k, 777 if (p, k) == (3, 10) else max(100 * p * c - 40, 0) + 35 + 0.1 * ((p + k) % 3))
+        for p in range(1, 6)
+        for k, c in shape.items()
+    ]
+    text = "".join(f"{p},{k},{force}\n" for p, k, force in cells)
+    session = Session(tmp_path)
+    file = session.store("t.csv", f"pressure [bar],contraction [%],force [N]\n{text}".encode())
+    item = {"id": "data1", "name": "t.csv", "file": file, "is": "table", "said": said, "off": [2]}
+    fitted = {"kind": "fit", "table": item, "law": "polynomial-1-3", "rest_length": 0.3}
+    state = {**EMPTY, "muscle": {**fitted, "coefficients": {}, "moved": False}}
+    seen = table_of(World(tmp_path, state), item)
+    result = ran(state, tmp_path)
+    assert result["table"].numbers["cells"][0] == len(seen)
+    for name, c in pam.fit_force(seen, "polynomial-1-3").coefficients.items():
+        assert result["fit"].numbers[name][0] == pytest.approx(c.value, rel=1e-9)

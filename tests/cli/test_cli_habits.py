@@ -150,3 +150,64 @@ def test_long_work_tells_how_far_it_is_and_only_the_outermost():
     met = [(h.what, h.total, h.done, h.closed) for h in Heard.made]
     assert met == [("bootstrap", 12, 12, True), ("outer", 2, 2, True)]
     assert not heard()
+
+
+PLANT_FILE = """
+[plant]
+arrangement = "HangingLoad"
+muscle = "DMSP-20-300"
+"""
+SYSTEM_FILE = """
+[components.plant]
+arrangement = "HangingLoad"
+muscle = "DMSP-20-300"
+[connections]
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("simulate plant.toml --muscle DMSP-20-400N --duration 0.1", "--muscle DMSP-20-400N: "),
+        ("linearize run.npz --muscle DMSP-20-400N", "run.npz has its own muscle"),
+        ("mpc run.npz --muscle DMSP-20-400N", "run.npz has its own muscle"),
+        ("export system.toml --set mass=3kg", "--set: system.toml says"),
+        ("export system.toml --output x", "--output: system.toml says"),
+        ("muscles --plot force.png", "--plot: of one muscle; give show NAME"),
+        ("muscles --rest-length 0.25", "--rest-length: of one muscle; give show NAME"),
+        ("muscles show mine.toml --rest-length 0.25", "mine.toml has its own rest length"),
+        ("simulate HangingLoad --duration 0.1 --samples 0", "--samples = 0: give a whole number"),
+    ],
+)
+def test_an_option_without_effect_is_refused(capsys, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plant.toml").write_text(PLANT_FILE)
+    (tmp_path / "system.toml").write_text(SYSTEM_FILE)
+    pam.save_muscle(pam.muscle("DMSP-20-300"), "mine.toml")
+    assert run(capsys, "simulate HangingLoad --duration 0.01 --out run.npz")[0] == 0
+    code, out, err = run(capsys, arguments)
+    assert (code, out) == (2, "")
+    assert said in err
+
+
+def test_recorded_inputs_are_simulated_at_as_many_samples_as_asked_for(
+    capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    run(capsys, "simulate HangingLoad --duration 0.1 --samples 5 --out a.npz")
+    code, _, _ = run(capsys, "simulate HangingLoad --inputs a.npz --samples 11 --out b.npz")
+    assert code == 0
+    assert pam.Trajectory.load("b.npz").t == pytest.approx([0.01 * k for k in range(11)])
+
+
+def test_mpc_takes_the_muscle_of_the_command_line_before_that_of_its_file(
+    capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    table = '[plant]\narrangement = "AntagonisticSlide"\nmuscle = "{}"\nmass = 2.0\n'
+    (tmp_path / "one.toml").write_text(table.format("DMSP-20-300"))
+    (tmp_path / "two.toml").write_text(table.format("DMSP-20-200N"))
+    loop = "--duration 0.02 --json"
+    said = run(capsys, f"mpc one.toml --muscle DMSP-20-200N {loop}")
+    assert said[0] == 0
+    assert said == run(capsys, f"mpc two.toml {loop}")

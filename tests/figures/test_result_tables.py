@@ -11,7 +11,7 @@ import pytest
 from conftest import refused
 
 import pam_ocp as pam
-from pam_ocp.figures.tables import save_result
+from pam_ocp.figures.tables import plot_table, save_result
 
 METHODS = ("plot", "report", "save", "to_excel", "to_pandas")
 
@@ -121,3 +121,33 @@ def test_interactive_panels_hold_the_motion_in_display_units(load_motion):
     drawn = {trace.name: trace for trace in figure.data}
     assert np.allclose(drawn["x"].y, 1e3 * load_motion["x"])
     assert np.allclose(drawn["muscle.command"].y, 3.0)
+
+
+def test_a_ranking_in_tables_has_what_it_is_ranked_by(static_fit, tmp_path):
+    found = pam.compare_laws(static_fit.table, ["three-element", "geometric", "polynomial-1-3"])
+    assert found.laws[-1].problem  # of the one whose constants are not known
+    frame = found.to_pandas()
+    rows = list(csv.DictReader(found.save(tmp_path / "laws.csv").open()))
+    for law, row, (_, line) in zip(found.laws, rows, frame.iterrows(), strict=True):
+        for name in ("parameters", "rmse", "aic", "bic", "left_out_rmse"):
+            value = getattr(law, name)
+            assert line[name] == pytest.approx(value, nan_ok=True)
+            assert float(row[name]) == pytest.approx(value, nan_ok=True)
+    assert not any(len(head) > len("left_out.0.123456") for head in frame.columns)
+    assert [a.get_xlabel() for a in found.plot().axes][:2] == ["parameters", "rmse"]
+
+
+def test_a_picture_of_a_long_table_says_what_it_leaves_out():
+    @dataclass
+    class Part:
+        a: float
+
+    @dataclass
+    class Found:
+        parts: tuple[Part, ...]
+
+    for count, title in ((40, ""), (41, "the first 40 of 41 rows")):
+        figure = plot_table(Found(tuple(Part(float(i)) for i in range(count))))
+        assert figure.axes[0].get_title(loc="left") == title
+        assert len(figure.axes[0].patches) == 40
+        plt.close(figure)

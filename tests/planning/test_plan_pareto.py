@@ -35,6 +35,10 @@ def test_time_against_effort_of_the_double_integrator(first, second):
     assert free.sum() > 5
     assert effort[free] * time[free] ** 3 == pytest.approx(12 * DISTANCE**2, rel=1e-6)
     assert np.all(effort[~free] * time[~free] ** 3 > 12 * DISTANCE**2)
+    frame = front.to_pandas()  # the table is the front itself
+    assert frame.iloc[:, :2].to_numpy() == pytest.approx(front.values)
+    assert [head.partition(" [")[0] for head in frame.columns[:2]] == [first, second]
+    assert list(np.flatnonzero(frame["knee"])) == [front.knee]
     assert np.all(np.diff(front.values[:, 0]) > 0)
     assert np.all(np.diff(front.values[:, 1]) < 0)
 

@@ -87,6 +87,7 @@ def test_a_cycle_is_a_circle_and_its_multiplier_that_of_its_radius(named):
     assert cycle.stable
     assert cycle.outside == ()
     assert cycle.closing_error < 1e-8
+    assert cycle.plot().axes[-1].lines[0].get_xdata()[-1] == pytest.approx(cycle.period)
     from_run = pam.simulate(cycle.plant, t=np.linspace(0, 60, 3000), start={"x": 0.1})
     assert vibration.limit_cycle(cycle.plant, from_run).amplitude("x") == pytest.approx(0.3)
 
@@ -248,6 +249,9 @@ def test_a_free_vibration_is_that_of_the_linear_oscillator(offset):
     expected = (first + 2 * np.pi * np.arange(len(motion.crossings))) / damped
     assert motion.crossings == pytest.approx(expected, rel=1e-9)
     assert len(motion.frequencies) == 5
+    drawn = motion.plot().axes[0].lines[0]  # over time, about rest
+    assert drawn.get_ydata()[0] == pytest.approx(offset)
+    assert drawn.get_xdata() == pytest.approx(motion.trajectory.t)
     assert motion.frequency == pytest.approx(damped / (2 * np.pi))
     turns = np.arange(1, 3) + (offset > 0)
     tops = abs(offset) * np.exp(-decrement / 2 * turns)

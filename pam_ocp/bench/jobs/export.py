@@ -10,7 +10,8 @@ import shutil
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ from ...simulation.simulator import simulate
 from ...studies.from_table import quick
 from ..made import (
     World,
+    is_of_now,
+    made_of_export,
     made_of_loop,
     made_of_plan,
     muscle_of,
@@ -156,9 +159,9 @@ def report(say: Say, world: World, title: str) -> dict[str, Any]:
         things["Operating point"] = point_of(world, plant)
     for i, motion in enumerate(state["motions"]):
         say(i / (len(state["motions"]) + 1), motion["name"])
-        things[motion["name"]] = plan_of(world, motion)
+        things[_unlike(motion["name"], things)] = plan_of(world, motion)
     for said in state["controllers"] if state["point"] else ():
-        things[f"Run of {said['name']}"] = loop_of(world, said).trajectory
+        things[_unlike(f"Run of {said['name']}", things)] = loop_of(world, said).trajectory
     shown = {k: v for k, v in things.items() if hasattr(v, "_repr_html_")}
     path = write_report(
         world.exported("report.html"),
@@ -167,6 +170,12 @@ def report(say: Say, world: World, title: str) -> dict[str, Any]:
         sources=sources,
     )
     return _made(path)
+
+
+def _unlike(name: str, others: Container[str]) -> str:
+    """A heading that no other has: users may give one name twice."""
+    numbered = (f"{name} ({i})" for i in count(2))
+    return name if name not in others else next(n for n in numbered if n not in others)
 
 
 @job("One page")
@@ -192,13 +201,13 @@ def fresh_figures(state: State) -> dict[str, float]:
     for said in state["controllers"]:
         found |= _kept(kept, said["id"], made_of_loop(state, said))
     for said in state["exports"]:
-        found |= _kept(kept, said["id"], None)
+        found |= _kept(kept, said["id"], made_of_export(state, said))
     return found
 
 
 def _kept(kept: State, id: str, key: Any) -> dict[str, float]:
     one = kept.get(id)
-    if one is None or (key is not None and one["of"] != json.loads(json.dumps(key))):
+    if one is None or one["of"] != json.loads(json.dumps(key)):
         return {}
     return {f"{id}.{name}": value for name, value in one["values"].items()}
 
@@ -247,6 +256,8 @@ def script_checked(say: Say, world: World, script: str) -> dict[str, Any]:
         last = (ran.stderr.strip().splitlines() or ["no word"])[-1]
         raise PamError(f"the script ended with: {re.sub(r'^[a-z_.]*exceptions[.]', '', last)}")
     said = figures_said(ran.stdout)
+    # the page has no figures of a file that is made of earlier values
+    earlier = {e["id"] for e in world.state["exports"] if not is_of_now(world.state, e)}
     rows = [
         {
             "name": name,
@@ -255,6 +266,7 @@ def script_checked(say: Say, world: World, script: str) -> dict[str, Any]:
             "ok": name in page and name in said and same(page[name], said[name]),
         }
         for name in dict.fromkeys([*page, *said])
+        if name.partition(".")[0] not in earlier
     ]
     return {"rows": rows, "ok": bool(rows) and all(row["ok"] for row in rows)}
 

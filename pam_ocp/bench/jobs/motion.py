@@ -114,6 +114,7 @@ def planned(say: Say, world: World, motion: Mapping[str, Any]) -> dict[str, Any]
     _keep(_full, f"{world.folder} {motion['id']}", found)
     said = _told(found, motion)
     said["figures"] = motion_figures(found)
+    said["shown"] = {n: with_unit(found.plant, n, v) for n, v in said["figures"].items()}
     said["scene"] = _film(found)
     return said
 
@@ -174,7 +175,7 @@ def _form(motion: Mapping[str, Any]) -> dict[str, Any]:
 
 # ---- plain values --------------------------------------------------------------------------------
 def motion_figures(found: Plan) -> dict[str, float]:
-    """What the exported script says of a plan, too (tabs/motion.py has its words)."""
+    """What the exported script says of a plan, too (:func:`with_unit` has its words)."""
     figures = {
         "duration": found.duration,
         "objective": found.objective,
@@ -183,6 +184,15 @@ def motion_figures(found: Plan) -> dict[str, float]:
     for v in (*found.plant.states, *found.plant.inputs):
         figures[f"max({v.name})"] = float(found.trajectory[v.name].max())
     return figures
+
+
+def with_unit(plant: Plant, name: str, value: float) -> str:
+    """A figure of a motion of this plant, as it is shown."""
+    if name == "duration":
+        return f"{1e3 * value:.5g} ms"
+    if name.startswith("max("):
+        return plant.variable(name[4:-1]).shown(value)
+    return f"{value:.4g}"
 
 
 def _told(found: Plan, motion: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,11 +6,11 @@ export default {
       <label :for="uid" :title="label">{{ label }}</label>
       <input type="range" :id="uid" :min="0" :max="1000" step="1" :value="place" :aria-valuetext="text"
         @input="slide($event.target.value)" @change="settle" />
-      <input type="number" :value="text" step="any" :aria-label="label + ', ' + unit"
-        @change="typed($event.target.value)" />
+      <input type="text" inputmode="decimal" autocomplete="off" :value="text" :aria-label="label + ', ' + unit"
+        @change="typed($event.target)" />
       <span class="bench-unit">{{ unit }}</span>
     </div>`,
-  props: { label: String, value: Number, low: Number, high: Number, unit: String, seen: Number, log: Boolean },
+  props: { label: String, value: Number, low: Number, high: Number, unit: String, seen: Number, heard: Number, log: Boolean },
   data() {
     return { now: this.value, uid: "slider-" + Math.random().toString(36).slice(2), sent: 0, waits: false };
   },
@@ -24,6 +24,7 @@ export default {
   },
   watch: {
     value(fresh) { this.now = fresh; },
+    heard() { this.now = this.value; },
     seen() { if (this.waits) { this.waits = false; this.send(); } },
   },
   methods: {
@@ -36,9 +37,10 @@ export default {
     },
     send() { this.sent = (this.seen || 0) + 1; this.at = performance.now(); this.$emit("slide", this.now); },
     settle() { this.waits = false; this.$emit("settle", this.now); },
-    typed(text) {
-      const number = Number(text);
-      if (text.trim() !== "" && Number.isFinite(number)) { this.now = number; this.$emit("settle", number); }
+    typed(field) { // with a decimal comma, or the typesetter's minus, too
+      const text = field.value.trim().replace(",", ".").replace("\u2212", "-"), number = Number(text);
+      if (text !== "" && Number.isFinite(number)) { this.now = number; this.$emit("settle", number); }
+      field.value = this.text; // what is no number is taken back
     },
   },
 };

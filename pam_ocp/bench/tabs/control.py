@@ -214,8 +214,16 @@ class Control(Members):
         if said is None or not self._ready or self._keys.get("design") == key:
             return
         self._keys["design"] = key
-        self._design = await self.work(jobs.designed, said)
-        if self._keys["design"] == key:
+        try:
+            self._design = await self.work(jobs.designed, said)
+        except Exception:
+            if self._keys.get("design") == key:  # nothing is shown beside other gains
+                del self._keys["design"]
+                self._margins.say()
+                for plot in (self._poles, self._step, self._bode):
+                    plot.clear()
+            raise
+        if self._keys.get("design") == key:
             self._show_design(said)
 
     def _show_design(self, said: Said) -> None:
@@ -262,12 +270,16 @@ class Control(Members):
         if said is None or not self._ready or self._keys.get("run") == key:
             return
         self._keys["run"] = key
+        self._run_said.say("running ...")
+        self._plot.clear()
         try:
             found = await self.work(jobs.closed, said, of=said["name"])
         except Exception as error:
-            self._run_said.say(self.bench.words(str(error)), False)
+            if self._keys.get("run") == key:
+                del self._keys["run"]
+                self._run_said.say(self.bench.words(str(error)), False)
             raise
-        if self._keys["run"] == key:
+        if self._keys.get("run") == key:
             self._run_said.say(found["words"])
             self._plot.draw(run_figure(found))
             self.keep_figures(said["id"], key, found["figures"])

@@ -62,6 +62,8 @@ MISSING = Text(
     "Missing values",
     "what marks them in the file, as 9999, off; found where nothing is said",
 )
+SAME_CELLS = {"rest_length", "units"}
+"""What readers are told that leaves each cell its number."""
 COLOUR = Menu(
     "Colour by", {"pressure": "pressure", "branch": "branch", "run": "repeat", "file": "file"}
 )
@@ -243,6 +245,9 @@ class Data(Tab):
         fresh = {**item, "said": told}
         if "kind" in told:
             fresh["is"] = told["kind"]
+        if item.get("off") and not said.keys() <= SAME_CELLS:
+            fresh["off"] = []
+            self.bench.say("Cells may have other numbers now: all are on again")
         self.session.put(f"how {item['name']} is read", "data", fresh)
 
     def _column_table(self, item: Mapping[str, Any], seen: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ from .. import elements as el
 from .. import script, study
 from ..elements import Menu, Number
 from ..jobs import export as jobs
+from ..made import is_of_now, made_of_export
 from ..tab import Tab
 
 Said = dict[str, Any]
@@ -130,7 +131,9 @@ class Export(Tab):
             with el.row():
                 el.tag("span", said["file"])
                 el.tag("span", f"{said['size'] / 1024:.4g} KiB", "bench-note")
-                if said["kind"] == "fmu":
+                if not is_of_now(self.state, said):
+                    el.tag("span", "made of earlier values: export it again", "bench-bad")
+                elif said["kind"] == "fmu":
                     ok = said["ok"]
                     words = "checked: all well" if ok else "checked: NOT well"
                     el.tag("span", words, "bench-good" if ok else "bench-bad")
@@ -146,12 +149,13 @@ class Export(Tab):
         said: Said = {"id": self.session.fresh_id("exports"), "kind": kind, "motion": ""}
         said |= {"controller": self._controller} if kind == "c" else self._said
         function = {"fmu": jobs.fmu, "ssp": jobs.ssp, "c": jobs.c_code}[kind]
+        of = made_of_export(self.state, said)
         made = await self.work(function, said)
         self._made[said["id"]] = made
         if "figures" in made:
-            self.keep_figures(said["id"], None, made["figures"])
+            self.keep_figures(said["id"], of, made["figures"])
         kept = {k: made[k] for k in ("file", "size", "ok")}
-        self.session.put(f"export {made['file']}", "exports", {**said, **kept})
+        self.session.put(f"export {made['file']}", "exports", {**said, **kept, "of": of})
 
     async def _report(self) -> None:
         made = await self.work(jobs.report, self.session.title)

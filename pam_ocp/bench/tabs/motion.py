@@ -45,10 +45,10 @@ class Motion(Members):
     parts = ("muscle", "plant", "motions", "data")
 
     def build(self) -> None:
-        self._told: dict[str, Said] = {}  # the last plans
+        self._told: dict[str, Said] = {}  # the last plans, each with what it is made "of"
         self._last: dict[str, Said] = {}  # what came of the last attempts
         self._made_of: dict[str, Any] = {}
-        self._record: Said | None = None
+        self._record: Said | None = None  # beside the plan, with what both are made "of"
         self._hand: Said | None = None
         self._note = ""
         with el.split():
@@ -79,14 +79,35 @@ class Motion(Members):
         self._hand = None
         self._show()
         motion = self.at_hand
-        if motion is not None and self._made_of.get(motion["id"]) != self._key(motion):
+        if motion is None or self.state["muscle"] is None:
+            return
+        plant = self._plant()
+        if not self._can_do(motion, plant):
+            return
+        if self._made_of.get(motion["id"]) != self._key(motion):
             self.bench.soon(self._plan())
+        for other in self._compared(motion):
+            known = self._made_of.get(other["id"]) == self._key(other)
+            if not known and self._can_do(other, plant):
+                self.bench.soon(self._plan_other(other["id"]))
 
     def _plant(self) -> Plant:
         return plant_of(self.world)
 
     def _key(self, motion: Said) -> Any:
         return copy.deepcopy(made_of_plan(self.state, motion))
+
+    @staticmethod
+    def _can_do(motion: Said, plant: Plant) -> bool:
+        """Whether the plant has what the motion moves and bounds."""
+        names = {motion["variable"], motion["second"] or motion["variable"]}
+        names |= {b["name"] for b in motion["bounds"]}
+        return names <= {v.name for v in plant.variables}
+
+    def _is_of_now(self, motion: Said) -> bool:
+        """Whether the plan that is known of a motion is that of what is said now."""
+        told = self._told.get(motion["id"])
+        return told is not None and told["of"] == self._key(motion)
 
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
@@ -95,17 +116,22 @@ class Motion(Members):
         with self.rows(*forms, self._beside_form) as rows:
             if self.state["muscle"] is None:
                 rows[0] = self.without_muscle("A motion")
-                self._verdict.say()
+                self._clear()
                 return
-            plant = self._plant()
+            try:
+                plant = self._plant()
+            except Exception:
+                self._clear()
+                raise
             rows[0] = self._rows(motion, plant)
             if motion is None:
+                self._clear()
                 return
-            known = {v.name for v in plant.variables}
-            if not {motion["variable"], motion["second"] or motion["variable"]} <= known:
+            if not self._can_do(motion, plant):
+                self._clear()
                 self._verdict.say(
-                    f"{motion['name']} moves {motion['variable']}, which {plant.name} does not "
-                    "have: begin a new motion"
+                    f"{motion['name']} moves {motion['variable']} or bounds what {plant.name} "
+                    "does not have: begin a new motion"
                 )
                 return
             rows[1] = self._stop_rows(motion, plant)
@@ -113,6 +139,15 @@ class Motion(Members):
             rows[3] = self._bound_rows(motion, plant)
             rows[4] = self._compare_rows(motion)
             self._show_plan(motion, plant)
+
+    def _clear(self) -> None:
+        """Nothing is shown of a plan that is gone."""
+        self._stops.set(stops=[], others=[], active=[], curve=None, record=None, problem="")
+        self._film.set(scene=None)
+        self._plot.clear()
+        self._figures.clear()
+        self._words.set_text("")
+        self._verdict.say()
 
     def _rows(self, motion: Said | None, plant: Plant) -> list[el.Row]:
         if motion is None:
@@ -190,7 +225,8 @@ class Motion(Members):
         low, high = jobs.stroke_of(self._plant(), motion["variable"])
         part = 0.35 if motion["stops"][-1]["at"] > (low + high) / 2 else 0.65
         stops = [*motion["stops"], jobs.stop_at(low + part * (high - low))]
-        self.change("add a stop", stops=stops, durations=[*motion["durations"], None])
+        durations = legs_with(motion["durations"], len(stops) - 1, motion["cyclic"])
+        self.change("add a stop", stops=stops, durations=durations)
 
     def _add(self, said: Said) -> None:
         """A stop where the page was clicked twice: between those before and after."""
@@ -202,19 +238,16 @@ class Motion(Members):
         i = int(np.searchsorted(times, said["t"]))
         stop = jobs.stop_at(float(np.clip(said["at"], low, high)), rest=i == len(times))
         stops = [*motion["stops"][:i], stop, *motion["stops"][i:]]
-        durations = [*motion["durations"]]
-        durations[max(i - 1, 0) : i] = [None, None]
-        self.change("add a stop", stops=stops, durations=durations[: len(motion["durations"]) + 1])
+        durations = legs_with(motion["durations"], i, motion["cyclic"])
+        self.change("add a stop", stops=stops, durations=durations)
 
     def _remove(self, said: Said) -> None:
         motion, i = self.held, said.get("stop")
         if len(motion["stops"]) < 3 or not isinstance(i, int):
             return
         stops = [s for k, s in enumerate(motion["stops"]) if k != i]
-        durations = [*motion["durations"]]
-        durations[max(i - 1, 0) : i + 1] = [None]
-        self.change("remove a stop", stops=stops, durations=durations[: len(stops)])
-        # as many legs as before, less one
+        durations = legs_without(motion["durations"], i, motion["cyclic"])
+        self.change("remove a stop", stops=stops, durations=durations)
 
     # ---- the hand -------------------------------------------------------------------------------
     def _moved(self, said: Said) -> Said | None:
@@ -314,22 +347,28 @@ class Motion(Members):
         self._show_curve(motion, self._plant(), self._told.get(motion["id"]), pending=True)
         try:
             told = await self.work(jobs.planned, motion, of=motion["name"])
-        except Exception:
+        except Exception as error:
             if self._made_of.get(motion["id"]) == key:
                 self._made_of.pop(motion["id"])
-            self._note = "no plan"
-            self._show_curve(motion, self._plant(), self._told.get(motion["id"]))
+                self._note = ""
+                none = {"ok": False, "problem": f"no plan: {error}", "conflicts": []}
+                self._last[motion["id"]] = none
+                now = self.at_hand
+                if now is not None and now["id"] == motion["id"]:
+                    self._show_plan(now, self._plant(), none)
             raise
         if self._made_of.get(motion["id"]) != key:
             return
         self._note = ""
         self._last[motion["id"]] = told
         if told["ok"]:
-            self._told[motion["id"]] = told
+            self._told[motion["id"]] = {**told, "of": key}
             self.keep_figures(motion["id"], key, told["figures"])
         now = self.at_hand
         if now is not None and now["id"] == motion["id"]:
             self._show_plan(now, self._plant(), told)
+            if told["ok"]:
+                await self._replay()
 
     def _show_plan(self, motion: Said, plant: Plant, told: Said | None = None) -> None:
         """All that a finished plan says; of one that failed, why, and the one before."""
@@ -371,7 +410,8 @@ class Motion(Members):
         self._say_verdict(told, pending)
 
     def _say_verdict(self, told: Said | None, pending: bool) -> None:
-        self._words.set_text("the motion before is shown meanwhile" if pending else "")
+        before = pending or (told is not None and not told["ok"])
+        self._words.set_text("the motion before is shown meanwhile" if before else "")
         if told is None:
             self._verdict.say(self._note)
         elif not told["ok"]:
@@ -407,8 +447,8 @@ class Motion(Members):
     def _others(self, motion: Said) -> list[Said]:
         found = []
         for i, other in enumerate(self._compared(motion)):
-            told = self._told.get(other["id"])
-            if told is not None and other["variable"] == motion["variable"]:
+            if self._is_of_now(other) and other["variable"] == motion["variable"]:
+                told = self._told[other["id"]]
                 found.append(
                     {
                         "t": told["t"],
@@ -443,33 +483,36 @@ class Motion(Members):
 
     async def _plan_other(self, id: str) -> None:
         """The plan of a motion that is shown beside the one at hand, where it is not known yet."""
-        other, motion = self.session.item("motions", id), self.at_hand
-        if other is not None and id not in self._told:
-            told = await self.work(jobs.planned, other, of=other["name"], latest="")
+        other = self.session.item("motions", id)
+        if other is not None and self._made_of.get(id) != self._key(other):
+            key = self._made_of[id] = self._key(other)
+            try:
+                told = await self.work(jobs.planned, other, of=other["name"], latest="")
+            except Exception:
+                self._made_of.pop(id, None)
+                raise
+            self._last[id] = told
             if told["ok"]:
-                self._told[id] = told
-                self._made_of[id] = self._key(other)
+                self._told[id] = {**told, "of": key}
+        motion = self.at_hand
         if motion is not None:
             self._show_plan(motion, self._plant())
 
     def _show_figures(self, motion: Said) -> None:
         self._figures.clear()
-        shown = [m for m in (motion, *self._compared(motion)) if m["id"] in self._told]
+        shown = [motion] if motion["id"] in self._told else []
+        shown += [m for m in self._compared(motion) if self._is_of_now(m)]
         with self._figures:
             if not shown:
                 el.note("No plan yet.")
                 return
             rows = []
-            plant = self._plant()
-            for name in self._told[shown[0]["id"]]["figures"]:
-                row = []
-                for m in shown:
-                    value = self._told[m["id"]]["figures"].get(name)
-                    row.append("" if value is None else with_unit(plant, name, value))
-                rows.append([name, *row])
+            for name in self._told[shown[0]["id"]]["shown"]:
+                rows.append([name, *[self._told[m["id"]]["shown"].get(name, "") for m in shown]])
             rows.append(["found in", *[f"{self._told[m['id']]['seconds']:.3g} s" for m in shown]])
-            el.table(["figure", *[m["name"] for m in shown]], rows, label="Figures of the plans")
-            if self._record is not None:
+            heads = [m["name"] + ("" if self._is_of_now(m) else ", before") for m in shown]
+            el.table(["figure", *heads], rows, label="Figures of the plans")
+            if self._record is not None and self._record["of"] == self._record_key(motion):
                 self._show_record(self._record)
 
     def _show_record(self, record: Said) -> None:
@@ -481,9 +524,13 @@ class Motion(Members):
         el.table(["column", "largest", "rms"], rows, label="The record against the plan")
 
     # ---- records --------------------------------------------------------------------------------
+    def _record_key(self, motion: Said) -> Any:
+        """All that the comparison of a plan with the record depends on."""
+        item = self.session.item("data", self.view("record", ""))
+        return [self._key(motion), copy.deepcopy(item)]
+
     def _set_record(self, id: str) -> None:
         self.remember(record=id)
-        self._record = None
         self.bench.soon(self._replay())
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
@@ -497,14 +544,39 @@ class Motion(Members):
         if motion is None:
             return
         if item is not None:
-            self._record = await self.work(jobs.replayed, motion, item, of=item["name"])
-        self._show_plan(motion, self._plant())
+            key = self._record_key(motion)
+            found = await self.work(jobs.replayed, motion, item, of=item["name"])
+            self._record = {**found, "of": key}
+        now = self.at_hand
+        if now is not None:
+            self._show_plan(now, self._plant())
 
     def _record_curve(self, motion: Said, factor: float) -> Said | None:
         if self._record is None or motion["variable"] not in self._record["curves"]:
             return None
+        if self._record["of"][1] != self.session.item("data", self.view("record", "")):
+            return None
         curve = self._record["curves"][motion["variable"]]
         return {"t": curve["t"], "x": [factor * v for v in curve["y"]]}
+
+
+# ---- legs ----------------------------------------------------------------------------------------
+def legs_with(durations: list[Any], i: int, cyclic: bool) -> list[Any]:
+    """The legs' times with a stop more, the i-th: those that lead to it and from it are free."""
+    legs = [*durations]
+    if i == 0:
+        return [None, *(legs[:-1] if cyclic else legs), *([None] if cyclic else [])]
+    legs[i - 1 : i] = [None, None] if i <= len(legs) else [None]
+    return legs
+
+
+def legs_without(durations: list[Any], i: int, cyclic: bool) -> list[Any]:
+    """The legs' times without the i-th stop: the one between its neighbours is free."""
+    legs = [*durations]
+    if i == 0:
+        return [*legs[1:-1], None] if cyclic else legs[1:]
+    legs[i - 1 : i + 1] = [None] if i < len(legs) else []
+    return legs
 
 
 # ---- pictures and words --------------------------------------------------------------------------
@@ -546,11 +618,3 @@ def style(name: str, k: int) -> tuple[str, str]:
         colour = look.COLOURS[(int(number) - 1 if number.isdigit() else 0) % len(look.COLOURS)]
         return colour, "dot" if name.endswith(".command") else "solid"
     return look.colour(k + 2), "solid"
-
-
-def with_unit(plant: Plant, name: str, value: float) -> str:
-    if name == "duration":
-        return f"{1e3 * value:.5g} ms"
-    if name.startswith("max("):
-        return plant.variable(name[4:-1]).shown(value)
-    return f"{value:.4g}"

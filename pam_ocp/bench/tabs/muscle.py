@@ -53,6 +53,8 @@ LENGTH = Number(
     optional=True,
     hint="where the catalogue holds none, or of another one",
 )
+READ = ("bundled", "file", "said", "off")
+"""What the table of an item of data depends on."""
 CHOOSE = el.words("Choose a force table in the tab Data.")
 COUNT = Number("Further cells", low=1, high=50, shown="1")
 CRITERION = Menu(
@@ -69,6 +71,7 @@ class MuscleTab(Tab):
         self._fit: dict[str, Any] | None = None
         self._fit_of: Any = None
         self._ranked: list[dict[str, Any]] = []
+        self._ranked_of: Any = None
         self._next: dict[str, Any] | None = None
         with el.split():
             with el.side():
@@ -116,6 +119,7 @@ class MuscleTab(Tab):
                 self.bench.soon(self._refit())
         self._show_laws()
         self._show()
+        self._show_others()
 
     @property
     def _said(self) -> dict[str, Any] | None:
@@ -141,7 +145,7 @@ class MuscleTab(Tab):
         now = said["law"] if said else None
         self._law_form.show(self._law_rows(item, said) if ready else [CHOOSE])
         self._constant_form.show(el.fields(CONSTANTS, self._constants, self._constant))
-        if ready and self._ranked:
+        if ready and self._ranked and self._ranked_of == self._rank_key:
             with self._laws:
                 self._ranking(now)
 
@@ -186,10 +190,18 @@ class MuscleTab(Tab):
     def _constant(self, name: str, value: float | None) -> None:
         kept = {k: v for k, v in {**self._constants, name: value}.items() if v is not None}
         self.remember(constants=kept)
+        self._show_laws()
+
+    @property
+    def _rank_key(self) -> Any:
+        """All that the ranking depends on."""
+        item = self.session.item("data", self.state["chosen"]) or {}
+        return [{k: item.get(k) for k in READ}, self._known]
 
     async def _rank(self) -> None:
-        item = chosen_item(self.state)
+        item, key = chosen_item(self.state), self._rank_key
         self._ranked = await self.work(jobs.rank_laws, item, self._known)
+        self._ranked_of = key
         self._show_laws()
 
     async def _fit_law(self, name: str) -> None:
@@ -408,10 +420,20 @@ class MuscleTab(Tab):
     # ---- what to measure next -------------------------------------------------------------------
     def _design_rows(self) -> list[el.Row]:
         return [
-            (COUNT, self.view("count", 6), lambda v: self.remember(count=round(v))),
-            (CRITERION, self.view("criterion", "D"), lambda v: self.remember(criterion=v)),
+            (COUNT, self._how[0], lambda v: self._set_how(count=round(v))),
+            (CRITERION, self._how[1], lambda v: self._set_how(criterion=v)),
             el.buttons({"Propose": self._design}),
         ]
+
+    @property
+    def _how(self) -> tuple[int, str]:
+        """How many cells are proposed, and by what."""
+        return int(self.view("count", 6)), str(self.view("criterion", "D"))
+
+    def _set_how(self, **values: Any) -> None:
+        self.remember(**values)
+        self._next = None
+        self._show()
 
     def _show_next(self) -> None:
         found = self._next
@@ -438,22 +460,34 @@ class MuscleTab(Tab):
             el.note(f"Standard errors then: {ratios}")
 
     async def _design(self) -> None:
-        how = int(self.view("count", 6)), self.view("criterion", "D")
-        self._next = await self.work(jobs.design, _fit_of(self._held), *how)
-        self._show()
+        fit, how = _fit_of(self._held), self._how
+        found = await self.work(jobs.design, fit, *how)
+        if (fit, how) == (self._fit_of, self._how):
+            self._next = found
+            self._show()
 
     # ---- other muscles, and out of it -----------------------------------------------------------
     def _others(self) -> None:
         self._length: float | None = None
-        names = {"": "choose ..."} | {n: catalogue_summary(n) for n in muscle_names()}
-        catalogue = Menu("Catalogue", names), "", self._catalogued
-        el.Form().show([catalogue, (LENGTH, None, lambda v: setattr(self, "_length", v))])
+        self._others_form = el.Form()
         words, say = "Muscle file (.toml, .json)", self.bench.say
         el.upload(words, self._dropped, say, most=MOST_FILE, accept=".toml,.json")
 
-    def _catalogued(self, name: str) -> None:
+    def _show_others(self) -> None:
+        said = self.state["muscle"] or {}
+        name = said["name"] if said.get("kind") == "catalogue" else ""
         if name:
-            said = {"kind": "catalogue", "name": name, "rest_length": self._length}
+            self._length = said.get("rest_length")
+        names = {"": "choose ..."} | {n: catalogue_summary(n) for n in muscle_names()}
+        catalogue = Menu("Catalogue", names), name, lambda n: self._catalogued(n, self._length)
+        length = LENGTH, self._length, lambda v: self._catalogued(name, v)
+        self._others_form.show([catalogue, length])
+
+    def _catalogued(self, name: str, length: float | None) -> None:
+        """A muscle of the catalogue; without a name its length alone, for the one chosen next."""
+        self._length = length
+        if name:
+            said = {"kind": "catalogue", "name": name, "rest_length": length}
             muscle_of(World(self.session.folder, {"muscle": said}))
             self.session.change(f"muscle {name}", muscle=said)
 
@@ -476,8 +510,7 @@ def _fit_of(said: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _same(table: Mapping[str, Any], item: Mapping[str, Any]) -> bool:
-    keys = ("bundled", "file", "said", "off")
-    return all(table.get(k) == item.get(k) for k in keys)
+    return all(table.get(k) == item.get(k) for k in READ)
 
 
 def _shown_unit(unit: str) -> tuple[str, float]:

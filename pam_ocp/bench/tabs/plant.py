@@ -42,6 +42,7 @@ class PlantTab(Tab):
     def build(self) -> None:
         self._what: dict[str, Any] | None = None
         self._made_of: Any = None
+        self._swing_of: Any = None
         self._map: dict[str, Any] | None = None
         self._rest: dict[str, Any] | None = None
         self._rest_of: Any = None
@@ -81,14 +82,13 @@ class PlantTab(Tab):
             self._made_of, self._what, self._map, self._rest_of = made_of, None, None, None
             if state["muscle"] is not None:
                 self.bench.soon(self._outline())
+            self._rest = None
+            self._values.clear()
             self._draw_map()
             self._show_swing()
-            self._swing_plot.clear()
-            self._swing_scene.set(scene=None)
-            self._study_plot.clear()
-            for words in (self._swing_words, self._loads_words):
-                words.set_text("")
-            self._cases.clear()
+            self._clear_loads()
+        if self._swing_of not in (None, self._swing_key):
+            self._clear_swing()
         self._show_form()
         self._show_point()
 
@@ -184,7 +184,9 @@ class PlantTab(Tab):
             self._rest_of = dict(point)
             self.bench.soon(self._find_rest())
         elif not point:
+            self._rest = None
             self._values.clear()
+            self._draw_map()
 
     def _unit(self, name: str) -> str:
         """The SI unit of a variable that a condition names."""
@@ -198,14 +200,17 @@ class PlantTab(Tab):
         self.session.change("operating point", point={} if value is None else point)
 
     async def _find_rest(self) -> None:
-        point = dict(self.state["point"])
+        point, made_of = dict(self.state["point"]), self._made_of
+        self._rest = None
         self._values.clear()
+        self._draw_map()
         try:
             found = await self.work(jobs.rest, point)
         except Exception:
-            self._point_words.set_text("no rest there")
+            if (point, made_of) == (self.state["point"], self._made_of):
+                self._point_words.set_text("no rest there")
             raise
-        if point != self.state["point"]:
+        if (point, made_of) != (self.state["point"], self._made_of):
             return
         self._rest = found
         self._point_words.set_text(found["stability"])
@@ -227,7 +232,7 @@ class PlantTab(Tab):
             self._draw_map()
 
     def _draw_map(self) -> None:
-        found, rest = self._map, self._rest if self.state["point"] else None
+        found, rest = self._map, self._rest
         if found is None:
             self._map_words.set_text("")
             self._map_plot.clear()
@@ -276,17 +281,44 @@ class PlantTab(Tab):
         offset = Number("Let go beside rest by", unit, -1.0, 1.0)
         self._swing_form.show(
             [
-                (offset, self.view("offset", 0.002), lambda v: self.remember(offset=v)),
-                (CYCLES, self.view("cycles", 12), lambda v: self.remember(cycles=v)),
+                (offset, self._offset, lambda v: self._set_swing(offset=v)),
+                (CYCLES, self._count, lambda v: self._set_swing(cycles=v)),
                 el.buttons({"Free response": self._swing}),
             ]
         )
 
+    @property
+    def _offset(self) -> float:
+        return float(self.view("offset", 0.002))
+
+    @property
+    def _count(self) -> float:
+        return float(self.view("cycles", 12))
+
+    def _set_swing(self, **values: float) -> None:
+        self.remember(**values)
+        if self._swing_of not in (None, self._swing_key):
+            self._clear_swing()
+
+    @property
+    def _swing_key(self) -> list[Any]:
+        """All that the free vibration depends on."""
+        return [self._made_of, self.state["point"], self._offset, self._count]
+
+    def _clear_swing(self) -> None:
+        self._swing_of = None
+        self._swing_plot.clear()
+        self._swing_scene.set(scene=None)
+        self._swing_words.set_text("")
+
     async def _swing(self) -> None:
         if not self.state["point"]:
             raise InputError("no operating point; give its pressures, or click into the map")
-        how = self.view("offset", 0.002), self.view("cycles", 12)
-        found = await self.work(jobs.vibration, *how)
+        key = self._swing_key
+        found = await self.work(jobs.vibration, self._offset, self._count)
+        if key != self._swing_key:
+            return
+        self._swing_of = key
         self._swing_words.set_text(
             f"{found['frequency']:.4g} Hz, damping ratio {found['damping']:.3g}"
         )
@@ -319,10 +351,19 @@ class PlantTab(Tab):
         _listed(text, unit)
         setattr(self, f"_{name}", text)
         self.remember(**{name: text})
+        self._clear_loads()
+
+    def _clear_loads(self) -> None:
+        self._study_plot.clear()
+        self._loads_words.set_text("")
+        self._cases.clear()
 
     async def _study(self) -> None:
-        said = _listed(self._masses, "kg"), _listed(self._levels, "bar")
+        made_of, said = self._made_of, (_listed(self._masses, "kg"), _listed(self._levels, "bar"))
         found = await self.work(jobs.loads, *said)
+        now = self._made_of, (_listed(self._masses, "kg"), _listed(self._levels, "bar"))
+        if now != (made_of, said):
+            return
         self._study_plot.draw(_study_figure(found["cases"]))
         self._cases.clear()
         with self._cases, ui.expansion("Table").props("dense").classes("bench-note"):

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Generic, Literal, Protocol, TypeVar, get_args
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -308,6 +308,9 @@ class Candidate(Generic[Fit]):
     left_out: Mapping[Any, float]
     problem: str = ""
 
+    _figures: ClassVar[tuple[str, ...]] = ("parameters", "rmse", "left_out_rmse")
+    """Of a table of candidates (figures/tables.py)."""
+
     @property
     def parameters(self) -> int:
         """Number of fitted coefficients."""
@@ -342,6 +345,8 @@ class ComparedLaw(Candidate[ForceFit]):
     >>> comparison.best.name, round(comparison.best.left_out_rmse, 1)
     ('five-parameter', 16.4)
     """
+
+    _figures = ("parameters", "rmse", "aic", "bic", "left_out_rmse")
 
     @property
     def aic(self) -> float:

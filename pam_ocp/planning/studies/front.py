@@ -91,6 +91,20 @@ class Pareto:
     def __len__(self) -> int:
         return len(self.plans)
 
+    def _table_rows(self) -> list[dict[str, Any]]:
+        """Of its table: both objectives of each plan in SI, and what is known of it."""
+        knee = self.knee
+        return [
+            {
+                f"{self.first.name} [{self.first.unit}]": float(a),
+                f"{self.second.name} [{self.second.unit}]": float(b),
+                "verified": plan.verified,
+                "knee": i == knee,
+                "replay_error": plan.replay_error,
+            }
+            for i, (plan, (a, b)) in enumerate(zip(self.plans, self.values, strict=True))
+        ]
+
     def plot(self) -> Figure:
         """The front, its ends and its knee; plans that are not verified crossed out."""
         return courtesy.plot_pareto(self)

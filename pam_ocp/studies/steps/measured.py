@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _WORDS = (
     *("columns", "units", "sheet", "skip", "pick", "pivot", "delimiter", "decimal", "empty"),
-    *("encoding", "bad_lines", "constants", "pattern"),
+    *("encoding", "bad_lines", "constants", "pattern", "missing", "floor"),
 )
 
 

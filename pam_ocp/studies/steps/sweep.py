@@ -43,12 +43,13 @@ class SweepStep(Step):
     @classmethod
     def work(cls, job: Job) -> Made:
         cases: list[dict[str, Any]] = cases_of(job.name, job.said["vary"])
-        found: Sequence[Mapping[str, tuple[float, str]]] = job.parts["cases"]
+        told: Sequence[Mapping[str, tuple[float, str]] | None] = job.parts["cases"]
+        found = [numbers or {} for numbers in told]
         known = list(dict.fromkeys(n for numbers in found for n in numbers))
         for name in job.listed("numbers"):
-            if name not in known:
+            if known and name not in known:  # where all cases failed there are none
                 raise UnknownNameError(f"number of {job.said['of']}", name, known)
-        chosen = job.listed("numbers") or known
+        chosen = (job.listed("numbers") or known) if known else []
         units = {n: next(f[n][1] for f in found if n in f) for n in chosen}
         nan = float("nan"), ""
         rows = [
@@ -59,7 +60,7 @@ class SweepStep(Step):
         job.table("sweep.csv", head, rows)
         if len(cases[0]) <= 2 and chosen:
             _plot(job, cases, found, chosen[:MOST_PANELS], units)
-        failed = sum(not numbers for numbers in found)
+        failed = sum(numbers is None for numbers in told)
         said = f"{len(cases) - failed} of {len(cases)} cases done"
         return Made(None, said, not failed, {}, (), _text(head, rows))
 
