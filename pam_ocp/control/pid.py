@@ -49,8 +49,8 @@ class PID(ByBlock):
 
     def __post_init__(self) -> None:
         for name in ("kp", "ki", "kd"):
-            require_finite(f"PID.{name}", getattr(self, name))
-        require_positive("PID.filter_time", self.filter_time, "s", zero=True)
+            setattr(self, name, require_finite(f"PID.{name}", getattr(self, name)))
+        self.filter_time = require_positive("PID.filter_time", self.filter_time, "s", zero=True)
 
     @classmethod
     def placed(cls, frequency: float, damping: float = 1.0, filter_time: float = 2e-3) -> PID:

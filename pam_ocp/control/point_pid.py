@@ -69,9 +69,9 @@ class PointPid(SampledLaw):
                 "by name such as {'x': 0.04}"
             )
         for name in ("proportional", "integral", "derivative"):
-            require_finite(f"PointPid.{name}", getattr(self, name))
-        require_positive("PointPid.filter_time", self.filter_time, "s")
-        require_positive("PointPid.sample_time", self.sample_time, "s")
+            setattr(self, name, require_finite(f"PointPid.{name}", getattr(self, name)))
+        for name in ("filter_time", "sample_time"):
+            setattr(self, name, require_positive(f"PointPid.{name}", getattr(self, name), "s"))
         if len(self.plant.load_positions) != 1:
             raise InputError(
                 f"PointPid needs a plant with one position; {self.plant.name!r} has "

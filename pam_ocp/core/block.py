@@ -62,7 +62,8 @@ class Block:
 
     def __post_init__(self) -> None:
         Variable(self.name, "parameter")
-        require_positive("sample_time", self.sample_time, "s")
+        sample_time = require_positive("sample_time", self.sample_time, "s")
+        object.__setattr__(self, "sample_time", sample_time)
         require_count("delay", self.delay, 0)
         kinds: tuple[tuple[str, Causality], ...] = (
             ("inputs", "input"),

@@ -13,6 +13,7 @@ from importlib import resources
 import casadi as ca
 import numpy as np
 
+from ..core.errors import InputError
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
@@ -22,6 +23,8 @@ from .source import MAIN_SOURCE
 
 GENERATED = "2000-01-01T00:00:00Z"
 """The date of an FMU that is given none, so that the same plant gives the same bytes."""
+
+_NOT_IN_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 Types = Mapping[quantities.Type, str]
 Unknowns = list[tuple[int, tuple[Dependency, ...]]]
@@ -37,9 +40,15 @@ _LOG_CATEGORIES = {
 
 
 def to_text(root: ET.Element) -> str:
-    """An XML document as text, indented."""
+    """An XML document as text, indented. Raises InputError for characters that XML has not."""
     ET.indent(root, "  ")
     body = ET.tostring(root, encoding="unicode")
+    if wrong := _NOT_IN_XML.search(body):
+        around = body[max(wrong.start() - 20, 0) : wrong.end() + 20]
+        raise InputError(
+            f"a name or a description has the character {wrong[0]!r}, which XML does not allow: "
+            f"... {around!r} ...; leave it out"
+        )
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{body}\n'
 
 

@@ -283,12 +283,13 @@ def _first_commands(
 ) -> dict[str, float]:
     """{output of a block: start value of the plant's input that it drives}."""
     found: dict[str, float] = {}
+    plants = {n: c for n, c in components.items() if isinstance(c, Plant)}
+    blocks = {n: c for n, c in components.items() if isinstance(c, Block)}
+    begins = {f"{n}.{v.name}": v.start or 0.0 for n, c in plants.items() for v in c.inputs}
+    commands = {f"{n}.{v.name}" for n, c in blocks.items() for v in c.outputs}
     for target, start in connections.items():
-        (to, _, sink), of = target.partition("."), start.partition(".")[0]
-        plant = components.get(to)
-        if isinstance(plant, Plant) and isinstance(components.get(of), Block):
-            value = next((v.start for v in plant.inputs if v.name == sink), None)
-            found.setdefault(start, value or 0.0)
+        if target in begins and start in commands:
+            found.setdefault(start, begins[target])
     return found
 
 

@@ -332,3 +332,12 @@ def test_what_is_no_plant_and_no_controller_is_named(hanging):
     refused("plant is an int", PointPid, 5, {}, proportional=1.0)
     refused("PointPid: at is an int", PointPid, hanging, 3, proportional=1.0)
     refused("plant is a dict", pam.export.save_ssv, {"a": 1}, "a.ssv")
+
+
+def test_numbers_may_be_texts_with_units():
+    ends = {"command": (-1.0, 1.0)}
+    plain = block(PID(3.0, 10.0, 0.1, 4e-3), sample_time=2e-3, limits=ends, fade_time=0.02)
+    texts = PID("3", 10, "0.1", "4 ms")  # type: ignore[arg-type]
+    told = block(texts, sample_time="2 ms", limits=ends, fade_time="20 ms")
+    assert told.sample_time == plain.sample_time
+    assert np.array_equal(told.start("parameters"), plain.start("parameters"))

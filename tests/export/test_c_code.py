@@ -303,12 +303,26 @@ def test_what_cannot_be_written_is_refused_in_one_sentence(tmp_path):
     refused("steps", pam.export_c, made, place, steps=0)
     refused("seed = -1", pam.export_c, made, place, seed=-1)
     refused("not known as a block", pam.export_c, object(), place)
+    refused("inputs = 'x': give rows of numbers", pam.export_c, made, place, inputs="x")
+    refused("limits is of no effect", pam.export_c, made, place, limits={"command": (0.0, 0.5)})
+    for name in ("math", "STDIO", "elementary"):  # its header would stand in for C's own
+        refused(f"{name.lower()}.h is a header", pam.export_c, made, place, name=name)
     assert not place.exists()
+
+
+def test_units_are_those_that_variables_have(tmp_path):
+    y, none = ca.SX.sym("y"), ca.SX.zeros(0, 1)
+    step = ca.Function("step", [none, y, none], [none, y])
+    told = pam.Variable("p", "input", unit="bar"), pam.Variable("q", "output", unit="bar")
+    folder = pam.export_c(Block("gauge", 1.0, told[:1], told[1:], (), (), step), tmp_path / "c")
+    text = (folder / "gauge.h").read_text() + (folder / "README.md").read_text()
+    assert "gauge_real p; /* [bar]" in text
+    assert "SI units" not in text
 
 
 @needs_compiler
 def test_words_of_c_and_of_cpp_are_names_of_variables(tmp_path):
-    names = ("this", "new", "double", "NULL")
+    names = ("this", "new", "double", "NULL", "linux")
     one, none = ca.SX.sym("x"), ca.SX.zeros(0, 1)
     step = ca.Function("step", [none, one, none], [none, ca.repmat(one, len(names), 1)])
     outputs = tuple(pam.Variable(n, "output") for n in names)

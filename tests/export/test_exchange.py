@@ -86,17 +86,23 @@ def wanted(t: float) -> float:
 
 
 def system(
-    plant: pam.Plant, law: Any, path: Path, platforms: str = "native", **options: Any
+    plant: pam.Plant,
+    law: Any,
+    path: Path,
+    platforms: str = "native",
+    names: tuple[str, str] = ("law", "plant"),
+    **options: Any,
 ) -> Path:
     t = np.array([0.0, 0.08, 1.0])
     columns = {"x": [wanted(s) for s in t], "one": np.ones(3)}
     variables = [plant.variable("x"), pam.Variable("one", "output")]
     goal = pam.Trajectory(t, columns, variables, "linear")
-    wires = {f"plant.{c}": f"law.{c}" for c in COMMANDS}
+    here, there = names
+    wires = {f"{there}.{c}": f"{here}.{c}" for c in COMMANDS}
     for v in law.inputs:
-        of = "goal.x" if v.name == "wanted.x" else f"plant.{v.name}"
-        wires[f"law.{v.name}"] = "goal.one" if v.name == "enable" else of
-    parts = {"goal": goal, "law": law, "plant": plant}
+        of = "goal.x" if v.name == "wanted.x" else f"{there}.{v.name}"
+        wires[f"{here}.{v.name}"] = "goal.one" if v.name == "enable" else of
+    parts = {"goal": goal, here: law, there: plant}
     return export_ssp(parts, wires, path, platforms=platforms, tolerance=1e-11, **options)
 
 
@@ -134,6 +140,15 @@ def test_the_first_command_can_be_set_and_outputs_are_the_laws_from_the_first_sa
         unit.step(0.0, H)
         assert unit.get([COMMANDS[0]])[0] == pytest.approx(first_lqi_command(), rel=1e-9)
         refused("rror", unit.set, {COMMANDS[0]: 1.5e5}, error=Exception)
+
+
+def test_the_first_command_is_the_plants_under_any_name_of_the_parts(tmp_path):
+    plant, law = lqi_law(1)
+    plant = plant.with_values(dict.fromkeys(COMMANDS, 1.7e5))
+    path = system(plant, law, tmp_path / "loop.ssp", names=("cell.law", "cell.plant"))
+    (tmp_path / "law.fmu").write_bytes(contents(path)["resources/cell.law.fmu"])
+    unit = UnpackedFmu(tmp_path / "law.fmu", tmp_path / "unit")
+    assert [float(unit.variables[c].start) for c in COMMANDS] == [1.7e5, 1.7e5]
 
 
 def first_lqi_command() -> float:

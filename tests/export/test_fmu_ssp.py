@@ -195,3 +195,10 @@ def test_values_of_a_plant_are_checked_and_may_have_units(tmp_path):
         save_ssv(plant, tmp_path / "b.ssv", {"muscle.command": 1e5})
     refused("mass", save_ssv, plant, tmp_path / "b.ssv", {"mass": -1.0})
     refused(r"\.ssv", save_ssv, plant, tmp_path / "b.txt")
+
+
+@pytest.mark.parametrize("character", ["\x01", "\x1f", "\ud800", "\uffff"])
+def test_no_file_holds_what_xml_does_not_allow(character, tmp_path):
+    plant = pam.HangingLoad(pam.muscle("DMSP-20-300"), 10.0)
+    refused("which XML does not", save_ssv, plant, tmp_path / "p.ssv", name=f"a{character}b")
+    assert list(tmp_path.iterdir()) == []

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core import units
 from ...core.block import Block
-from ...core.errors import InputError
+from ...core.errors import InputError, require_positive
 from ...core.variables import Variable
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant
@@ -33,7 +33,8 @@ class Draft:
     """
 
     def __init__(self, name: str, sample_time: float, description: str, kind: Any = ca.SX) -> None:
-        self.name, self.sample_time, self.description = name, sample_time, description
+        self.name, self.description = name, description
+        self.sample_time = require_positive("sample_time", sample_time, "s")
         self.kind = kind
         self._kept: dict[str, dict[str, tuple[Sequence[Variable], Symbol]]] = {
             causality: {} for causality in ("state", "input", "parameter")

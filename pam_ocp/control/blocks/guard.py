@@ -83,7 +83,7 @@ class _Guarded:
     def __init__(self, law: Block, guard: Guard) -> None:
         self.law, self.guard = law, guard
         require_count("hold", guard.hold, 0)
-        require_positive("fade_time", guard.fade_time, "s", zero=True)
+        self.fade_time = require_positive("fade_time", guard.fade_time, "s", zero=True)
         self.commands = [v for v in law.outputs if v.name in law.commands]
         for argument in ("limits", "rates", "safe"):
             for name in getattr(guard, argument):
@@ -232,7 +232,7 @@ class _Guarded:
         first, nominal = commands[0].name, ca.DM([v.nominal for v in commands])
         words = "of the step that is left at switching on"
         fade_time = draft.parameter(
-            "fade_time", self.guard.fade_time, min=0.0, unit="s", description=words
+            "fade_time", self.fade_time, min=0.0, unit="s", description=words
         )
         fading = self._memories("fade", commands, [0.0] * len(commands), "added after a switch")
         back = ca.logic_not(draft.memory(f"was_{ACTIVE}"))  # the first sample in action again

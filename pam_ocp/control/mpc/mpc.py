@@ -156,8 +156,8 @@ class Mpc:
         require_count("work", 1 if work is None else work)
         if delay not in (0, 1):
             raise InputError(f"delay = {delay!r}: give 0 (at once) or 1 (one step later)")
-        require_positive("penalty", penalty)
-        require_positive("tolerance", tolerance)
+        penalty = require_positive("penalty", penalty)
+        tolerance = require_positive("tolerance", tolerance)
         self.plant, self.horizon, self.delay = plant, horizon, delay
         self._states = [v.name for v in plant.states]
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")

@@ -21,9 +21,9 @@ Array: TypeAlias = NDArray[np.float64]
 _ELSEWHERE = """
     and asm bool catch class delete explicit export false friend mutable namespace new not operator
     or private protected public template this throw true try typename using virtual xor
-    EOF INFINITY NAN NULL
+    EOF INFINITY NAN NULL linux unix
 """
-"""Words of C++, which the header is for, too, and macros of the C library."""
+"""Words of C++, which the header is for, too, and macros of C libraries and compilers."""
 _KEYWORDS = C_KEYWORDS | {"real", "memory", "scratch", *_ELSEWHERE.split()}
 
 
@@ -110,7 +110,7 @@ class CExport:
         structs = "\n".join(
             self._struct(kind, getattr(b, kind)) for kind in ("inputs", "parameters", "outputs")
         )
-        return f"""/* {_plain(b.description or b.name)}. C99; no heap, no global state. SI units. */
+        return f"""/* {_plain(b.description or b.name)}. C99; no heap, no global state. */
 #ifndef {guard}
 #define {guard}
 #ifdef __cplusplus
@@ -357,9 +357,9 @@ static {p}_outputs outputs;
 {p}_step(&state, &parameters, &inputs, &outputs);
 ```
 
-All values are in SI units. Each instance has its own `{p}_state`; nothing else is kept, so that
-several run side by side, in any thread or interrupt, one call at a time each. A copy of `memory`
-is a saved state.
+Values are in the units of the tables below. Each instance has its own `{p}_state`; nothing else is
+kept, so that several run side by side, in any thread or interrupt, one call at a time each. A copy
+of `memory` is a saved state.
 
 ## What it takes
 

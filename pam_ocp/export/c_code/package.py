@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.atomic import make_folder, require_local
 from ...core.block import Block
-from ...core.errors import ExportError, InputError, require_count, require_positive
+from ...core.errors import SHOWN, ExportError, InputError, require_count, require_positive
 from ...core.exceptions import WriteError
 from ...core.stop import verb
 from .files import CExport, Vectors
@@ -24,6 +24,12 @@ from .generated import LARGEST_SINGLE, PRECISIONS, Precision, counted, step_code
 from .single import single_outputs
 
 Array: TypeAlias = NDArray[np.float64]
+
+_HEADERS = """
+    assert complex ctype elementary errno fenv float inttypes iso646 limits locale math setjmp
+    signal stdarg stdbool stddef stdint stdio stdlib string tgmath time wchar wctype
+"""
+"""Of C99, and one of ours: a NAME.h of the same name would stand in for it."""
 
 MARK = "pam_ocp_export.json"
 """Tells a folder that export_c wrote."""
@@ -81,6 +87,11 @@ def export_c(
     if precision not in PRECISIONS:
         raise InputError(f"precision = {precision!r}: choose 'double' or 'single'")
     kind = PRECISIONS[precision]
+    if isinstance(controller, Block) and options:
+        raise InputError(
+            f"{controller.name} is a block already, so {min(options)} is of no effect; give "
+            "options to pam_ocp.control.block, which makes it"
+        )
     block = controller if isinstance(controller, Block) else Block.of(controller, **options)
     prefix = _prefix(name or block.name)
     _require_finite(block, kind)
@@ -120,6 +131,11 @@ def _prefix(name: str) -> str:
             f"name = {name!r}: it begins all names in C; use letters, digits and underscores, a "
             "letter first"
         )
+    if prefix.lower() in _HEADERS.split():  # file systems may not tell capitals
+        raise InputError(
+            f"name = {name!r}: {prefix.lower()}.h is a header that C code includes itself; give "
+            f"another name, such as 'my_{prefix}'"
+        )
     return prefix
 
 
@@ -139,7 +155,10 @@ def _inputs(block: Block, steps: int | None, inputs: ArrayLike | None, seed: int
         if steps is None:
             steps = STEPS_WITH_LOOPS if block.loops else STEPS
         return inputs_of(block, require_count("steps", steps), require_count("seed", seed, 0))
-    given = np.asarray(inputs, dtype=float)
+    try:
+        given = np.asarray(inputs, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"inputs = {SHOWN.repr(inputs)}: give rows of numbers") from None
     if given.ndim != 2 or given.shape[1] != len(block.inputs) or not len(given):
         raise InputError(
             f"inputs has the shape {given.shape}; give (steps, {len(block.inputs)}): "
