@@ -461,9 +461,9 @@ class Search:
         guess = opened.guess(self.problem, c.mesh, c.solved.solution)
         why = ("valve openings", "back to commands")
         found = self.engine.solve(program, c.place, guess, "near", why)
-        if not found.outcome.success and sent is None:
-            return None
-        return replace(c, solved=found if found.outcome.success else sent, rounds=0)
+        if found.outcome.success:
+            sent = found
+        return None if sent is None else replace(c, solved=sent, rounds=0)
 
     # ---- where no start leads anywhere ----------------------------------------------------------
     def _fallbacks(self) -> Iterator[Candidate]:
