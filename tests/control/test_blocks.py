@@ -341,3 +341,6 @@ def test_numbers_may_be_texts_with_units():
     told = block(texts, sample_time="2 ms", limits=ends, fade_time="20 ms")
     assert told.sample_time == plain.sample_time
     assert np.array_equal(told.start("parameters"), plain.start("parameters"))
+    plant = pam.HangingLoad(MUSCLE, 10.0)
+    seen = KalmanFilter(plant, sample_time=STEP, measured={"x": "0.1 mm"})  # type: ignore[dict-item]
+    assert seen.deviations == {"x": pytest.approx(1e-4)}

@@ -153,6 +153,11 @@ def test_each_branch_is_fitted_and_reported() -> None:
     assert float(line.split(",")[1].split()[0]) == pytest.approx(10.0, abs=0.5)
 
 
+def test_the_rest_length_of_a_table_may_be_a_text_with_its_unit() -> None:
+    table = ForceTable(np.ones(2), np.ones(2) * 0.1, np.ones(2), "300 mm")  # type: ignore[arg-type]
+    assert table.rest_length == pytest.approx(0.3)
+
+
 def test_tables_without_branches_are_refused() -> None:
     plain = ForceTable(np.ones(2), np.ones(2) * 0.1, np.ones(2))
     refused(r"no cells of inflation \(branches: none\)", hysteresis, plain)

@@ -257,7 +257,8 @@ def measurements(plant: Plant, measured: Mapping[str, float]) -> tuple[list[Vari
     for v in found:
         if v.causality not in ("state", "output"):
             raise InputError(f"measured: {v.name} is {v.kind}; give states or outputs")
-    return found, np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
+    pairs = zip(found, measured.items(), strict=True)
+    return found, np.array([require_positive(f"measured[{n!r}]", s, v.unit) for v, (n, s) in pairs])
 
 
 def deviations(plant: Plant, given: Mapping[str, float], argument: str) -> dict[str, float]:

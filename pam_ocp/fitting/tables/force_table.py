@@ -115,7 +115,8 @@ class ForceTable:
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         if self.rest_length is not None:
-            require_positive("rest_length", self.rest_length, "m")
+            length = require_positive("rest_length", self.rest_length, "m")
+            object.__setattr__(self, "rest_length", length)
         for name in ("scatter", "error"):
             given = getattr(self, name)
             if given is not None and np.shape(given) != self.pressure.shape:
