@@ -69,7 +69,7 @@ class OpenLoop:
         return dict(zip(self.inputs, self.planned(t).tolist(), strict=True))
 
 
-@dataclass
+@dataclass(eq=False)
 class TrajectoryFeedback(ByBlock):
     """u = u(t) - K(t) (x - x(t)) - Ki(t) integral(y - y(t)): a Controller along a motion.
 

@@ -181,7 +181,7 @@ def margins_over(
 
 
 # ---- clouds -------------------------------------------------------------------------------------
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodeCloud:
     """Frequency responses of many plants of one kind.
 
@@ -252,7 +252,7 @@ def bode_cloud(
 
 
 # ---- along the stroke ---------------------------------------------------------------------------
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stroke:
     """Measures at equilibria along one variable, scaled by nominals.
 
@@ -334,7 +334,7 @@ def along_stroke(
 
 
 # ---- maps ---------------------------------------------------------------------------------------
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModeMap:
     """Natural frequency [Hz] and damping ratio of the slowest oscillation over two variables.
 

@@ -29,7 +29,7 @@ MOST = 5.0
 """Longest Newton step towards the periodic motion, scaled by nominals."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DescribingFunction:
     """First harmonics Y = N(A, f) A of an output under the input u0 + A sin(2 pi f t).
 

@@ -352,7 +352,7 @@ def lqr(
 
 
 # ---- scheduled: gains at every point of a grid, interpolated in between --------------------------
-@dataclass
+@dataclass(eq=False)
 class ScheduledFeedback(SampledLaw):
     """u = u0(s) - K(s) (x - x0(s)) - Ki(s) integral(y - y(s)): a Controller, s the place in the
     grid.

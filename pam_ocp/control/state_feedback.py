@@ -33,7 +33,7 @@ Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, floa
 REST = "at the equilibrium"
 
 
-@dataclass
+@dataclass(eq=False)
 class StateFeedback(SampledLaw):
     """u = u0 - K (x - x0) - Ki integral(y - wanted): a Controller for :func:`closed_loop`.
 

@@ -173,7 +173,7 @@ class Coefficient:
     description: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """Force [N] of the fitted law, its standard error, and intervals; nothing is below zero.
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StabilityPath:
     """Equilibria along the values of a parameter or an input, and their eigenvalues.
 

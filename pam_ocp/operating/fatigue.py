@@ -228,7 +228,7 @@ def _points(given: Any, unit: str) -> tuple[tuple[float, float], ...]:
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FatigueDamage:
     """What :func:`damage` found; ``print`` shows its cycles, damage and life.
 

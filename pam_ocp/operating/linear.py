@@ -344,7 +344,7 @@ def _units_of(plant: Plant, units: Mapping[str, str] | str | None) -> dict[str, 
 
 
 # ---- along a motion -----------------------------------------------------------------------------
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearAlong:
     """A(t), B(t), C(t), D(t) of small deviations from a motion: d' = A d + B w, e = C d + D w.
 
@@ -421,7 +421,7 @@ def linearize_along(
 
 
 # ---- over a grid --------------------------------------------------------------------------------
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearGrid:
     """A family of linear systems over a grid of equilibria: ``family(x=0.002)`` interpolates.
 

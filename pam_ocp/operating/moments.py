@@ -26,7 +26,7 @@ TIE = 1e-6
 """Weight of squared pressures, which decide where the cost leaves a choice."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StaticOptimisation:
     """Pressures for moments, over time. Arrays have one value for each instant.
 

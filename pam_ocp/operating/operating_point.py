@@ -106,7 +106,7 @@ def unfading(a: Array, held: NDArray[np.int_]) -> Array:
 # ---- the point -----------------------------------------------------------------------------------
 @shown
 @locked
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OperatingPoint:
     """States, inputs and outputs of a plant at one point; ``point["x"]`` gives a value [SI].
 

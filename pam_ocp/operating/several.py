@@ -178,7 +178,7 @@ class Equilibria(list[OperatingPoint]):
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EquilibriumPath:
     """Equilibria along one variable; ``path["x"]`` gives a value at each of them [SI]."""
 

@@ -21,7 +21,7 @@ from ..muscles.muscle_file import ENDINGS, load_muscle
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import PLANTS
 from .plant import Plant
-from .plant_data import SYSTEM, plant_of_data
+from .plant_data import FORMAT, SYSTEM, plant_of_data
 
 CARRYING = (".json", ".npz")
 """Endings of files that may carry a plant."""
@@ -262,5 +262,10 @@ def load_plant(path: str | os.PathLike[str], *, allow_code: bool = False) -> Pla
     if SYSTEM not in content:
         kind = content.get("format", "pam_ocp motion")
         raise InputError(f"{name} ({kind}) carries no plant; {remedy}")
+    form = str(content.get("format"))
+    if form != FORMAT and form.rstrip("0123456789. ") == FORMAT.rstrip("0123456789. "):
+        raise InputError(
+            f"{name} is of another version ({form}; this one reads {FORMAT}): save the plant anew"
+        )
     with reading(path, "a plant", remedy):
         return plant_of_data(content[SYSTEM])

@@ -173,7 +173,7 @@ SMALLEST = 0.01
 """Part of an element's friction that its envelopes keep, however far the muscle is stretched."""
 
 
-@dataclass
+@dataclass(eq=False)
 class SlipElements:
     """Springs that hold within -lower (1 + lower_growth kappa) .. upper (1 + upper_growth kappa).
 

@@ -59,7 +59,7 @@ LEAST = 100
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KeptNumbers:
     """Numbers of many simulations, a row a case; ``numbers["x_end"]`` is one of them for all cases.
 

@@ -27,7 +27,7 @@ BLOCK = 1024
 LEVEL = 0.95
 
 
-@dataclass
+@dataclass(eq=False)
 class Statistic:
     """Mean, spread and quantiles of numbers, which are not kept themselves.
 

@@ -21,7 +21,7 @@ from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fra
 from ..plants.plant import Plant, require_plant
 from ..simulation.integrate import evaluated
 from ..simulation.simulator import simulate
-from .free import smooth
+from .free import smooth, watched
 from .hopf_bifurcation import HopfPoint
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Settings:
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LimitCycle:
     """A closed motion of a plant under constant inputs.
 
@@ -140,10 +140,11 @@ class LimitCycle:
         figure: Figure = self.trajectory.plot()
         return figure
 
-    def plot_phase(self, state: str = "x") -> Figure:
+    def plot_phase(self, state: str | None = None) -> Figure:
         """Phase portrait: rate over state."""
+        name = watched(self.plant, state).name
         return courtesy.plot_phase(
-            [self.trajectory], state, self.plant, labels=[f"{self.frequency:.3f} Hz"]
+            [self.trajectory], name, self.plant, labels=[f"{self.frequency:.3f} Hz"]
         )
 
     def plot_multipliers(self) -> Figure:

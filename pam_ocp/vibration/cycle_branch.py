@@ -21,6 +21,7 @@ from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import Orbit, Periodic, Row
 from ..plants.plant import Plant
 from .cycle import LimitCycle, Settings, converged, finished, pin
+from .free import watched
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,16 +109,16 @@ class CycleBranch:
     def _orbit(self, cycle: LimitCycle) -> Orbit:
         return replace(cycle.orbit, lam=Periodic(cycle.plant, self.parameter, 2).lam)
 
-    def plot(self, state: str = "x") -> Figure:
+    def plot(self, state: str | None = None) -> Figure:
         """Amplitude and frequency over the parameter; unstable cycles dashed."""
-        return courtesy.plot_branch(self, state)
+        return courtesy.plot_branch(self, watched(self.cycles[0].plant, state).name)
 
-    def plot_phase(self, state: str = "x") -> Figure:
+    def plot_phase(self, state: str | None = None) -> Figure:
         """Phase portraits of the cycles in one picture."""
         v = self.cycles[0].plant.variable(self.parameter)
         return courtesy.plot_phase(
             [c.trajectory for c in self.cycles],
-            state,
+            watched(self.cycles[0].plant, state).name,
             self.cycles[0].plant,
             values=self.values / v.display_factor,
             label=v.label,

@@ -29,6 +29,7 @@ from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
 from ..plants.plant import Plant
+from .free import watched
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Energy:
     """Energy along a motion [J] and its exact rate [W], all (n,); t [s].
 
@@ -71,7 +72,7 @@ def energy(
     plant: Plant,
     trajectory: Trajectory,
     *,
-    position: str = "x",
+    position: str | None = None,
     mass: str | float | None = None,
 ) -> Energy:
     """E = m v^2/2 - integral R dx along a motion at constant pressures; see the module's theorem.
@@ -81,7 +82,8 @@ def energy(
     plant : with one position whose velocity is a state, as ``HangingLoad(...,
     feed=IdealPressure())``.
     trajectory : a motion of it, as :func:`pam_ocp.simulation.simulator` returns.
-    position : the position's name. mass : name of the parameter, or the inertia itself [kg, kg m2];
+    position : its name; by default x, or the plant's one position.
+    mass : name of the parameter, or the inertia itself [kg, kg m2];
         by default all that moves (the load, what is added to it, half of each muscle's body).
 
     R is mass times the plant's acceleration at zero velocity. Its integral is exact to rounding:
@@ -97,7 +99,7 @@ def energy(
     >>> bool((found.rate <= 0).all())
     True
     """
-    name = plant.variable(position).name
+    name = watched(plant, position, "position").name
     velocity = plant.positions.get(name)
     if velocity is None:
         raise InputError(f"position: {name} has no velocity among the states of {plant.name!r}")

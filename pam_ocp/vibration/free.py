@@ -22,6 +22,7 @@ from ..core.errors import (
 from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
+from ..core.variables import Variable
 from ..numerics.newton import Array
 from ..operating.held import Memory, carried
 from ..operating.resting_point import OperatingPoint, equilibrium
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FreeVibration:
     """A motion that was let go beside an equilibrium, cycle by cycle.
 
@@ -116,7 +117,7 @@ class FreeVibration:
         return courtesy.plot_envelope(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Backbone:
     """Frequency against amplitude, one motion per offset.
 
@@ -144,13 +145,25 @@ class Backbone:
         return courtesy.plot_backbone({"": self})
 
 
+def watched(plant: Plant, state: str | None, argument: str = "state") -> Variable:
+    """The variable that is named; by default x, or what else is the plant's one position."""
+    if state is None:
+        named_x = [v.name for v in plant.states if v.name == "x"]
+        found = named_x or list(plant.load_positions)
+        if len(found) != 1:
+            has = ", ".join(found) or "none"
+            raise InputError(f"{argument}: positions of {plant.name!r} are {has}; name a state")
+        (state,) = found
+    return plant.variable(state)
+
+
 @verb
 def free_vibration(
     plant: Plant,
     at: OperatingPoint | Values,
     offset: float,
     *,
-    state: str = "x",
+    state: str | None = None,
     cycles: float = 20,
     samples: int = 100,
     rtol: float = 1e-11,
@@ -168,7 +181,7 @@ def free_vibration(
         DMSP-20-400N, 20 kg at 4 bar, undamped: 3.432 Hz let go at +2 mm; at +30 mm 3.437 Hz by
         the law's tension, but 3.255 Hz with force >= 0, since the muscle is slack at the top (at
         -30 mm 3.210 Hz: the load then flies to +32 mm).
-    state : the state that is displaced and watched.
+    state : the state that is displaced and watched; by default x, or the plant's one position.
     cycles : length of the record, in periods of the plant linearised at rest.
     samples : per such period. rtol : of the integrator.
     memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`; on the way from rest to
@@ -189,7 +202,7 @@ def free_vibration(
     """
     point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     plant = point.plant
-    variable = plant.variable(state)
+    variable = watched(plant, state)
     if variable.causality != "state":
         raise InputError(f"state: {variable.name} is an {variable.causality}; give a state")
     offset = require_finite("offset", offset, variable.unit)
@@ -279,7 +292,7 @@ def backbone(
     at: OperatingPoint | Values,
     offsets: Sequence[float] | ArrayLike,
     *,
-    state: str = "x",
+    state: str | None = None,
     rtol: float = 1e-11,
     memory: Memory = "virgin",
     time_limit: float | None = None,
@@ -297,15 +310,17 @@ def backbone(
     >>> found.amplitudes.round(4)
     array([0.001, 0.005])
     """
-    starts = np.atleast_1d(require_numbers("offsets", offsets, plant.variable(state).unit))
+    variable = watched(plant, state)
+    starts = np.atleast_1d(require_numbers("offsets", offsets, variable.unit))
     if not starts.size or starts.ndim > 1:
         raise InputError("offsets: give a row of at least one distance from rest")
     point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     motions = [
-        free_vibration(plant, point, float(a), state=state, cycles=4.0, rtol=rtol) for a in starts
+        free_vibration(plant, point, float(a), state=variable.name, cycles=4.0, rtol=rtol)
+        for a in starts
     ]
     return Backbone(
-        plant.variable(state).name,
+        variable.name,
         point,
         starts,
         *(

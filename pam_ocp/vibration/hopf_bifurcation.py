@@ -36,7 +36,7 @@ FINER = 2
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HopfPoint:
     """An equilibrium with a pair of eigenvalues +-i omega.
 
@@ -85,7 +85,7 @@ class HopfPoint:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HopfBorder:
     """The border between rest and vibration over two parameters.
 

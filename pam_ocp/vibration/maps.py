@@ -22,6 +22,7 @@ from ..operating.resting_point import OperatingPoint, equilibrium
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import simulate
 from .cycle import limit_cycle
+from .free import watched
 from .hopf_bifurcation import BorderWalk, HopfPoint
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ SETTLED = 1e-3
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HopfMap:
     """A parameter at the border between rest and vibration, over two values.
 
@@ -98,7 +99,7 @@ class HopfMap:
 
 
 @shown
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AmplitudeMap:
     """How a plant vibrates by itself over two values.
 
@@ -204,7 +205,7 @@ def amplitude_map(
     conditions: Mapping[str, float] | None = None,
     /,
     *,
-    state: str = "x",
+    state: str | None = None,
     push: Mapping[str, float] | None = None,
     periods: int = 400,
     memory: Memory = "virgin",
@@ -221,7 +222,7 @@ def amplitude_map(
     ----------
     axes : {name: values} of two parameters, inputs, states or outputs [their units].
     conditions, memory : of the rest, as for :func:`pam_ocp.equilibrium`.
-    state : whose swing is told.
+    state : whose swing is told; by default x, or the plant's one position.
     push : {state: change} [its unit]. By default a small one along the least damped mode: what then
         vibrates does so by itself. A large one finds vibration that stands beside a stable rest.
     periods : of the least damped mode, simulated at most.
@@ -240,7 +241,7 @@ def amplitude_map(
     """
     given, grid = _grid(plant, axes, {**(conditions or {}), **more})
     (one, first), (two, second) = grid.items()
-    variable = plant.variable(state)
+    variable = watched(plant, state)
     if variable.causality != "state":
         raise InputError(f"state: {variable.name} is an {variable.causality}; name a state")
     require_count("periods", periods, ROUND)

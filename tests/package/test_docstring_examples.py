@@ -1,6 +1,7 @@
 """Every public callable shows an example, and all of them run and print what they say."""
 
 import ast
+import dataclasses
 import doctest
 import inspect
 import re
@@ -78,6 +79,19 @@ def examples(thing: Callable[..., Any]) -> list[doctest.Example]:
 def test_every_public_callable_shows_an_example(room):
     assert [name for name, thing in ROOMS[room].items() if not examples(thing)] == []
     assert (_rooms()[room].__doc__ or "").strip()
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_what_holds_arrays_is_compared_by_identity(room):
+    """By value, == and ``in`` raise NumPy's "truth value of an array", and nothing is a key."""
+    by_value = [
+        name
+        for name, thing in ROOMS[room].items()
+        if dataclasses.is_dataclass(thing)
+        and thing.__dataclass_params__.eq
+        and any("Array" in str(f.type) for f in dataclasses.fields(thing) if f.compare)
+    ]
+    assert by_value == []
 
 
 LONG = {"pam", *(f"pam.{n}" for n in ("control", "export", "fitting", "planning", "studies"))}

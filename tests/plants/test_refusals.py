@@ -1,5 +1,6 @@
 """What cannot be is refused: every number of every component, by its name."""
 
+import json
 import math
 
 import pytest
@@ -97,3 +98,10 @@ def test_a_number_that_cannot_be_is_refused_by_its_name(kind, argument, value):
 )
 def test_an_arrangement_that_cannot_be_is_refused(plant, argument, wrong):
     refused(argument.rstrip("2"), plant, pam.muscle("DMSP-20-400N"), **{argument: wrong})
+
+
+def test_a_plant_file_of_another_version_is_refused(tmp_path):
+    path = pam.plants.save_plant(pam.HangingLoad("DMSP-20-400N"), tmp_path / "plant.json")
+    content = json.loads(path.read_text("utf-8"))
+    path.write_text(json.dumps({**content, "format": "pam_ocp plant 99"}), "utf-8")
+    refused("another version .pam_ocp plant 99", pam.plants.load_plant, path)

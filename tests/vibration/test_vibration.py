@@ -445,3 +445,26 @@ def test_pictures_are_drawn_with_named_axes():
     ):
         figure.draw_without_rendering()
         assert all(ax.get_xlabel() or ax.get_ylabel() for ax in figure.axes)
+
+
+def test_a_joint_vibrates_in_its_angle() -> None:
+    """What a plant's one position is, nobody has to say; of several without an x, somebody has."""
+    muscle = pam.muscle("DMSP-20-400N")
+    inertia, arm, centre = 0.05, 0.04, 0.125
+    joint = pam.AntagonisticJoint(
+        muscle, inertia, arm, pre_contraction=centre, damping=0.0, feed=pam.feeds.IdealPressure()
+    )
+    pressures = {"muscle1.pressure": 4 * BAR, "muscle2.pressure": 4 * BAR}
+    swing = vibration.free_vibration(joint, pressures, 1e-3, cycles=4)
+    stiffness = 2 * arm**2 * float(muscle.stiffness(4 * BAR, centre))
+    assert swing.state == "theta"
+    assert swing.frequency == pytest.approx(np.sqrt(stiffness / inertia) / (2 * np.pi), rel=1e-4)
+    energy = vibration.energy(joint, swing.trajectory)
+    assert np.ptp(energy.total) < 1e-7 * energy.kinetic.max()  # without damping it stays
+    assert vibration.backbone(joint, pressures, [1e-3]).state == "theta"
+    two = pam.Plant("two")
+    for name in ("left", "right"):
+        position, velocity = two.state(name, unit="m"), two.state(f"{name}_rate", unit="m/s")
+        two.der(position, velocity)
+        two.der(velocity, -100.0 * position)
+    refused("left, right; name a state", vibration.free_vibration, two, {}, 0.01)

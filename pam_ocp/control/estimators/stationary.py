@@ -28,7 +28,7 @@ from ..controller import Controller, Estimate, Measured, counted
 from ..kinds import BLOCKS, LARGEST, Array, law_of
 
 
-@dataclass
+@dataclass(eq=False)
 class StationaryFilter:
     """Estimate of all states from a few measured outputs, by the plant's linear model at a point.
 
