@@ -48,9 +48,20 @@ class WriteError(InputError, OSError):
     ``errno`` is the system's number, where the system refused.
     """
 
+    def __new__(cls, *said: Any) -> WriteError:
+        """Of its two bases, the one whose objects can be made so: what rebuilds errors in another
+        process (tblib, for distributed) calls this without __init__.
+        """
+        error = OSError.__new__(cls)
+        error.args = said
+        return error
+
     def __init__(self, message: str, errno: int | None = None) -> None:
         super().__init__(message)
         self.errno = errno
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (*self.args, self.errno)
 
 
 _WORDS = {
