@@ -337,17 +337,22 @@ class ValveOpenings:
         peaks = np.ones(problem.m.numel())
         others = np.setdiff1d(np.arange(len(peaks)), [*own.values()])
         peaks[others] = np.delete(found.peaks, [*theirs.values()])
-        begin = dict(zip([v.name for v in problem.plant.states], found.states[0], strict=True))
-        point = (
-            rest_point(problem, dict[str, object](begin)) if own.keys() - theirs.keys() else None
-        )
+        point = self._begins(problem, found) if own.keys() - theirs.keys() else {}
         for (stop, name), at in own.items():
             if (stop, name) in theirs:
                 peaks[at] = found.peaks[theirs[stop, name]]
-            elif point is not None:
-                k = [v.name for v in problem.plant.inputs].index(name)
-                peaks[at] = point[1][k] / problem.plant.inputs[k].nominal
+            elif name in point:
+                peaks[at] = point[name] / problem.plant.variable(name).nominal
         return peaks
+
+    @staticmethod
+    def _begins(problem: Problem, found: Solution) -> dict[str, float]:
+        """Inputs under which the plant rests where a motion begins."""
+        names = [v.name for v in problem.plant.states]
+        begin: dict[str, object] = dict(zip(names, found.states[0], strict=True))
+        point = rest_point(problem, begin)
+        names = [v.name for v in problem.plant.inputs]
+        return {} if point is None else dict(zip(names, point[1], strict=True))
 
     def _openings(self, inputs: Array) -> Array:
         """Columns of openings from those of their ways."""

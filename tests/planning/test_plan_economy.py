@@ -252,8 +252,11 @@ def test_the_gradients_tell_what_is_gained_on_finer_meshes_of_linear_inputs():
     planner = pam.Planner(plant, stops, duration=0.4, minimise="work")
     coarse = planner(tolerance=None)._solved
     assert coarse.program.mesh.form.control == "linear"
-    estimates, values = [], []
+    meshes, c = searches.search_of(planner).meshes, None
+    estimates, values, gaps = [], [], []
     for _ in range(6):
+        c = Candidate(coarse, coarser=c)
+        gaps.append(meshes.gap(c) * c.scale)
         estimates.append(gains(coarse).sum())
         values.append(coarse.outcome.objective)
         mesh = MeshSequence.split(coarse.program.mesh, gains(coarse), SETTINGS)
@@ -261,6 +264,9 @@ def test_the_gradients_tell_what_is_gained_on_finer_meshes_of_linear_inputs():
     left = np.array(values) - coarse.outcome.objective  # on a mesh that leaves 1e-3 of it
     assert np.all(left[:4] > 0)
     assert np.all((np.array(estimates[:4]) > left[:4]) & (np.array(estimates[:4]) < 6 * left[:4]))
+    # what came of them before is counted: nearer, and still no less than there is
+    assert np.all(np.array(gaps[:4]) > left[:4])
+    assert np.all(np.array(gaps[1:4]) < 1.5 * np.array(estimates[1:4]))
 
 
 @pytest.mark.parametrize(

@@ -322,9 +322,9 @@ def rest_point(problem: Problem, stop: dict[str, object]) -> Point | None:
         abs(rate) <= AT_REST * v.nominal or v.name in kept
         for rate, v in zip(rates, plant.states, strict=True)
     )
-    values = problem.conditions("path", path)(x, u, *_others(problem)) if path else np.zeros(0)
-    low, high = limits(path) if path else (values, values)
-    missed = np.maximum(low - np.ravel(values), np.ravel(values) - high)
+    values = np.ravel(problem.conditions("path", path)(x, u, *_others(problem)))
+    low, high = limits(path)
+    missed = np.maximum(low - values, values - high)
     return (x, u) if still and np.all(missed <= AT_REST) else None
 
 
@@ -357,7 +357,7 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> P
     p = plant.vector("parameter")
     wanted = [plant.expression(n) / subject(plant, n)[0].nominal for n in known]
     others = _others(problem)
-    low, high = limits(leg.path) if leg.path else (np.zeros(0), np.zeros(0))
+    low, high = limits(leg.path)
     aims = np.array([value / subject(plant, n)[0].nominal for n, value in known.items()])
     # a memory that is given keeps what it holds; rounded, it may give up some of it
     kept = {n for n in held_names(plant) if n in known}
