@@ -70,6 +70,8 @@ def quantity(where: str, value: Any, *units: str) -> float:
         raise InputError(f"{where} {TOO_LARGE}")
     if not name:
         return number
+    if name.replace("°", "deg") == "degC" and "K" in units:
+        return number + ZERO_CELSIUS
     measured = _unit(where, value, name)
     if not any(measured.compatible(unit_of(u)) for u in units):
         raise InputError(f"{where} = {value!r}: this measures something else than {expected}")

@@ -224,13 +224,12 @@ DEGREE = 5
 """Every break starts a step of an integrator: of a cubic there would be three times as many."""
 NODES = np.minimum((1 - np.cos(np.pi * np.arange(DEGREE + 1) / DEGREE)) / 2, 1.0 - 1e-9)
 """Of a polynomial on a piece of length 1; at its end it may jump."""
-PROBES = (NODES[:-1] + NODES[1:]) / 2
-"""Where it is compared with the function."""
+LOOKED_AT = 2000
+"""At so many times of a run, at least, polynomials are compared with the function, and at one or
+more between two nodes."""
 ORDERS = np.arange(DEGREE + 1)
 THROUGH = np.linalg.inv(NODES[:, None] ** ORDERS).T
 """Values at the nodes -> coefficients of the polynomial through them."""
-POWERS = (PROBES[:, None] ** ORDERS).T
-PLACES = np.concatenate([NODES, PROBES])
 BATCH = 4096
 """So many pieces are fitted at a time."""
 COMPARED = 8
@@ -242,6 +241,9 @@ def _from_function(
 ) -> PiecewisePolynomial:
     """Pieces through Chebyshev points (Lobatto's), halved until they follow the function."""
     sample = _sampled(variable, function)
+    each = 1 + LOOKED_AT // (DEGREE * (len(t) - 1))
+    among = np.linspace(NODES[:-1], NODES[1:], each + 2, axis=1)[:, 1:-1].ravel()
+    places, powers = np.concatenate([NODES, among]), (among[:, None] ** ORDERS).T
     enough = FUNCTION_TOLERANCE * variable.nominal
     found: list[tuple[Array, Array, Array]] = []
     left, right = np.asarray(t[:-1], float), np.asarray(t[1:], float)  # what is still to be fitted
@@ -249,9 +251,9 @@ def _from_function(
     while left.size:
         a, b = left[:BATCH], right[:BATCH]
         h = b - a
-        values = sample(a, h, PLACES)
+        values = sample(a, h, places)
         piece = values[:, : len(NODES)] @ THROUGH
-        error = np.abs(values[:, len(NODES) :] - piece @ POWERS).max(axis=1)
+        error = np.abs(values[:, len(NODES) :] - piece @ powers).max(axis=1)
         good = (error <= enough) | (h <= SHORTEST_PIECE)
         found.append((a[good], piece[good] / h[good, None] ** ORDERS, values[good, 0]))
         done += int(good.sum())

@@ -24,10 +24,18 @@ from ..plants.damping import Loss
 from ..plants.feeds import Feed
 from ..plants.plant import Plant, require_plant
 from ..plants.undelayed import attributes_of
+from ..simulation import simulate
 from . import description, sampled, source
 from .assembly import Content, write_fmu
 from .layout import FmiVersion, PlantLayout, Settings, checked, checked_about
 from .sampled import as_block
+
+ANOTHER = 1e-2
+"""Of a state's nominal: by more a reference deviates that is no motion of the plant. A plan's keeps
+its tolerance, a thousandth.
+"""
+TOLERANCE = 1e-6
+"""Of Co-Simulation."""
 
 
 @renamed("0.3", plant="system")
@@ -41,7 +49,7 @@ def export_fmu(
     outputs: Sequence[str] | None = None,
     platforms: Iterable[str] | str | None = None,
     step_size: float | None = None,
-    tolerance: float = 1e-6,
+    tolerance: float | None = None,
     fixed_step: float | None = None,
     clock: bool = True,
     stop_time: float = 1.0,
@@ -81,8 +89,8 @@ def export_fmu(
         importer compiles it as sources/buildDescription.xml says.
     step_size : proposed communication step [s]; any step is possible. By default 1 ms, for a block
         its sample time.
-    tolerance : largest error of Co-Simulation, in units of each state's nominal. An importer can
-        ask for less, not for more. The description proposes a hundredth of it (down to 1e-9) for
+    tolerance : largest error of Co-Simulation, in units of each state's nominal, by default 1e-6;
+        a block has none. An importer can ask for less, not for more. The description proposes a hundredth of it (down to 1e-9) for
         the importer's own solver, whose tolerance is that of one step.
     fixed_step : internal steps of this length [s] without error control, so that the work in a
         step is known beforehand (real time); by default steps follow the tolerance.
@@ -132,12 +140,12 @@ def export_fmu(
     block = as_block(system)
     if block is not None:
         refused = {"inputs": inputs, "outputs": outputs, "fixed_step": fixed_step}
-        refused |= {"share": share or None}
+        refused |= {"tolerance": tolerance, "share": share or None}
         for argument, value in {**refused, "reference": reference}.items():
             if value is not None:
                 raise InputError(f"{argument}: a block has none; leave it out")
         size = block.sample_time if step_size is None else step_size
-        settings = checked(fmi, size, tolerance, None, stop_time, about)
+        settings = checked(fmi, size, TOLERANCE, None, stop_time, about)
         shapes["single"] = precision == "single"
         _require_codes(enumerations, (*block.inputs, *block.parameters, *block.outputs))
         return write_block(block, path, settings, platforms, clock, None, **shapes)
@@ -149,14 +157,15 @@ def export_fmu(
     plant = require_plant(system)
     _require_codes(enumerations, (*plant.inputs, *plant.parameters))
     size = 1e-3 if step_size is None else step_size
-    settings = checked(fmi, size, tolerance, fixed_step, stop_time, about)
+    most = TOLERANCE if tolerance is None else tolerance
+    settings = checked(fmi, size, most, fixed_step, stop_time, about)
     shown = _shown_outputs(plant, outputs)
     offered = _with_inputs(plant, inputs)
     if reference is not None:
         _check_reference(reference, offered)
     calculated: frozenset[str] = frozenset()
     if share:
-        offered, calculated = _with_shared(offered)
+        offered, calculated = with_shared(offered)
     content = Content(
         "fmu",
         lambda: source.plant_sources(offered),
@@ -257,7 +266,7 @@ def _with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
     return other
 
 
-def _with_shared(plant: Plant) -> tuple[Plant, frozenset[str]]:
+def with_shared(plant: Plant) -> tuple[Plant, frozenset[str]]:
     """The plant with one parameter (``muscle.a1``) where parts that are numbered (``muscle1.a1``,
     ``muscle2.a1``) have equal ones; those become outputs. Returns the names of these, too.
     """
@@ -359,4 +368,15 @@ def _check_reference(reference: Trajectory, plant: Plant) -> None:
             raise InputError(
                 f"reference: its input {name} is left out of the FMU, which holds it at "
                 f"{plant.variable(name).shown(constants[name] or 0.0)}; name it in inputs"
+            )
+    known = [v for v in plant.states if v.name in reference]
+    own = simulate(plant, reference, start={v.name: v.start or 0.0 for v in plant.states})
+    for v in known:
+        off = np.abs(own[v.name] - reference[v.name])
+        if off.max() > ANOTHER * v.nominal:
+            raise InputError(
+                f"reference: at t = {reference.t[off.argmax()]:g} s its {v.name} is "
+                f"{v.shown(reference[v.name][off.argmax()])}, this plant's "
+                f"{v.shown(own[v.name][off.argmax()])} under the same inputs: it is a motion of "
+                "another plant; simulate this one"
             )

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import InputError, require_names, with_kinds
+from ..core.errors import InputError, require_flag, require_names, with_kinds
 from ..core.files import atomic_path, require_ending
 from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle
@@ -16,6 +16,7 @@ from ..plants.hanging import HangingLoad
 from ..plants.plant import Plant, by_name, require_plant
 from . import quantities
 from .description import to_text
+from .package import with_shared
 
 SPACE = "http://ssp-standard.org/SSP1/SystemStructure"
 """Of SSP 1.0 and 2.0; 2.0 knows the types of FMI 3 (Float64)."""
@@ -50,11 +51,12 @@ def save_ssv(
     values: Mapping[str, Any] | None = None,
     *,
     name: str = "parameters",
+    share: bool = False,
 ) -> Path:
     """Write parameter values of a plant as SSV, to be applied to its FMU; returns the path.
 
     values : {parameter or state: value} [SI, or a text with a unit]; by default all parameters with
-        the plant's values. Raises InputError, UnknownNameError.
+        the plant's values. share : as it was exported. Raises InputError, UnknownNameError.
 
     Examples
     --------
@@ -62,7 +64,9 @@ def save_ssv(
     'load.ssv'
     """
     require_plant(plant)
+    require_flag("share", share)
     given = by_name("values", values)
+    plant = with_shared(plant)[0] if share else plant
     if values is None:
         pairs = [(v, v.start or 0.0) for v in plant.parameters]
     else:

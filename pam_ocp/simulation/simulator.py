@@ -236,7 +236,8 @@ def simulate(
         kept in the cache. None: where it is there. False: never, so that equal calls give equal
         bits, whatever was compiled before. Results differ within ``rtol``.
 
-    Jumps of the inputs are met exactly: no step crosses one.
+    Jumps of the inputs are met exactly: no step crosses one. Functions of time are looked at 2000
+    times in a run or more; pulses between are not seen: give those as ``(times, samples)``.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Warns (ValidityWarning, once for each plant) of a position that goes beyond its range, that of

@@ -171,7 +171,6 @@ def test_a_motion_of_another_arrangement_is_planned_anew_or_says_why_not(hand, s
     hand.until(lambda: "no plan: stop 1: x = -9 mm is outside the stroke" in hand.text)
     assert duration_shown(hand) is None
     retype(hand, "x", "10")
-    hand.sees("planning")
     hand.until(lambda: duration_shown(hand), "a plan")
     at = [{"x": s["at"]} for s in motion_of(server, hand)["stops"]]
     assert [s["x"] for s in at] == pytest.approx([0.010, 0.009])

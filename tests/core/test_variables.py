@@ -40,6 +40,7 @@ def test_unknown_unit_names_the_nearest():
 def test_a_frequency_is_read_as_its_unit_is_shown():
     assert quantity("f", "90 1/min", "1/s") == pytest.approx(1.5)
     assert quantity("x", "\u22122 mm", "m") == -0.002  # the typesetter's minus
+    assert quantity("T", "20 °C", "K") == quantity("T", "20 degC", "K") == 293.15
 
 
 def test_a_variable_shows_its_value_in_the_unit_people_read():

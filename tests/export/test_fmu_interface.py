@@ -104,6 +104,9 @@ def test_a_reference_shows_what_the_fmu_shows(tmp_path):
         InputError, match=r"begins at x = 5 mm, the FMU at 0 mm; export plant\.with"
     ):
         chosen(tmp_path, "2.0", reference=elsewhere)
+    heavier = pam.simulate(plant.with_values(mass=3.0), {FIRST: 4 * BAR}, duration=0.1)
+    with pytest.raises(InputError, match=r"x is 5\.\d+ mm, this plant.s 4\.\d+ mm .* of another plant"):
+        chosen(tmp_path, "2.0", reference=heavier)
 
 
 def test_terminals_gather_what_can_be_connected(tmp_path):

@@ -280,6 +280,7 @@ def test_systems_that_do_not_fit_are_refused_in_a_sentence(tmp_path):
 def test_blocks_that_cannot_run_in_a_tool_are_refused(tmp_path):
     refused("below 1e-06 s", export_fmu, replace(pi(), sample_time=1e-7), tmp_path / "a.fmu")
     refused("inputs: a block has none", export_fmu, pi(), tmp_path / "a.fmu", inputs=["x"])
+    refused("tolerance: a block has none", export_fmu, pi(), tmp_path / "a.fmu", tolerance=1e-4)
     m = ca.MX.sym("m", 0), ca.MX.sym("u", 1), ca.MX.sym("p", 0)
     problem = {"x": ca.MX.sym("x"), "p": ca.MX.sym("p")}
     problem["f"] = (problem["x"] - problem["p"]) ** 2

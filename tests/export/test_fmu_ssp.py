@@ -197,6 +197,19 @@ def test_values_of_a_plant_are_checked_and_may_have_units(tmp_path):
     refused(r"\.ssv", save_ssv, plant, tmp_path / "b.txt")
 
 
+def test_of_shared_parameters_only_those_are_told_that_the_unit_takes(tmp_path):
+    slide = pam.AntagonisticSlide(
+        pam.muscle("DMSP-20-300"), mass=2.0, stroke=0.016, pre_contraction=0.1
+    )
+    unit = export_fmu(slide, tmp_path / "s.fmu", platforms=["source"], share=True)
+    described = fmpy.read_model_description(str(unit)).modelVariables
+    settable = [v.name for v in described if v.causality == "parameter"]
+    assert "muscle.a1" in settable and "muscle1.a1" not in settable
+    assert sorted(read(save_ssv(slide, tmp_path / "s.ssv", share=True))) == sorted(settable)
+    given = {"muscle1.a1": 1.0}
+    refused("muscle1.a1 is neither", save_ssv, slide, tmp_path / "t.ssv", given, share=True)
+
+
 @pytest.mark.parametrize("character", ["\x01", "\x1f", "\ud800", "\uffff"])
 def test_no_file_holds_what_xml_does_not_allow(character, tmp_path):
     plant = pam.HangingLoad(pam.muscle("DMSP-20-300"), 10.0)

@@ -211,6 +211,16 @@ def test_a_function_of_time_is_followed_to_a_billionth(hanging):
     assert np.abs(signals(t)[:, 0] - wave(t)).max() < 3e-9 * 1e5
 
 
+@pytest.mark.parametrize("t", [[0.0, 2.0], np.linspace(0.0, 2.0, 8)])
+@pytest.mark.parametrize("width", [0.3, 0.002])
+def test_a_pulse_between_two_output_times_is_not_overlooked(t, width):
+    plant = pam.Plant("integrator")
+    x, u = plant.state("x"), plant.input("u")
+    plant.der(x, u)
+    run = pam.simulate(plant, {"u": lambda s: 1.0 if 0.5031 <= s < 0.5031 + width else 0.0}, t=t)
+    assert run["x"][-1] == pytest.approx(width, abs=1e-8)
+
+
 def _of_numbers(t):
     return 4e5 + 1e5 * math.sin(300 * t)  # TypeError for an array
 
