@@ -137,8 +137,8 @@ def signals(
 ) -> PiecewisePolynomial:
     """The inputs of a plant over [t[0], t[-1]] as one piecewise polynomial.
 
-    inputs : {name: number | array of len(t) | function of time | (times, values)}, a Trajectory, or
-        None; inputs that are not named keep their start value.
+    inputs : {name: number | array of len(t) | function of time | (times, values) | pandas Series
+        over time}, a Trajectory, or None; inputs that are not named keep their start value.
     interpolation : how arrays run between the samples ("previous" holds, "linear" joins).
     """
     if isinstance(inputs, PiecewisePolynomial):
@@ -195,6 +195,8 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
 def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> PiecewisePolynomial:
     if callable(value):
         return _from_function(variable, value, t)
+    if hasattr(value, "to_numpy") and type(getattr(value, "index", None)).__name__ != "RangeIndex":
+        value = _of_series(value)
     label = f"input {variable.name}"
     if isinstance(value, tuple) and len(value) == 2:
         times = np.atleast_1d(require_numbers(label, value[0], "s"))
@@ -218,6 +220,16 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
         return PiecewisePolynomial(times, samples[:-1, None, None])
     slopes = np.diff(samples) / np.diff(times)
     return PiecewisePolynomial(times, np.stack([samples[:-1], slopes], axis=1)[:, :, None])
+
+
+def _of_series(value: Any) -> Any:
+    """(times, values) of a pandas Series over time: seconds, durations or stamps from the first."""
+    clock = getattr(value, "index", None)
+    if clock is None:  # of polars, say
+        return value.to_numpy()
+    if hasattr(clock, "tz"):
+        clock = clock - clock[0]
+    return clock.total_seconds() if hasattr(clock, "total_seconds") else clock, value.to_numpy()
 
 
 DEGREE = 5

@@ -209,8 +209,8 @@ def simulate(
     Parameters
     ----------
     plant : any Plant.
-    inputs : {name: number | samples at ``t`` | (times, samples) | function of time}, a Trajectory,
-        or None for the inputs' start values.
+    inputs : {name: number | samples at ``t`` | (times, samples) | pandas Series over time |
+        function of time}, a Trajectory, or None for the inputs' start values.
     duration, t : how long [s] (201 samples), or the output times [s] themselves. By default those
         of the Trajectory given as ``inputs``.
     start : initial states by name; by default the first row of a Trajectory given as ``inputs``

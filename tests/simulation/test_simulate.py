@@ -221,6 +221,19 @@ def test_a_pulse_between_two_output_times_is_not_overlooked(t, width):
     assert run["x"][-1] == pytest.approx(width, abs=1e-8)
 
 
+def test_a_series_of_pandas_runs_over_its_own_times():
+    pandas = pytest.importorskip("pandas")
+    plant = pam.Plant("integrator")
+    x, u = plant.state("x"), plant.input("u")
+    plant.der(x, u)
+    clocks = [0.0, 0.1, 0.2], pandas.to_timedelta(["0 s", "100 ms", "200 ms"])
+    for clock in (*clocks, pandas.date_range("2026-03-29 00:59:59.9Z", periods=3, freq="100ms")):
+        series = pandas.Series([1.0, 3.0, 0.0], index=clock)
+        assert pam.simulate(plant, {"u": series}, t=[0.0, 1.0])["x"][-1] == pytest.approx(0.4)
+    rows = pandas.Series([1.0, 3.0, 0.0])  # without times: one at each output time
+    assert pam.simulate(plant, {"u": rows}, t=[0.0, 1.0, 1.5])["x"][-1] == pytest.approx(2.5)
+
+
 def _of_numbers(t):
     return 4e5 + 1e5 * math.sin(300 * t)  # TypeError for an array
 
