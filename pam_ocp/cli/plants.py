@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..core.trajectory import Trajectory
+    from ..operating.linear_model import LinearModel
     from ..plants.plant import Plant
 
 
@@ -185,26 +186,28 @@ def _linearize(options: argparse.Namespace) -> int:
     plant = plant_said(options)
     conditions = pairs("--rest", options.rest)
     point = plant.equilibrium(conditions or {v.name: v.start or 0.0 for v in plant.inputs})
-    system = linear_model(
-        plant,
-        point,
-        inputs=options.inputs,
-        outputs=options.outputs,
-        units=None if options.si else "display",
-        stuck=True,
-    )
-    said = {
-        "point": point.values,
-        "stability": point.stability,
-        "poles": [[float(p.real), float(p.imag)] for p in point.poles],
-        "modes": [{"hertz": f, "damping_ratio": z} for f, z in pam.operating.modes(system)],
-        "states": system.state_labels,
-        "inputs": system.input_labels,
-        "outputs": system.output_labels,
-        "units": dict(system.units),
-        **{name: getattr(system, name).tolist() for name in "ABCD"},
-    }
-    tell(options, _text(point, said), said)
+
+    def model(units: Literal["display"] | None) -> LinearModel:
+        return linear_model(
+            plant, point, inputs=options.inputs, outputs=options.outputs, units=units, stuck=True
+        )
+
+    def told(system: LinearModel) -> dict[str, Any]:
+        return {
+            "point": point.values,
+            "stability": point.stability,
+            "poles": [[float(p.real), float(p.imag)] for p in point.poles],
+            "modes": [{"hertz": f, "damping_ratio": z} for f, z in pam.operating.modes(system)],
+            "states": system.state_labels,
+            "inputs": system.input_labels,
+            "outputs": system.output_labels,
+            "units": dict(system.units),
+            **{name: getattr(system, name).tolist() for name in "ABCD"},
+        }
+
+    system = model(None if options.si else "display")
+    said = told(system)
+    tell(options, _text(point, said), lambda: told(model(None)))
 
     def save(path: Path) -> Path:
         return write_json(path, {"format": "pam_ocp linear model 1", **said, **carried(plant)})

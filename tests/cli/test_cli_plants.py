@@ -43,8 +43,13 @@ def test_two_trajectories_are_compared_and_the_exit_code_judges(capsys, tmp_path
 
 def test_a_linear_system_is_written_in_display_units_with_the_poles_of_its_matrix(capsys, tmp_path):
     out = tmp_path / "linear.json"
-    assert run(capsys, "linearize HangingLoad --rest 'x=20 mm' --json --out", out)[0] == 0
-    found = json.loads(out.read_text())
+    code, text, _ = run(capsys, "linearize HangingLoad --rest 'x=20 mm' --json --out", out)
+    assert code == 0
+    found, told = json.loads(out.read_text()), json.loads(text)
+    assert (told["units"]["x"], told["units"]["muscle_pressure"]) == ("m", "Pa")
+    size = {"mm": 1e-3, "m/s": 1.0, "bar": 1e5}
+    sizes = np.array([size[found["units"][n]] for n in found["states"]])
+    assert np.allclose(np.array(told["A"]), found["A"] * sizes[:, None] / sizes, rtol=1e-12)
     assert found["units"]["x"] == "mm"
     assert found["units"]["muscle_pressure"] == "bar"
     poles = sorted(np.linalg.eigvals(np.array(found["A"])), key=lambda s: (-s.real, s.imag))
