@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.cases import results_of
-from ..core.errors import InputError, kind_of, require_count, require_ends
+from ..core.errors import InputError, kind_of, require_count, require_ends, require_numbers
 from ..core.executors import Place
 from ..core.shown import shown
 from ..core.stop import verb
@@ -375,7 +375,8 @@ def mode_map(
     array([[5.52, 5.91],
            [4.15, 4.46]])
     """
-    grid = {plant.variable(n).name: np.asarray(v, float) for n, v in axes.items()}
+    variables = {plant.variable(n): v for n, v in axes.items()}
+    grid = {v.name: np.atleast_1d(require_numbers(v.name, a, v.unit)) for v, a in variables.items()}
     if len(grid) != 2:
         raise InputError(f"mode_map takes two axes; {len(grid)} given")
     (outer, rows), (inner, columns) = grid.items()

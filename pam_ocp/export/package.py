@@ -90,8 +90,9 @@ def export_fmu(
     step_size : proposed communication step [s]; any step is possible. By default 1 ms, for a block
         its sample time.
     tolerance : largest error of Co-Simulation, in units of each state's nominal, by default 1e-6;
-        a block has none. An importer can ask for less, not for more. The description proposes a hundredth of it (down to 1e-9) for
-        the importer's own solver, whose tolerance is that of one step.
+        a block has none. An importer can ask for less, not for more. The description proposes a
+        hundredth of it (down to 1e-9) for the importer's own solver, whose tolerance is that of one
+        step.
     fixed_step : internal steps of this length [s] without error control, so that the work in a
         step is known beforehand (real time); by default steps follow the tolerance.
     clock : False leaves the clock out of a block's FMI 3 description, for importers that cannot

@@ -66,7 +66,7 @@ class Stop:
         ends = self.dwell if isinstance(self.dwell, tuple) else (self.dwell,)
         dwell = tuple(require_positive("Stop.dwell", v, "s", zero=True) for v in ends)
         object.__setattr__(self, "dwell", dwell if isinstance(self.dwell, tuple) else dwell[0])
-        require_positive("Stop.within", self.within)
+        object.__setattr__(self, "within", require_positive("Stop.within", self.within))
         require_flag("Stop.rest", self.rest, none="as the plan's own rest=")
 
     @property

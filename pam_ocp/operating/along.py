@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
-from ..core.errors import InputError
+from ..core.errors import InputError, require_numbers
 from ..core.stop import turns, verb
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..plants.plant import Plant
@@ -99,7 +99,7 @@ def stability_path(
     array([ True,  True,  True])
     """
     rest = VariedRest(plant, parameter, {**(conditions or {}), **more}, memory)
-    numbers = np.atleast_1d(np.asarray(values, dtype=float))
+    numbers = np.atleast_1d(require_numbers("values", values, rest.variable.unit))
     if numbers.ndim != 1 or not numbers.size:
         raise InputError("values must be a row of at least one number")
     for value in numbers:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, kind_of, require_instance, require_positive
+from ..core.errors import InputError, kind_of, require_instance, require_numbers, require_positive
 from ..core.quantities import outside
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -537,10 +537,11 @@ def linearize_grid(
         plant, conditions = inversion.inner, inversion.conditions(conditions)
     grid: dict[str, Array] = {}
     for name, values in axes.items():
-        axis = np.asarray(values, float)
+        variable = plant.variable(name)
+        axis = np.asarray(require_numbers(f"axes[{name!r}]", values, variable.unit), float)
         if axis.ndim != 1 or len(axis) < 2 or not np.all(np.diff(axis) > 0):
             raise InputError(f"axes[{name!r}] must hold at least two rising values")
-        grid[plant.variable(name).name] = axis
+        grid[variable.name] = axis
     if not grid:
         raise InputError("axes is empty: name at least one variable with its values")
     shape = tuple(len(a) for a in grid.values())

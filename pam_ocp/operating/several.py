@@ -16,7 +16,7 @@ from ..core.shown import shown
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..numerics.continuation import ImplicitCurve, Walk
 from ..numerics.newton import NewtonError
-from ..plants.plant import Plant, Values
+from ..plants.plant import Plant, Values, require_plant
 from .held import Memory, held
 from .rest import TOLERANCE, Rest, posed
 from .resting_point import EquilibriumError, OperatingPoint, equilibrium, why_not
@@ -232,11 +232,12 @@ def equilibrium_path(
     points: list[OperatingPoint] = []
     done: list[float] = []
     end = ""
-    for value in values:
+    unit = require_plant(plant).variable(name).unit
+    for value in [require_finite(name, v, unit) for v in values]:
         if points and deadline().over:
             end = f"{deadline()} was over"
             break
-        given = {**(conditions or {}), **more, name: float(value)}
+        given = {**(conditions or {}), **more, name: value}
         if not points:
             points.append(equilibrium(plant, given, free=free, memory=memory))
         else:
@@ -302,9 +303,9 @@ def equilibrium_branch(
     >>> len(path.folds)
     0
     """
-    start, stop = require_finite("start", start), require_finite("stop", stop)
-    length = require_positive("step", step)
-    require_positive("longest", longest)
+    unit = require_plant(plant).variable(name).unit
+    start, stop = require_finite("start", start, unit), require_finite("stop", stop, unit)
+    step, longest = require_positive("step", step), require_positive("longest", longest)
     if start == stop:
         raise InputError(f"start and stop are the same ({start:g}); give the way to go")
     given = {**(conditions or {}), **more, name: start}
@@ -313,9 +314,7 @@ def equilibrium_branch(
     tangent = branch.curve.tangent(place)
     if branch.rate(place, tangent) * (stop - start) < 0:
         tangent = -tangent
-    walk = Walk(
-        branch.curve, place, tangent, length, longest, SHORTEST * step, GROWTH, LEAST_COSINE
-    )
+    walk = Walk(branch.curve, place, tangent, step, longest, SHORTEST * step, GROWTH, LEAST_COSINE)
     places, folds, end = [place], [], f"after {max_points} points"
     try:
         while len(places) < max_points:

@@ -335,7 +335,7 @@ class Planner:
     ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
-            require_positive("tolerance", tolerance)
+            tolerance = require_positive("tolerance", tolerance)
         require_instance("guess", guess, Plan, "give what plan() returned", none=True)
         if starts is not None:
             require_count("starts", starts, 1, MOST)

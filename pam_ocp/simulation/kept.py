@@ -191,7 +191,7 @@ def keep_numbers(
     for name, width in until.items():
         if name not in work.keep:
             raise UnknownNameError("name in until (a number that is kept)", name, work.keep)
-        require_positive(f"until[{name!r}]", width, "")
+        until = {**until, name: require_positive(f"until[{name!r}]", width)}
     simulation = work.simulation
     told = digest_of(
         [simulation.plant.__getstate__(), dict(simulation.common), _said_of(work), dict(until)]

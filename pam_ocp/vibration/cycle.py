@@ -220,7 +220,7 @@ def _from_hopf(
         variable = plant.variable(name)
         if variable.name not in names:
             raise InputError(f"amplitude: {variable.name} is an {variable.causality}; name a state")
-        require_positive(f"amplitude of {variable.name}", swing, variable.unit)
+        swing = require_positive(f"amplitude of {variable.name}", swing, variable.unit)
         size = swing / float(np.abs(start.mode[names.index(variable.name)]))
     mesh = np.linspace(0, 1, settings.intervals + 1)
     rest = np.broadcast_to(

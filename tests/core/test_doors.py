@@ -145,6 +145,25 @@ def test_a_text_with_its_unit_is_the_number_in_si() -> None:
     assert plant.with_values({"muscle.pressure": "3 bar"}).variable("muscle.pressure").start == 3e5
 
 
+def test_axes_steps_and_tolerances_take_texts_with_units_too() -> None:
+    plant, rest = pam.HangingLoad(MUSCLE, 5.0), {"muscle.command": "3 bar"}
+    branch = pam.operating.equilibrium_branch(plant, "mass", "5000 g", "6 kg", rest)
+    assert branch.values[[0, -1]] == pytest.approx([5.0, 6.0])
+    path = pam.operating.equilibrium_path(plant, "mass", ["5000 g", "6 kg"], rest)
+    assert path.values.tolist() == [5.0, 6.0]
+    assert pam.vibration.stability_path(plant, "mass", ["5000 g", "6 kg"], rest).values[0] == 5.0
+    grid = pam.operating.linearize_grid(plant, {"x": ["20 mm", "3 cm"]})
+    assert grid.axes["x"].tolist() == [0.02, 0.03]
+    modes = pam.control.mode_map(plant, {"mass": ["5 kg"], "x": ["20 mm"]})
+    assert modes.axes["x"].tolist() == [0.02]
+    black_box = pam.fitting.ArxStructure(
+        ["x"], ["muscle.command"], 2, ["500 ms"], "20 ms", first="0.1 s"
+    )
+    assert (*black_box.horizon, black_box.every, black_box.first) == (0.5, 0.02, 0.1)
+    stops = [{"x": "10 mm"}, pam.Stop({"x": "30 mm"}, within="0.001")]
+    assert pam.plan(plant, stops, tolerance="1e-3").verified
+
+
 # ---- loads with inertia
 # ---------------------------------------------------------------------------
 

@@ -105,7 +105,8 @@ def test_a_reference_shows_what_the_fmu_shows(tmp_path):
     ):
         chosen(tmp_path, "2.0", reference=elsewhere)
     heavier = pam.simulate(plant.with_values(mass=3.0), {FIRST: 4 * BAR}, duration=0.1)
-    with pytest.raises(InputError, match=r"x is 5\.\d+ mm, this plant.s 4\.\d+ mm .* of another plant"):
+    wrong = r"x is 5\.\d+ mm, this plant.s 4\.\d+ mm .* of another plant"
+    with pytest.raises(InputError, match=wrong):
         chosen(tmp_path, "2.0", reference=heavier)
 
 

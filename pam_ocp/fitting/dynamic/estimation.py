@@ -84,13 +84,12 @@ class Asked:
     ) -> FitTask:
         if method not in METHODS:
             raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
-        if self.step is not None:
-            require_positive("step", self.step, "s")
+        step = None if self.step is None else require_positive("step", self.step, "s")
         order = ORDERS[method][0] if self.degree is None else self.degree
         require_count("degree", order, 1, 9)
         low, high = self.delays
         experiments = [
-            prepare(plant, r, self.names, high, self.step, self.inputs, self.input_noise)
+            prepare(plant, r, self.names, high, step, self.inputs, self.input_noise)
             for r in records
         ]
         width = max(e.coefficients.shape[1] for e in experiments)

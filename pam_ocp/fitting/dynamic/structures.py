@@ -16,7 +16,6 @@ from ...core.errors import (
     FitError,
     InputError,
     require_count,
-    require_finite,
     require_instance,
     require_positive,
 )
@@ -248,11 +247,10 @@ class BlackBox:
         require_count("lag", self.lag, -LONGEST_LAG, LONGEST_LAG)
         if not len(self.horizon):
             raise InputError("horizon is empty: give durations [s], at least one")
-        require_positive("every", self.every)
-        for h in self.horizon:
-            require_positive("horizon", h)
-        if require_finite("first", self.first) < 0:
-            raise InputError(f"first = {self.first:g} s must not be negative")
+        horizon = [require_positive("horizon", h, "s") for h in self.horizon]
+        object.__setattr__(self, "horizon", horizon)
+        object.__setattr__(self, "every", require_positive("every", self.every, "s"))
+        object.__setattr__(self, "first", require_positive("first", self.first, "s", zero=True))
 
     def measured(self, record: Trajectory) -> tuple[Array, Array]:
         """Outputs (N, ny) and inputs (N, nu) of a record."""

@@ -140,7 +140,7 @@ def robust_plan(
     require_count("fresh", fresh, 100)
     require_count("rounds", rounds)
     require_count("begin", begin)
-    require_positive("time_limit", time_limit, "s")
+    time_limit = require_positive("time_limit", time_limit, "s")
     sampler = draws if callable(draws) else unseen if callable(unseen) else None
     samples = None if sampler is None else _Samples(plant, sampler, seed)
     members = samples(begin) if callable(draws) and samples else drawn(plant, _listed(draws))
