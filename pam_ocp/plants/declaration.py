@@ -519,6 +519,10 @@ class Declaration:
                     f"plant {self.name!r}: the expression of {name!r} holds symbols that no state, "
                     f"input or parameter declares: {', '.join(sorted(free))}"
                 )
+        # laws come to their variables by several ways: what stands twice in their equations is once
+        # here, a fifth to two fifths of all operations, before anything differentiates them
+        common = ca.cse(list(self._expressions.values()))
+        self._expressions = dict(zip(self._expressions, common, strict=True))
         x, u, p = (self._column(self._symbols, c) for c in CHANGEABLE)
         xdot, y, c = (self._column(self._expressions, c) for c in DEFINED)
         return Equations(x, u, p, xdot, y, c)

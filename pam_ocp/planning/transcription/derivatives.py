@@ -33,11 +33,6 @@ PER_OPERATION = {"rows": 1.7e-8, "curvature": 7.7e-9}
 """The same for each operation. Measured on 46 solves of 14 random tasks (2 to 8 states, 100 to
 40 000 unknowns): right to a factor of 1.4 in nine of ten."""
 
-MANY = 10
-"""Intervals of one form from which it pays to look for what stands twice in their derivatives: that
-takes as long as ten thousand evaluations, and saves a fifth of each.
-"""
-
 
 def derivatives(program: Program) -> dict[str, ca.Function]:
     """{"grad_f", "jac_g", "hess_lag"}: functions for CasADi's interface to IPOPT.
@@ -74,8 +69,6 @@ class _Local:
     cost: ca.SX
     functions: dict[str, ca.Function] = field(default_factory=dict)
     """Those that were made: all meshes share them."""
-    operations: dict[str, int] = field(default_factory=dict)
-    """Theirs, what stands twice counted twice."""
 
     @cached_property
     def slopes(self) -> ca.SX:
@@ -122,17 +115,11 @@ class _Local:
         y = ca.vertcat(*parts.values())
         return cls([y, lengths, starts, p, q], ca.veccat(defects, path, budgets), cost)
 
-    def function(self, name: str, value: ca.SX, more: list[ca.SX], count: int) -> ca.Function:
-        """(given, more) -> the stored entries of ``value``, as one column; count : of intervals."""
-        key = f"{name}_of_many" if count >= MANY else name
-        if key not in self.functions:
-            arguments, results = [*self.given, *more], [stored(value)]
-            function = ca.Function(name, arguments, results)
-            self.operations[name] = function.n_instructions()
-            if count >= MANY:
-                function = ca.Function(name, arguments, results, {"cse": True})
-            self.functions[key] = function
-        return self.functions[key]
+    def function(self, name: str, value: ca.SX, more: list[ca.SX]) -> ca.Function:
+        """(given, more) -> the stored entries of ``value``, as one column."""
+        if name not in self.functions:
+            self.functions[name] = ca.Function(name, [*self.given, *more], [stored(value)])
+        return self.functions[name]
 
 
 _local = lru_cache(maxsize=32)(_Local.of)
@@ -149,9 +136,8 @@ class Block:
 
     def over(self, name: str, value: ca.SX, more: list[ca.SX], given: list[ca.MX]) -> ca.MX:
         """The stored entries of ``value`` of all intervals, as one column."""
-        count = self.unknowns.shape[1]
-        function = self.local.function(name, value, more, count)
-        return ca.vec(function.map(count)(*given))
+        function = self.local.function(name, value, more)
+        return ca.vec(function.map(self.unknowns.shape[1])(*given))
 
     def given(self, problem: Problem, w: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Arguments at the program's unknowns and parameters."""
@@ -204,10 +190,11 @@ def iteration_cost(program: Program) -> float:
     """
     unknowns, counted = program.nlp["x"].numel(), 0.0
     for group in program.groups:
-        made = {} if program.problem.profiles else _local(group.stage).operations
+        made = {} if program.problem.profiles else _local(group.stage).functions
         if not made:
             return UNCOUNTED * unknowns
-        each = sum(cost * made.get(name, 0) for name, cost in PER_OPERATION.items())
+        known = [(cost, made[n]) for n, cost in PER_OPERATION.items() if n in made]
+        each = sum(cost * function.n_instructions() for cost, function in known)
         counted += len(group.members) * each
     return PER_UNKNOWN * unknowns + counted
 

@@ -232,6 +232,7 @@ class Stage:
             [defects, ca.vertcat(*values), integrals[0] + rates, integrals[1:]],
             [*names, "a"],
             ["defects", "path", "cost", "budgets"],
+            {"cse": True},  # limits look at what the dynamics hold
         )
         completing = ca.Function("completing", arguments, [ca.vertcat(*costs.values)], names, ["a"])
         return function, completing
