@@ -6,7 +6,8 @@ frequency responses only has them from here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copyreg
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -70,4 +71,13 @@ class LinearModel:
             remove_useless_states=False,
         )
         system.units = dict(self.units)
+        copyreg.pickle(control.StateSpace, _packed)  # which holds functions that cannot travel
         return system
+
+
+def _packed(system: control.StateSpace) -> tuple[Callable[[], control.StateSpace], tuple[()]]:
+    """What makes it anew, for pickle and copies."""
+    labels = system.state_labels, system.input_labels, system.output_labels
+    units = getattr(system, "units", {})
+    matrices = system.A, system.B, system.C, system.D
+    return LinearModel(*matrices, *labels, units, system.name, system.dt).to_control, ()

@@ -1,5 +1,8 @@
 """Linear systems in units that serve numbers of like size."""
 
+import copy
+import pickle
+
 import control
 import numpy as np
 import pytest
@@ -51,3 +54,15 @@ def test_in_display_units_a_transfer_function_has_no_zero_far_away(plant, point)
 def test_wrong_units_are_refused(plant, point):
     refused(r"units\['x'\] = 'bar'", pam.linearize, plant, point, units={"x": "bar"})
     refused("display", pam.linearize, plant, point, units="shown")
+
+
+def test_a_linear_system_travels_between_processes(plant, point):
+    system = pam.linearize(plant, point, dt=0.01)
+    for other in (pickle.loads(pickle.dumps(system)), copy.deepcopy(system)):
+        assert (other.dt, other.name, other.units) == (0.01, system.name, system.units)
+        assert (other.input_labels, other.output_labels) == (
+            system.input_labels,
+            system.output_labels,
+        )
+        for name in "ABCD":
+            assert np.array_equal(getattr(other, name), getattr(system, name))
