@@ -233,7 +233,7 @@ def equilibrium_path(
     done: list[float] = []
     end = ""
     unit = require_plant(plant).variable(name).unit
-    for value in [require_finite(name, v, unit) for v in values]:
+    for value in (require_finite(name, v, unit) for v in values):
         if points and deadline().over:
             end = f"{deadline()} was over"
             break

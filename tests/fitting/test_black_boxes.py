@@ -285,7 +285,7 @@ def test_all_are_judged_by_the_same_runs():
         ({"horizon": ()}, "horizon is empty"),
         ({"horizon": (0.1, -1.0)}, "horizon = -1"),
         ({"every": 0.0}, "every = 0"),
-        ({"first": -0.1}, "first = -0.1 s must not be negative"),
+        ({"first": -0.1}, "first = -0.1 s must be >= 0"),
         ({"units": 0}, "units = 0"),
         ({"tries": 1.5}, "tries = 1.5"),
         ({"rate": 0.0}, "rate = 0"),
