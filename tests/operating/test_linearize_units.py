@@ -66,3 +66,8 @@ def test_a_linear_system_travels_between_processes(plant, point):
         )
         for name in "ABCD":
             assert np.array_equal(getattr(other, name), getattr(system, name))
+
+
+def test_a_point_of_another_plant_is_no_point_to_design_at(point):
+    slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), 2.0, pre_contraction=0.1)
+    refused("belongs to 'hanging_load', not 'antagonistic_slide'", pam.lqr, slide, point)

@@ -50,6 +50,7 @@ def test_the_least_co_contraction_leaves_the_antagonist_just_taut(tmp_path, mini
     assert found.reached.all()
     assert found.forces["extensor"][0] == pytest.approx(1.0, abs=1e-3)  # the clamp's width
     assert found.forces["flexor"][0] > 1.5 * G * 0.2 * np.sin(0.2) / 0.04
+    assert found.moments["a"] == pytest.approx(1.5 * G * 0.2 * np.sin(0.2))  # at rest: gravity's
 
 
 def test_static_optimisation_says_what_is_out_of_reach(tmp_path):

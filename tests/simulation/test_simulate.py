@@ -234,6 +234,26 @@ def test_a_series_of_pandas_runs_over_its_own_times():
     assert pam.simulate(plant, {"u": rows}, t=[0.0, 1.0, 1.5])["x"][-1] == pytest.approx(2.5)
 
 
+@pytest.mark.parametrize("first", [0.0, 3.0])
+def test_a_dead_time_is_exactly_a_shift_of_the_command(first):
+    muscle, dead = pam.muscle("DMSP-20-300"), 0.03
+    late, prompt = (
+        pam.HangingLoad(muscle, 10.0, feed=pam.feeds.Regulator(lag=0.05, dead_time=d))
+        for d in (dead, None)
+    )
+    t = first + np.linspace(0.0, 0.4, 41)
+    steps = {0.0: 2 * BAR, 0.05: 4 * BAR, 0.2: 3 * BAR}
+    times, values = first + np.array([*steps, 0.4]), np.array([*steps.values(), 3 * BAR])
+    begin = prompt.equilibrium({"muscle.command": 2 * BAR})
+    start = {v.name: begin[v.name] for v in prompt.states}
+    line = {v.name: 2 * BAR for v in late.states if ".delay" in v.name}
+    command = {"muscle.command": (times, values)}
+    run = pam.simulate(late, command, t=t, start=start | line, dead_times="exact", rtol=1e-9)
+    command = {"muscle.command": (np.append(first, times[1:] + dead), values)}
+    shifted = pam.simulate(prompt, command, t=t, start=start, rtol=1e-9)
+    assert np.abs(run["x"] - shifted["x"]).max() < 1e-8
+
+
 def _of_numbers(t):
     return 4e5 + 1e5 * math.sin(300 * t)  # TypeError for an array
 
