@@ -72,11 +72,11 @@ def quiet_ipopt(plugin: Mapping[str, Any] | None = None, /, **ipopt: Any) -> dic
 class _Watch(ca.Callback):
     """An ``iteration_callback`` for CasADi's interface to IPOPT.
 
-    report : called with (x, f, g) in each iteration. What it raises ends the solve.
+    report : called with (x, f, g) in each iteration. What it raises ends the solve, and True.
     """
 
     def __init__(
-        self, sizes: tuple[int, int, int], report: Callable[[Any, Any, Any], None] | None
+        self, sizes: tuple[int, int, int], report: Callable[[Any, Any, Any], bool | None] | None
     ) -> None:
         ca.Callback.__init__(self)
         nx, ng, parameters = sizes
@@ -101,7 +101,7 @@ class _Watch(ca.Callback):
         end = ask()
         if self._report is not None and not end:
             try:
-                self._report(*arguments[:3])
+                end = bool(self._report(*arguments[:3]))
             except BaseException as error:
                 self.error = error
         return [int(end or self.error is not None)]
@@ -157,12 +157,12 @@ def nlpsol(
     options: Mapping[str, Any],
     *,
     sizes: tuple[int, int, int] | None = None,
-    report: Callable[[Any, Any, Any], None] | None = None,
+    report: Callable[[Any, Any, Any], bool | None] | None = None,
 ) -> Nlp:
     """``casadi.nlpsol``, which prints nothing of programs with more equations than unknowns.
 
     sizes : numbers of unknowns, constraints and parameters, where ``problem`` does not show them.
-    report : called with (x, f, g) at each iteration of IPOPT.
+    report : called with (x, f, g) at each iteration of IPOPT, which stops where it returns True.
     """
     one_thread()
     hold_memory()

@@ -35,3 +35,19 @@ def test_bounds_that_meet_are_an_equality() -> None:
     x = ca.SX.sym("x", 2)
     found = solver(x[0] + x[1], of=x)(lbx=[1.0, -5], ubx=[1.0, 5], lbg=0, ubg=0)
     assert found["x"].full().ravel() == pytest.approx([1.0, -1.0])
+
+
+def test_a_report_that_says_true_ends_the_solve_where_it_is() -> None:
+    x = ca.SX.sym("x", 2)
+    rosenbrock = (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2
+    seen: list[float] = []
+
+    def report(at: ca.DM, value: ca.DM, rows: ca.DM) -> bool:
+        seen.append(float(value))
+        return len(seen) == 4
+
+    found = nlpsol("valley", "ipopt", {"x": x, "f": rosenbrock}, quiet_ipopt(), report=report)
+    result = found(x0=[-1.2, 1.0])
+    assert found.stats()["return_status"] == "User_Requested_Stop"
+    assert len(seen) == 4
+    assert float(result["f"]) == seen[-1]

@@ -246,3 +246,23 @@ def test_iterations_are_many_where_they_cost_little():
     assert most[1] == pytest.approx(24.0 / large.cost, abs=1.0)
     assert larger.cost == pytest.approx(2 * large.cost, rel=0.02)
     assert large._options("last")["ipopt"]["max_iter"] == int(8.0 / large.cost)
+
+
+def test_where_costs_have_all_but_stopped_to_fall_a_solve_ends_and_its_motion_is_kept(monkeypatch):
+    slide = pam.AntagonisticSlide(
+        "DMSP-20-300",
+        mass=2.0,
+        pre_contraction=0.1,
+        damping=pam.losses.ConstantDamping(20.0),
+        feed=pam.feeds.Regulator(0.05, max_pressure=6e5),
+    )
+    stops, given = [{"x": -0.01}, {"x": 0.01}], {"minimise": "effort", "duration": 0.5}
+    monkeypatch.setattr("pam_ocp.planning.solvers.solver.PROGRESS", (1000, 0.0))
+    whole = pam.plan(slide, stops, **given)
+    monkeypatch.setattr("pam_ocp.planning.solvers.solver.PROGRESS", (4, 1e-2))
+    early = pam.plan(slide, stops, **given)
+    starts = [(s["status"], s["iterations"]) for s in early.statistics["stages"]]
+    assert starts[0][0] == "Slow_Progress"
+    assert starts[0][1] < whole.statistics["stages"][0]["iterations"]
+    assert early.verified
+    assert early.objective == pytest.approx(whole.objective, rel=2e-3)

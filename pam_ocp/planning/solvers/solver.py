@@ -64,7 +64,8 @@ STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
 ACCEPTABLE, SETTLED = "Solved_To_Acceptable_Level", "Settled"
 LIMITS = "max_iter", "max_cpu_time", "max_wall_time"
 """Options whose values, where a user gives them, end all work on a solve."""
-ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded")
+SLOW = "Slow_Progress"
+ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded", SLOW)
 ENDED_BLOCKED = (
     "Infeasible_Problem_Detected",
     "Restoration_Failed",
@@ -75,12 +76,17 @@ ENDED_BLOCKED = (
 violation of ``LITTLE`` at most.
 """
 LITTLE = 1e-3
+PROGRESS = 30, 1e-4
+"""So many iterations beside the constraints in which costs fall by less than this part end a solve
+where no finer mesh is to lower them: on flat costs hundreds more gain next to nothing.
+"""
 LEAST_COST = 1e-5
 """Residual of stationarity up to which costs count as the least."""
 SLOWLY = "the search ended where costs fell slowly and may not be at their least (slope {:.0e})"
 STUCK = "the solver stopped beside the constraints ({}); costs may not be at their least"
 PROJECTIONS: tuple[Start, ...] = ("feasible", "nearest")
 """Starts that look for a motion next to the guess, whatever it costs."""
+ENDED_SLOW: tuple[Start, ...] = ("cold", "near", "last", "finer", "damped")
 SETTLING: tuple[Start, ...] = ("damped", *PROJECTIONS)
 """Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
@@ -145,9 +151,10 @@ class Outcome:
         """
         if self.wandered:
             return ("feasible",) if damped and self.success else ("damped", "feasible")
+        slow = self.status == SLOW  # beside the constraints, whatever the slope
         if damped:
-            return ("feasible",) if self.within(*NEARLY) else ()
-        return ("last", "feasible") if self.within(*CLOSE) else ()
+            return ("feasible",) if slow or self.within(*NEARLY) else ()
+        return ("last", "feasible") if slow or self.within(*CLOSE) else ()
 
     def within(
         self, stationarity: float, violation: float, ended: tuple[str, ...] = ENDED_LATE
@@ -224,6 +231,8 @@ class Ipopt:
         self.program = program
         self.report = progress if callable(progress) else _printed if progress else None
         self._iteration, self._limits = 0, program.limits()
+        self._costs: list[float] = []
+        self._slow = self._ends_slow = False
         self._given = dict(options or {})
         self._derivatives = derivatives(program)
         self.cost = iteration_cost(program)
@@ -282,14 +291,26 @@ class Ipopt:
             self._solvers[name] = solver
         return self._solvers[name]
 
-    def _progress(self, x: ca.DM, f: ca.DM, g: ca.DM) -> None:
-        """Count an iteration; report its number, objective and largest violation."""
+    def _progress(self, x: ca.DM, f: ca.DM, g: ca.DM) -> bool:
+        """Count an iteration; report its number, objective and largest violation. Whether to stop
+        for want of progress.
+        """
         require_work(self._iteration * self.cost)
+        values, (low, high) = np.asarray(g, float).ravel(), self._limits
+        worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
         if self.report is not None:
-            values, (low, high) = np.asarray(g, float).ravel(), self._limits
-            worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
             self.report(self._iteration, float(f), float(worst))
         self._iteration += 1
+        count, part = PROGRESS
+        self._costs.append(float(f) if worst <= LITTLE else np.inf)
+        before, now = self._costs[:-count], self._costs[-count:]
+        self._slow = (
+            self._ends_slow
+            and bool(before)
+            and max(now) < np.inf
+            and min(before) - min(now) < part * abs(now[-1])
+        )
+        return self._slow
 
     def __call__(
         self, program: Program, guess: Array, start: Start = "cold", warm: Outcome | None = None
@@ -308,10 +329,14 @@ class Ipopt:
         solver = self._solver(start)
         if warm is not None and start not in PROJECTIONS:
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
+        self._iteration, self._limits, self._costs = 0, (given["lbg"], given["ubg"]), []
+        to_the_end = self._acceptance_given or self.program.problem.objective.economical
+        self._ends_slow = start in ENDED_SLOW and not to_the_end
         result = solver(**given)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
+        if self._slow and outcome.stopped:
+            outcome = replace(outcome, status=SLOW)
         if start in PROJECTIONS:
             outcome = self._beside(outcome, given["p"], warm)
         written(program, start, outcome, time.process_time() - processor, self.cost)
