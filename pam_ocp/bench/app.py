@@ -136,7 +136,9 @@ def application(
         return None
 
     # what is raised on purpose stands on the page; the log is for faults
-    logging.getLogger("nicegui").addFilter(_is_fault)
+    logging.getLogger("nicegui").addFilter(
+        lambda record: not isinstance(record.msg, PamError | JobStopped)
+    )
     nicegui_app.timer(60.0, sessions.forget)
     ui.run_with(
         outer,
@@ -153,10 +155,6 @@ def application(
         favicon=STATIC / "bench.svg",
     )
     return Guard(outer, framed=None if room is None else room.vent_port, **guard)
-
-
-def _is_fault(record: logging.LogRecord) -> bool:
-    return not isinstance(record.msg, PamError | JobStopped)
 
 
 def _start_page(known: list[tuple[str, float]]) -> None:

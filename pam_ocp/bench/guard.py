@@ -267,7 +267,8 @@ class Guard:
                 return
             parts.append(message.get("body", b""))
             if not message.get("more_body"):
-                body = _with_nonce(b"".join(parts), nonce)
+                # scripts of the page's own: its framework writes "<" of any content as an entity
+                body = _SCRIPT.sub(f'<script nonce="{nonce}"'.encode(), b"".join(parts))
                 MutableHeaders(scope=page)["content-length"] = str(len(body))
                 await send(page)
                 await send({"type": "http.response.body", "body": body})
@@ -338,11 +339,6 @@ def _same(given: str, right: str) -> bool:
 
 
 _SCRIPT = re.compile(rb"<script(?=[\s>])")
-
-
-def _with_nonce(body: bytes, nonce: str) -> bytes:
-    """The page's own scripts, marked; its framework writes "<" of any content as an entity."""
-    return _SCRIPT.sub(b'<script nonce="' + nonce.encode() + b'"', body)
 
 
 async def _body(receive: Receive, most: int) -> bytes | None:

@@ -119,7 +119,8 @@ def data_lines(state: Mapping[str, Any]) -> list[str]:
     for item in data:
         source = item["bundled"] if "bundled" in item else f"files/{item['file']}"
         said = {k: v for k, v in item["said"].items() if k != "kind"}
-        lines.append(f"# {_comment(item['name'])}")
+        name = "".join(c if c.isprintable() else " " for c in str(item["name"]))[:100]
+        lines.append(f"# {name}")
         if item.get("is") == "record":
             lines.append(f"{item['id']} = {call('pam.read_records', repr(source), **said)}")
             continue
@@ -130,11 +131,6 @@ def data_lines(state: Mapping[str, Any]) -> list[str]:
                 "table = table.subset([i not in off for i in range(len(table))])",
             ]
     return lines
-
-
-def _comment(text: str) -> str:
-    """On one line."""
-    return "".join(c if c.isprintable() else " " for c in str(text))[:100]
 
 
 # ---- the muscle ----------------------------------------------------------------------------------
@@ -310,11 +306,6 @@ def pushed(plant: Mapping[str, Any]) -> dict[str, Any]:
     return {**plant, "loads": [*plant.get("loads", ()), {"kind": "ExternalForce", "name": PUSH}]}
 
 
-def is_followed(said: Mapping[str, Any]) -> bool:
-    """Whether the reference of the study reaches a controller: an LQR without integral has none."""
-    return said["kind"] != "lqr" or bool(said["gains"]["integral"])
-
-
 def law_keywords(
     said: Mapping[str, Any], position: str, velocity: str, rate: Callable[[float], Any]
 ) -> dict[str, Any]:
@@ -339,9 +330,10 @@ def run_keywords(said: Mapping[str, Any], position: str, wanted: Any) -> dict[st
     is to be reached; None for "not given".
     """
     study = said["study"]
+    followed = said["kind"] != "lqr" or said["gains"]["integral"]  # else it has no reference
     return {
         "duration": study["duration"],
-        "reference": {position: wanted} if is_followed(said) else None,
+        "reference": {position: wanted} if followed else None,
         "disturbances": {PUSH: (study["push"], study["push_from"])} if study["push"] else None,
         "noise": {position: study["noise"]} if study["noise"] else None,
     }

@@ -112,7 +112,10 @@ def _serve(
     listening = _listen(host, port)
     number = int(listening.getsockname()[1])
     hosts = allowed_hosts(host, number, names)
-    room = None if rig is None else RigRoom(_rig_file(rig), host, port, sorted(hosts), allow_code)
+    room = None
+    if rig is not None:
+        read_toml(rig)  # so that what is wrong with it is said before anything begins
+        room = RigRoom(Path(rig).absolute(), host, port, sorted(hosts), allow_code)
     app = application(
         root,
         allow_code=allow_code,
@@ -149,12 +152,6 @@ def _serve(
         uvicorn.Server(config).run(sockets=[listening])
     finally:
         leading.remove()
-
-
-def _rig_file(rig: str | os.PathLike[str]) -> Path:
-    """Read once here, so that what is wrong with it is said before anything begins."""
-    read_toml(rig)
-    return Path(rig).absolute()
 
 
 class _Leading:

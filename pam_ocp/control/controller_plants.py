@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -160,7 +160,7 @@ def state_feedback_controller(
     states = [v.name for v in plant.states]
     known = {n: plant.variable(n) for n in dict.fromkeys([*states, *feedback.integrated])}
     commands = [plant.variable(n) for n in feedback.inputs]
-    from_outside = built.input if follow else _tunable(built)
+    from_outside: Any = built.input if follow else partial(_tunable, built)
     inversion = feedback.inversion or Inversion(plant.in_commands())
     rest = inversion.inside(point.x, inwards=False)
     here = point.values | dict(zip(states, rest.tolist(), strict=True))
@@ -210,11 +210,8 @@ def _shown(variable: Variable, value: float, role: str) -> dict[str, Any]:
     }
 
 
-def _tunable(plant: Plant) -> Any:
-    def declare(name: str, *, start: float, **attributes: Any) -> ca.SX:
-        return plant.parameter(name, start, tunable=True, **attributes)
-
-    return declare
+def _tunable(plant: Plant, name: str, *, start: float, **attributes: Any) -> ca.SX:
+    return plant.parameter(name, start, tunable=True, **attributes)
 
 
 def _gain(built: Plant, name: str, value: float, words: str) -> ca.SX:

@@ -469,9 +469,12 @@ def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -
     nu, nx, ni = len(chosen), len(plant.states), len(integrated)
 
     def table(name: str, values: Array) -> Symbol:
+        """Values at the place, linear along each axis; their entries run along the last axes."""
         if not values.size:
             return draft.kind.zeros(0, 1)
-        return _interpolated(name, axes, values, len(family.axes))(at)
+        flat = values.reshape(*values.shape[: len(axes)], -1)
+        order = np.moveaxis(flat, -1, 0).reshape(flat.shape[-1], -1, order="F")
+        return ca.interpolant(name, "linear", axes, order.T.ravel().tolist())(at)
 
     x0, u0 = table("x0", family.x), table("u0", family.u[..., c._columns])
     k = ca.reshape(table("gains", np.swapaxes(c.K, -1, -2)), nu, nx)
@@ -480,10 +483,3 @@ def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -
     tracked = integrated, goals
     feedback_law(draft, c.inversion, plant.states, chosen, (k, ki), (x0, u0), tracked)
     return draft.block()
-
-
-def _interpolated(name: str, axes: list[list[float]], values: Array, depth: int) -> ca.Function:
-    """place -> values, linear along each axis; entries of an array run along its last axes."""
-    flat = values.reshape(*values.shape[:depth], -1)
-    order = np.moveaxis(flat, -1, 0).reshape(flat.shape[-1], -1, order="F")
-    return ca.interpolant(name, "linear", axes, order.T.ravel().tolist())

@@ -202,25 +202,14 @@ def feedback_law(
         draft.send(inversion, chosen, u)
         return
     total, carry, error = (
-        draft.column(
-            [
-                Variable(f"{part}.{v.name}", "state", start=0.0, description=words)
-                for v in integrated
-            ]
-        )
+        draft.remembered(part, integrated, words, plain=True)
         for part, words in (
             ("integral", "integral of the error"),
             ("carry", "what rounding took from the integral"),
             ("error", "error of the last step"),
         )
     )
-    known: dict[str, Any] = {"start": 0.0, "description": "input asked for in the last step"}
-    asked = draft.column(
-        [
-            Variable(f"asked.{v.name}", "state", unit=v.unit, nominal=v.nominal, **known)
-            for v in chosen
-        ]
-    )
+    asked = draft.remembered("asked", chosen, "input asked for in the last step")
     acted = acting(draft, inversion, chosen)
     had = clipped(asked, [v.min for v in chosen], [v.max for v in chosen])
     beyond = asked - ca.if_else(draft.held_back, acted, had)

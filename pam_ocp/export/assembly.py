@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import __version__
 from ..core.files import atomic_path, require_ending
 from ..core.trajectory import Trajectory
@@ -115,8 +117,10 @@ def _pages(layout: Layout, settings: Settings, identifier: str, content: Content
     }
     if reference is not None:
         for suffix, entries in (("in", layout.of("input")), ("ref", layout.outputs)):
-            table = description.reference_table(reference, {e.name for e in entries})
-            pages[f"documentation/{identifier}_{suffix}.csv"] = table
+            shown = {e.name for e in entries}
+            names = [v.name for v in reference.variables if v.name in shown]
+            rows = np.column_stack([reference.t, reference.array(names)])
+            pages[f"documentation/{identifier}_{suffix}.csv"] = description.table(names, rows)
         trees[f"{extra}/fmi-ls-manifest.xml"] = references(identifier)
         trees[f"{extra}/experiments.xml"] = experiments(identifier, reference, settings)
     return pages | {name: description.to_text(tree) for name, tree in trees.items()}

@@ -37,10 +37,6 @@ class Platform:
     on_request: bool = False
     """Built only when asked for by name."""
 
-    @property
-    def is_darwin(self) -> bool:
-        return self.suffix == ".dylib"
-
 
 PLATFORMS = {
     p.name: p
@@ -123,10 +119,6 @@ class _Compiler:
     cross: bool = False
     """zig, which builds for every platform."""
 
-    @property
-    def is_msvc(self) -> bool:
-        return Path(self.command[0]).stem.lower() == "cl"
-
 
 @cache
 def _zig() -> _Compiler | None:
@@ -179,7 +171,7 @@ def _compiler(platform: Platform, alone: bool) -> _Compiler:
 
 
 def _command(compiler: _Compiler, platform: Platform, output: str, source: str) -> list[str]:
-    if compiler.is_msvc:
+    if Path(compiler.command[0]).stem.lower() == "cl":  # of MSVC
         return [*compiler.command, *_MSVC_FLAGS, source, f"/Fe:{output}", "/link", "/Brepro"]
     command = [*compiler.command, *_FLAGS]
     if compiler.cross:
@@ -188,7 +180,7 @@ def _command(compiler: _Compiler, platform: Platform, output: str, source: str) 
         command += ["-m32", "-msse2", "-mfpmath=sse"]
     if platform.suffix != ".dll":
         command.append("-fPIC")
-    if platform.is_darwin:
+    if platform.suffix == ".dylib":
         command.append(f"-Wl,-install_name,@rpath/{output}")
     command += ["-o", output, source]
     if compiler.cross and platform.suffix == ".dll":

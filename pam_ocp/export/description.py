@@ -7,11 +7,10 @@ import io
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 
 import casadi as ca
-import numpy as np
 
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
@@ -423,12 +422,6 @@ def page(
 
 
 # ---- reference motion --------------------------------------------------------------------------
-
-
-def reference_table(motion: Trajectory, shown: Container[str]) -> str:
-    """Those columns of a motion that are shown."""
-    names = [v.name for v in motion.variables if v.name in shown]
-    return table(names, np.column_stack([motion.t, motion.array(names)]))
 
 
 def table(names: Iterable[str], rows: Iterable[Iterable[float]]) -> str:

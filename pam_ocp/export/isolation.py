@@ -173,7 +173,8 @@ def _wait(
             return Ended(True)
         if message:
             heard(**message)
-    words = _last_words(folder)
+    said = _read(folder / "words").decode("utf-8", "replace").strip().splitlines()
+    words = printable(said[-1])[:200] if said else ""  # where the C library says why it aborts
     if not ready:
         raise SimulationError(f"the process for the unit did not start: {words or 'no word why'}")
     how = _how(process.poll())
@@ -182,13 +183,6 @@ def _wait(
 
 def _call(folder: Path) -> str:
     return _read(folder / "call").rstrip(b"\0 ").decode("utf-8", "replace")
-
-
-def _last_words(folder: Path) -> str:
-    """The last line that went to standard error, where the C library says why it aborts."""
-    lines = _read(folder / "words").decode("utf-8", "replace").strip().splitlines()
-    last = lines[-1] if lines else ""
-    return printable(last)[:200]
 
 
 def _read(path: Path, most: int = 1000) -> bytes:

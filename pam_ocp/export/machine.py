@@ -262,7 +262,8 @@ def _lanes(plant: Plant, machine: MachinePlant, build: bool) -> LaneCases | None
     if not 0 < len(plant.states) <= MOST_STATES:
         return None
     count, target = lanes_here()
-    stored = _place("plant", f"{_digest(plant)}-{count}-{digest(_of_lanes(target))[:16]}", build)
+    code = digest("\0".join([target, c_text(LANES)]).encode())[:16]
+    stored = _place("plant", f"{_digest(plant)}-{count}-{code}", build)
     if stored is None:
         return None
     try:
@@ -275,10 +276,6 @@ def _lanes(plant: Plant, machine: MachinePlant, build: bool) -> LaneCases | None
     except (ExportError, OSError):
         return None
     return lanes if _agree(plant, machine, lanes) else None
-
-
-def _of_lanes(target: str) -> bytes:
-    return "\0".join([target, c_text(LANES)]).encode()
 
 
 def _agree(plant: Plant, machine: MachinePlant, lanes: LaneCases) -> bool:

@@ -23,6 +23,7 @@ from . import source
 from .assembly import Content, write_fmu
 from .description import table
 from .layout import FmiVersion, PlantLayout, checked
+from .runner import as_polynomials
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -129,24 +130,8 @@ def _signals(motion: Trajectory, names: Sequence[str]) -> PiecewisePolynomial:
     if exact is not None:
         inside = exact.breaks[(exact.breaks > breaks[0]) & (exact.breaks < breaks[-1])]
         breaks = np.union1d(breaks if sampled else breaks[[0, -1]], inside)
-        keep = np.diff(breaks, prepend=-np.inf) > 1e-12 * (1 + np.abs(breaks))
-        breaks = breaks[keep]
-        exact = exact.shifted(breaks)
-    terms = max(2, exact.coefficients.shape[1] if exact is not None else 0)
-    table = np.zeros((len(breaks) - 1, terms, len(names)))
-    for i, name in enumerate(names):
-        if name not in sampled and exact is not None:
-            content = exact.coefficients[:, :, inputs.index(name)]
-            table[:, : content.shape[1], i] = content
-            continue
-        values = np.interp(breaks, motion.t, motion[name])
-        table[:, 0, i] = values[:-1]
-        if name in held:
-            rows = np.searchsorted(motion.t, breaks[:-1] + 1e-12, side="right") - 1
-            table[:, 0, i] = motion[name][np.maximum(rows, 0)]
-        else:
-            table[:, 1, i] = np.diff(values) / np.diff(breaks)
-    return PiecewisePolynomial(breaks, table)
+        breaks = breaks[np.diff(breaks, prepend=-np.inf) > 1e-12 * (1 + np.abs(breaks))]
+    return PiecewisePolynomial(breaks, as_polynomials(motion, names, breaks, held)[1])
 
 
 def _ends(played: PiecewisePolynomial) -> Array:

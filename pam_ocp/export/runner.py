@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -349,9 +349,6 @@ class _Played:
         elapsed = np.atleast_1d(t) - self.times[k]
         return np.asarray(elapsed[:, None] ** np.arange(self.pieces.shape[1]) @ self.pieces[k])
 
-    def is_held(self, k: int) -> bool:
-        return not np.any(self.pieces[k, 1:])
-
     def lines(self, k: int, parts: int) -> tuple[Array, Array, float]:
         """Means and slopes (per part) of lines with the inputs' mean and first moment, and how far
         the inputs are from the lines scaled by nominals."""
@@ -367,35 +364,46 @@ class _Played:
         return mean, slope, float(np.max(np.abs(u - line) / self.nominals, initial=0.0))
 
 
+def as_polynomials(
+    motion: Trajectory, names: Sequence[str], breaks: Array, held: Collection[str]
+) -> tuple[Array, Array]:
+    """Columns of a motion on common breaks: values there (breaks, names), to the right of a jump,
+    and coefficients (pieces, powers, names). held : columns that stay between samples; inputs run
+    by the motion's own signals where it has some, all else in straight lines.
+    """
+    exact, t = motion.signals, motion.t
+    own = motion.named("input") if exact is not None else []
+    smooth = None if exact is None else (exact(breaks), exact.shifted(breaks).coefficients)
+    powers = 2 if smooth is None else max(2, smooth[1].shape[1])
+    pieces = np.zeros((len(breaks) - 1, powers, len(names)))
+    values = np.zeros((len(breaks), len(names)))
+    for i, name in enumerate(names):
+        if smooth is not None and name in own:
+            column = own.index(name)
+            values[:, i] = smooth[0][:, column]
+            pieces[:, : smooth[1].shape[1], i] = smooth[1][:, :, column]
+            continue
+        if name in held:
+            rows = np.searchsorted(t, breaks + 1e-12 * (1 + np.abs(breaks)), side="right") - 1
+            values[:, i] = motion[name][np.maximum(rows, 0)]
+        else:
+            values[:, i] = np.interp(breaks, t, motion[name])
+            pieces[:, 1, i] = np.diff(values[:, i]) / np.diff(breaks)
+        pieces[:, 0, i] = values[:-1, i]
+    return values, pieces
+
+
 def _played(record: Trajectory, inputs: list[str]) -> tuple[_Played, NDArray[np.intp]]:
     """The inputs as they run in the record, and where the record's own times are."""
     t, exact = record.t, record.signals
-    own = record.named("input") if exact is not None else []
     times = t
     if exact is not None:
         inside = exact.breaks[(exact.breaks > t[0]) & (exact.breaks < t[-1])]
         behind = np.clip(np.searchsorted(t, inside), 1, len(t) - 1)
         apart = np.minimum(np.abs(t[behind] - inside), np.abs(t[behind - 1] - inside))
         times = np.union1d(t, inside[apart > 1e-12 * (1 + np.abs(inside))])
-    degree = 1 if exact is None else max(1, exact.degree)
-    pieces = np.zeros((len(times) - 1, degree + 1, len(inputs)))
-    values = np.zeros((len(times), len(inputs)))
-    shifted = None if exact is None else exact.shifted(times)
-    for i, name in enumerate(inputs):
-        if exact is not None and shifted is not None and name in own:
-            column = own.index(name)
-            pieces[:, : exact.degree + 1, i] = shifted.coefficients[:, :, column]
-            values[:, i] = exact(times)[:, column]
-        elif record.interpolation == "linear":
-            values[:, i] = np.interp(times, t, record[name])
-            pieces[:, 0, i], pieces[:, 1, i] = (
-                values[:-1, i],
-                np.diff(values[:, i]) / np.diff(times),
-            )
-        else:
-            rows = np.searchsorted(t, times + 1e-12 * (1 + np.abs(times)), side="right") - 1
-            values[:, i] = record[name][rows]
-            pieces[:, 0, i] = values[:-1, i]
+    held = inputs if record.interpolation == "previous" else ()
+    values, pieces = as_polynomials(record, inputs, times, held)
     nominals = np.array([record.variable(n).nominal for n in inputs])
     return _Played(inputs, times, pieces, values, nominals), np.searchsorted(times, t)
 
@@ -438,7 +446,7 @@ def _play_simulation(runner: Runner, played: _Played, outputs: list[str]) -> Arr
         rows.append(runner.get(outputs))
         if k == len(played.times) - 1:
             break
-        if played.is_held(k):
+        if not np.any(played.pieces[k, 1:]):
             runner.step(begin, played.times[k + 1] - begin)
         elif runner.fmu.fmi == "2.0":
             _play_slopes(runner, played, k)

@@ -194,44 +194,35 @@ def one_page(say: Say, world: World, item: Mapping[str, Any]) -> dict[str, Any]:
 # ---- the script ----------------------------------------------------------------------------------
 def fresh_figures(state: State) -> dict[str, float]:
     """Figures that the page has shown, of what has not changed since (views, "figures")."""
-    kept = state["views"].get("figures", {})
-    found: dict[str, float] = {}
-    for motion in state["motions"]:
-        found |= _kept(kept, motion["id"], made_of_plan(state, motion))
-    for said in state["controllers"]:
-        found |= _kept(kept, said["id"], made_of_loop(state, said))
-    for said in state["exports"]:
-        found |= _kept(kept, said["id"], made_of_export(state, said))
-    return found
-
-
-def _kept(kept: State, id: str, key: Any) -> dict[str, float]:
-    one = kept.get(id)
-    if one is None or one["of"] != json.loads(json.dumps(key)):
-        return {}
-    return {f"{id}.{name}": value for name, value in one["values"].items()}
+    made = {m["id"]: made_of_plan(state, m) for m in state["motions"]}
+    made |= {c["id"]: made_of_loop(state, c) for c in state["controllers"]}
+    made |= {e["id"]: made_of_export(state, e) for e in state["exports"]}
+    return {
+        f"{id}.{name}": value
+        for id, shown in state["views"].get("figures", {}).items()
+        if id in made and shown["of"] == json.loads(json.dumps(made[id]))
+        for name, value in shown["values"].items()
+    }
 
 
 def _figures(world: World) -> dict[str, float]:
     """Figures of the session, made here by the functions that the page calls."""
-    found: dict[str, float] = {}
     state, muscle = world.state, world.state["muscle"]
-    if muscle is not None and muscle["kind"] == "fit":
-        fitted = muscle.get("fitted", muscle["coefficients"])
-        found |= {f"fit.{n}": v for n, v in fitted.items()}
     if muscle is None:
-        return found
+        return {}
+    found: dict[str, dict[str, float]] = {}
+    if muscle["kind"] == "fit":
+        found["fit"] = muscle.get("fitted", muscle["coefficients"])
     plant = plant_of(world)
     if state["point"]:
         at = point_of(world, plant)
-        found |= {f"point.{v.name}": at[v.name] for v in (*plant.states, *plant.inputs)}
+        found["point"] = {v.name: at[v.name] for v in (*plant.states, *plant.inputs)}
     for motion in state["motions"]:
-        figures = motion_figures(plan_of(world, motion))
-        found |= {f"{motion['id']}.{n}": v for n, v in figures.items()}
+        found[motion["id"]] = motion_figures(plan_of(world, motion))
     for said in state["controllers"] if state["point"] else ():
-        figures = loop_figures(loop_of(world, said), next(iter(plant.positions)))
-        found |= {f"{said['id']}.{n}": v for n, v in figures.items()}
-    return found
+        position = next(iter(plant.positions))
+        found[said["id"]] = loop_figures(loop_of(world, said), position)
+    return {f"{id}.{n}": v for id, own in found.items() for n, v in own.items()}
 
 
 @job("Run the script", warm="plan", time_limit=1800.0)

@@ -55,7 +55,8 @@ def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
     except PamError:
         intervals = fit.intervals(LEVEL, linearised=True)
     levels = levels_of(cells.pressure)
-    kappa = fitted_kappa(table.contraction)
+    low, high = float(table.contraction.min()), float(table.contraction.max())
+    kappa = np.linspace(min(low, 0.0), high + 0.04 * max(high - low, 1e-3), CURVE)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         bands = [fit.predict(np.full_like(kappa, p), kappa, LEVEL) for p in levels]
@@ -85,7 +86,7 @@ def fit_law(say: Say, world: World, said: Mapping[str, Any]) -> dict[str, Any]:
         },
         "rest_length": table.rest_length,
         "pressure_range": [float(max(table.pressure.min(), 0.0)), float(table.pressure.max())],
-        "contraction_range": [float(table.contraction.min()), float(table.contraction.max())],
+        "contraction_range": [low, high],
         "source": f"{type(fit.law).title} fitted to {said['table']['name']}",
         "workbook": hasattr(fit, "to_excel"),
     }
@@ -140,13 +141,6 @@ def levels_of(pressure: Any) -> list[float]:
         return known
     wanted = np.linspace(known[0], known[-1], MOST_LEVELS)
     return sorted({min(known, key=lambda p: abs(p - w)) for w in wanted})
-
-
-def fitted_kappa(contraction: Any) -> Any:
-    """Contractions of a drawn curve: those of the table, and a little beyond."""
-    low, high = float(np.min(contraction)), float(np.max(contraction))
-    margin = 0.04 * max(high - low, 1e-3)
-    return np.linspace(min(low, 0.0), high + margin, CURVE)
 
 
 def fit_of(world: World, said: Mapping[str, Any]) -> ForceFit:

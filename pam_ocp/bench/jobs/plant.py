@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.variables import Variable
 from ...figures.film import scene_of
 from ...operating.linear import linearize, modes
 from ...operating.operating_point import OperatingPoint
@@ -81,27 +80,19 @@ def stroke(plant: Plant) -> dict[str, Any] | None:
 def rest(say: Say, world: World, point: Mapping[str, float]) -> dict[str, Any]:
     """The equilibrium under conditions: values with units, stability, vibration."""
     plant = plant_of(world)
-    return _point(equilibrium(plant, dict(point)))
-
-
-def _point(point: OperatingPoint) -> dict[str, Any]:
-    plant = point.plant
-    swinging = modes(linearize(plant, point, stuck=True))
+    found = equilibrium(plant, dict(point))
+    shown = []
+    for name, value in found.values.items():
+        v = found.plant.variable(name)
+        clean = 0.0 if abs(value) < 1e-9 * v.nominal else value  # without rounding about zero
+        shown.append((name, clean / v.display_factor, v.display_unit))
+    swinging = modes(linearize(found.plant, found, stuck=True))
     return {
-        "values": {n: float(v) for n, v in point.values.items()},
-        "shown": [
-            (n, _clean(v, plant.variable(n)) / plant.variable(n).display_factor, unit)
-            for n, v in point.values.items()
-            for unit in [plant.variable(n).display_unit]
-        ],
-        "stability": point.stability,
+        "values": {n: float(v) for n, v in found.values.items()},
+        "shown": shown,
+        "stability": found.stability,
         "modes": [(float(f), float(z)) for f, z, *_ in swinging],
     }
-
-
-def _clean(value: float, variable: Variable) -> float:
-    """Without rounding errors about zero."""
-    return 0.0 if abs(value) < 1e-9 * variable.nominal else value
 
 
 @job("Equilibrium map", warm="plant")
@@ -117,7 +108,9 @@ def equilibrium_map(say: Say, world: World) -> dict[str, Any]:
     position = next(iter(plant.positions))
     stiffness = _stiffness(plant)
     count = ALONG if len(names) == 1 else ACROSS
-    axes = [np.linspace(LEAST * top, top, count) for top in (_top(plant, n) for n in names)]
+    highest = (float(plant.variable(n).max) for n in names)
+    tops = [top if np.isfinite(top) else 6e5 for top in highest]
+    axes = [np.linspace(LEAST * top, top, count) for top in tops]
     others = [{names[1]: q} for q in axes[1]] if len(names) == 2 else [{}]
     lines = []
     for j, other in enumerate(others):
@@ -161,12 +154,6 @@ def _stiffness(plant: Plant) -> str:
         if name in names:
             return name
     raise InputError(f"{plant.name!r} has no output for its stiffness, so that there is no map")
-
-
-def _top(plant: Plant, pressure: str) -> float:
-    """The largest pressure that a muscle's feed gives."""
-    variable = plant.variable(pressure)
-    return float(variable.max) if np.isfinite(variable.max) else 6e5
 
 
 @job("Free vibration", warm="plant")

@@ -259,10 +259,11 @@ class Control(Members):
             "push_from": Number("Push from", "s", 0.0, 20.0, shown="s"),
             "noise": Number(f"Noise of {v.name}", v.unit, 0.0, hint="standard deviation"),
         }
-        return el.fields(known, said["study"], self._set_study)
-
-    def _set_study(self, name: str, value: Any) -> None:
-        self.change(f"{name} of the run", study={**self.held["study"], name: value})
+        return el.fields(
+            known,
+            said["study"],
+            lambda name, value: self.change_in(f"{name} of the run", "study", name, value),
+        )
 
     async def _run_it(self) -> None:
         said = self.at_hand

@@ -115,13 +115,11 @@ class Data(Tab):
         with el.row().style("margin-top: 6px"):
             el.tag("span", "Bundled:", "bench-note")
             for name, length in BUNDLED.items():
-                el.button(name.partition("_")[0], partial(self._add_bundled, name, length))
+                item = {"name": name, "bundled": name, "said": {"rest_length": length}}
+                el.button(name.partition("_")[0], partial(self._add, item))
 
     async def _dropped(self, event: events.UploadEventArguments) -> None:
         await self._add(await dropped(self, event))
-
-    async def _add_bundled(self, name: str, length: float) -> None:
-        await self._add({"name": name, "bundled": name, "said": {"rest_length": length}})
 
     async def _add(self, item: dict[str, Any]) -> None:
         item = await taken(self, item)

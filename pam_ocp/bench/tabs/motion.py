@@ -353,9 +353,7 @@ class Motion(Members):
                 self._note = ""
                 none = {"ok": False, "problem": f"no plan: {error}", "conflicts": []}
                 self._last[motion["id"]] = none
-                now = self.at_hand
-                if now is not None and now["id"] == motion["id"]:
-                    self._show_plan(now, self._plant(), none)
+                self._show_at_hand(motion["id"], none)
             raise
         if self._made_of.get(motion["id"]) != key:
             return
@@ -364,11 +362,16 @@ class Motion(Members):
         if told["ok"]:
             self._told[motion["id"]] = {**told, "of": key}
             self.keep_figures(motion["id"], key, told["figures"])
+        if self._show_at_hand(motion["id"], told) and told["ok"]:
+            await self._replay()
+
+    def _show_at_hand(self, id: str | None = None, told: Said | None = None) -> bool:
+        """Show the plan at hand, if it is that of a motion (None: of any); whether it is."""
         now = self.at_hand
-        if now is not None and now["id"] == motion["id"]:
-            self._show_plan(now, self._plant(), told)
-            if told["ok"]:
-                await self._replay()
+        if now is None or id not in (None, now["id"]):
+            return False
+        self._show_plan(now, self._plant(), told)
+        return True
 
     def _show_plan(self, motion: Said, plant: Plant, told: Said | None = None) -> None:
         """All that a finished plan says; of one that failed, why, and the one before."""
@@ -494,9 +497,7 @@ class Motion(Members):
             self._last[id] = told
             if told["ok"]:
                 self._told[id] = {**told, "of": key}
-        motion = self.at_hand
-        if motion is not None:
-            self._show_plan(motion, self._plant())
+        self._show_at_hand()
 
     def _show_figures(self, motion: Said) -> None:
         self._figures.clear()
@@ -547,9 +548,7 @@ class Motion(Members):
             key = self._record_key(motion)
             found = await self.work(jobs.replayed, motion, item, of=item["name"])
             self._record = {**found, "of": key}
-        now = self.at_hand
-        if now is not None:
-            self._show_plan(now, self._plant())
+        self._show_at_hand()
 
     def _record_curve(self, motion: Said, factor: float) -> Said | None:
         if self._record is None or motion["variable"] not in self._record["curves"]:

@@ -273,13 +273,17 @@ class MuscleTab(Tab):
 
     def _muscle_rows(self, muscle: Muscle, said: dict[str, Any] | None) -> list[el.Row]:
         self._muscle_words.set_text(muscle.law.title)
-        acts: dict[str, Any] = {"Save muscle file": self._save}
+        acts: dict[str, Any] = {
+            "Save muscle file": partial(self._save, "muscle.toml", jobs.muscle_file)
+        }
         if said is None:
             length = f"{muscle.name}, rest length {1e3 * float(muscle.rest_length):g} mm"
             texts = (length, f"Source: {muscle.source}", muscle.note)
             return [*(el.words(text) for text in texts if text), el.buttons(acts)]
         if self._fit is not None and self._fit["workbook"]:
-            acts["Save workbook"] = self._save_workbook
+            acts["Save workbook"] = lambda: self._save(
+                "fit.xlsx", jobs.workbook, _fit_of(self._held)
+            )
         return [
             (NAME, said["name"], lambda v: self._change("name", name=v[:80])),
             (DIAMETER, said.get("diameter"), lambda v: self._change("diameter", diameter=v)),
@@ -496,12 +500,8 @@ class MuscleTab(Tab):
         name = await self.work(jobs.read_muscle, file)
         self.session.change(f"muscle {name}", muscle={"kind": "file", "file": file, "name": name})
 
-    async def _save(self) -> None:
-        self.bench.download(await self.work(jobs.muscle_file), "muscle.toml")
-
-    async def _save_workbook(self) -> None:
-        content = await self.work(jobs.workbook, _fit_of(self._held))
-        self.bench.download(content, "fit.xlsx")
+    async def _save(self, name: str, made_by: Callable[..., bytes], *args: Any) -> None:
+        self.bench.download(await self.work(made_by, *args), name)
 
 
 def _fit_of(said: Mapping[str, Any]) -> dict[str, Any]:

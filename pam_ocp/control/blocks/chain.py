@@ -14,7 +14,7 @@ from ...core.errors import InputError, UnknownNameError, require_count, with_kin
 from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable
-from ..kinds import BEFORE, ESTIMATE, SENT, law_of
+from ..kinds import ESTIMATE, SENT, law_of
 from .draft import Draft, Symbol, about, column_of, kind_of_step
 
 
@@ -77,13 +77,7 @@ def with_delay(law: Block, delay: int) -> Block:
     draft = Draft(law.name, law.sample_time, law.description, kind_of_step(law))
     entries = dict(zip(law.inputs, ca.vertsplit(draft.column(law.inputs)), strict=True))
     for v in sent:
-        name, words = f"{v.name}{BEFORE}", about(v, "sent, acts later")
-        start, value = v.start or 0.0, entries[v]
-        for k in range(1, delay + 1):
-            waits = draft.memory(f"{name}{k}", start, **words)
-            draft.next(f"{name}{k}", value)
-            value = waits
-        entries[v] = value
+        entries[v] = draft.delayed(v, entries[v], delay)
     _, _, outputs = draft.call(law, ca.vertcat(*entries.values()))
     draft.outputs(law.outputs, outputs)
     made = draft.block()

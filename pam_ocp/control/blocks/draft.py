@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -15,7 +16,7 @@ from ...core.errors import InputError, require_positive
 from ...core.variables import Variable
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant
-from ..kinds import ACTIVE, ESTIMATE, HELD_BACK, LARGEST, LIMITED, SENT, Array
+from ..kinds import ACTIVE, BEFORE, ESTIMATE, HELD_BACK, LARGEST, LIMITED, SENT, Array
 
 Symbol: TypeAlias = Any
 """SX or MX."""
@@ -160,6 +161,36 @@ class Draft:
                 for i, value in enumerate(start)
             ]
         )
+
+    def remembered(
+        self,
+        name: str,
+        variables: Iterable[Variable],
+        words: str,
+        starts: Iterable[float] = itertools.repeat(0.0),
+        plain: bool = False,
+    ) -> Symbol:
+        """A column of memories ``name.VARIABLE``. plain : without the units of the variables."""
+        return self.column(
+            [
+                Variable(
+                    f"{name}.{v.name}",
+                    "state",
+                    start=start,
+                    **({"description": words} if plain else about(v, words)),
+                )
+                for v, start in zip(variables, starts, strict=False)
+            ]
+        )
+
+    def delayed(self, variable: Variable, value: Symbol, delay: int) -> Symbol:
+        """A command as it was sent ``delay`` samples ago."""
+        for k in range(1, delay + 1):
+            name, words = f"{variable.name}{BEFORE}{k}", about(variable, "sent, acts later")
+            waits = self.memory(name, variable.start or 0.0, **words)
+            self.next(name, value)
+            value = waits
+        return value
 
     def output(self, variable: Variable, value: Symbol, command: bool = False) -> None:
         """An output. command : it drives a plant."""

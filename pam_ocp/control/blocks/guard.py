@@ -13,7 +13,8 @@ Put once around the law of a block, in the same equations for Python, C and FMU:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import casadi as ca
@@ -23,7 +24,7 @@ from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.variables import Variable
 from ..kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
-from .draft import Draft, Symbol, about, column_of, kind_of_step, per
+from .draft import Draft, Symbol, column_of, kind_of_step, per
 
 STATUS = {
     1: "off (enable < 0.5)",
@@ -133,18 +134,6 @@ class _Guarded:
         """The command before the first sample."""
         return float(np.clip(v.start or 0.0, *self.ranges[v.name]))
 
-    def _memories(
-        self, name: str, variables: Sequence[Variable], starts: Iterable[float], words: str
-    ) -> Symbol:
-        """A column of memories ``name.VARIABLE``."""
-        pairs = zip(variables, starts, strict=True)
-        return self.draft.column(
-            [
-                Variable(f"{name}.{v.name}", "state", start=start, **about(v, words))
-                for v, start in pairs
-            ]
-        )
-
     # ---- equations ----------------------------------------------------------------------------
     def block(self) -> Block:
         law, draft = self.law, self.draft
@@ -187,11 +176,9 @@ class _Guarded:
         if not inputs:
             return {}, draft.kind(0), draft.kind(0)
         x, first = draft.column(inputs), inputs[0].name
-        held = self._memories("held", inputs, [v.start or 0.0 for v in inputs], "last good value")
-        words = "samples since the last good value"
-        age = draft.column(
-            [Variable(f"age.{v.name}", "state", start=NEVER, description=words) for v in inputs]
-        )
+        starts, never = (v.start or 0.0 for v in inputs), itertools.repeat(NEVER)
+        held = draft.remembered("held", inputs, "last good value", starts)
+        age = draft.remembered("age", inputs, "samples since the last good value", never, True)
         words = "samples for which the last good measurement stands in"
         hold = draft.parameter(
             "hold_samples", self.guard.hold, min=0.0, max=NEVER - 1, description=words
@@ -210,7 +197,7 @@ class _Guarded:
     def _last(self) -> Symbol:
         """The commands as they were last sent."""
         starts = map(self._begin, self.commands)
-        return self._memories("sent", self.commands, starts, "as last sent")
+        return self.draft.remembered("sent", self.commands, "as last sent", starts)
 
     def _told(self) -> dict[str, Symbol]:
         """What became of the last commands, by the law's name for it."""
@@ -234,7 +221,7 @@ class _Guarded:
         fade_time = draft.parameter(
             "fade_time", self.fade_time, min=0.0, unit="s", description=words
         )
-        fading = self._memories("fade", commands, [0.0] * len(commands), "added after a switch")
+        fading = draft.remembered("fade", commands, "added after a switch")
         back = ca.logic_not(draft.memory(f"was_{ACTIVE}"))  # the first sample in action again
         left = fading * (fade_time / (fade_time + self.law.sample_time))
         good = ca.logic_and(awake, whole)

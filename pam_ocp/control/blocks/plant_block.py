@@ -14,7 +14,7 @@ from ...core.stop import verb
 from ...core.variables import Variable
 from ...plants.plant import Given, Plant, require_plant
 from ...simulation.sampled import SampledPlant, stepped
-from ..kinds import BEFORE, Array
+from ..kinds import Array
 from ..sides import start_values
 from .draft import Draft, about, column_of
 from .running import block as block_of
@@ -191,7 +191,9 @@ class _Sampled:
         for v in plant.inputs:
             if v.name not in acting:
                 acting[v.name] = draft.input(v.name, v.start or 0.0, **_range(v))
-            self._wait(draft, v, acting[v.name])
+            # a command acts after the delay, a disturbance at once
+            delay = self.delay if v.name in self.commands else 0
+            draft.next(HELD + v.name, draft.delayed(v, acting[v.name], delay))
         made = draft.block()
         shown = {v.name for v in (*made.inputs, *made.outputs)}
         flags = law.flags if law else {}
@@ -226,15 +228,6 @@ class _Sampled:
         for what, count in law.loops.items():
             draft.repeats(what, count)
         return {v.name: answer[i] for i, v in enumerate(law.outputs) if v.name in law.commands}
-
-    def _wait(self, draft: Draft, v: Variable, value: Any) -> None:
-        """What acts from this sample on: a command, after the delay; a disturbance, at once."""
-        for k in range(1, self.delay + 1 if v.name in self.commands else 1):
-            name = f"{v.name}{BEFORE}{k}"
-            queued = draft.memory(name, v.start or 0.0, **about(v, "sent, acts later"))
-            draft.next(name, value)
-            value = queued
-        draft.next(HELD + v.name, value)
 
 
 def _range(v: Variable) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from ...operating.resting_point import OperatingPoint
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
 from ..blocks.chain import chain
-from ..blocks.draft import Draft, about, clipped, opened_by
+from ..blocks.draft import Draft, clipped, opened_by
 from ..blocks.running import Running
 from ..controller import Controller, Estimate, Measured, counted
 from ..kinds import BLOCKS, LARGEST, Array, law_of
@@ -457,12 +457,7 @@ def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
     whole = filter.inversion.plant if filter.inversion else plant
     names = [v.name for v in plant.states]
     estimated = [plant.variable(n) for n in (*names, *filter.disturbances)]
-    deviation = draft.column(
-        [
-            Variable(f"deviation.{v.name}", "state", start=0.0, **about(v, "x - x0"))
-            for v in estimated
-        ]
-    )
+    deviation = draft.remembered("deviation", estimated, "x - x0")
     started = draft.started
     acted = opened_by(filter.inversion, whole, draft)
     u = ca.vertcat(*(acted.get(v.name, v.start or 0.0) for v in plant.inputs))

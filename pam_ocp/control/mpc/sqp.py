@@ -106,24 +106,15 @@ class MachineStep:
         return miss, told[CHANGE], int(told[WORK]), perf_counter() - begin
 
 
-def machine_step(program: TrackingProgram, compiled: bool | None) -> ca.Function | None:
+def machine_step(program: TrackingProgram) -> ca.Function:
     """(y, end, references, q, bounds, damping, most iterations) -> (dy, dy at the end, facts), see
     RiccatiQp.
-
-    compiled : True: built if need be; None: None where it is not in the cache. Raises InputError
-    where it is to be built and cannot be.
     """
-    return None if compiled is False else machine_function(_step(program), build=bool(compiled))
-
-
-def _step(program: TrackingProgram) -> ca.Function:
-    p, n = program, program.horizon
-    count = len(bounds_of(p))
-    values = ca.SX.sym("bounds", count)
-    qp = RiccatiQp(p, values, *sides_of(p, bounds_of(p)), gap=GAP)
+    p, n, ends = program, program.horizon, bounds_of(program)
+    qp = RiccatiQp(p, ca.SX.sym("bounds", len(ends)), *sides_of(p, ends), gap=GAP)
     y, end = ca.MX.sym("y", p.nx + len(p.rated) + p.nu, n), ca.MX.sym("end", p.nx)
     references = ca.MX.sym("references", len(p.penalties), n + 1)
-    q, bounds = ca.MX.sym("q", p.q.numel()), ca.MX.sym("bounds", count)
+    q, bounds = ca.MX.sym("q", p.q.numel()), ca.MX.sym("bounds", len(ends))
     damping = ca.MX.sym("damping")
     given, most = [y, end, references, q, bounds, damping], ca.MX.sym("most")
     found = qp.solve(*qp.write(*given), most)
@@ -239,7 +230,9 @@ class Sqp:
         require_flag("compiled", compiled, "where it is in the cache")
         self.tolerance = tolerance
         self.direction = np.zeros(program.size)
-        whole = machine_step(program, compiled) if solver is None else None
+        whole = None
+        if solver is None and compiled is not False:
+            whole = machine_function(machine_step(program), build=bool(compiled))
         self.point = TrackingPoint(program, compiled if whole is None else False)
         self._step: Callable[[float, float], tuple[float, float, int, float]]
         if whole is None:

@@ -88,13 +88,9 @@ class CExport:
         return len(b.inputs) + len(b.parameters) + len(b.outputs) + len(b.memory) + self.code.reals
 
     @property
-    def real_bytes(self) -> int:
-        return 8 if self.precision.name == "double" else 4
-
-    @property
     def sizes(self) -> dict[str, int]:
         """Bytes of each struct."""
-        b, real = self.block, self.real_bytes
+        b, real = self.block, 8 if self.precision.name == "double" else 4
         whole = max(len(b.memory), 1) + max(self._scratch, 1)
         return {
             "state": real * whole,
