@@ -470,3 +470,13 @@ def test_packed_numbers_are_unpacked_by_the_factors_beside_them(tmp_path: Path) 
         json.dumps([channels[0], {**channels[1], "scale_factor": "two"}])
     )
     refused("scale_factor", pam.read_record, tmp_path / "packed.json")
+
+
+def test_names_that_say_no_quantity_take_that_of_their_group(tmp_path: Path) -> None:
+    plant = pam.HangingLoad("DMSP-20-400N", mass=20.0)
+    head = "Time;Position;Pressure;\n;;actual;setpoint\ns;mm;bar;bar\n"
+    path = written(tmp_path, head + lines(T, 10 + BAR, BAR, BAR + 0.5, cut=";"))
+    record = pam.read_record(path, plant)
+    assert record["x"] == pytest.approx(1e-3 * (10 + BAR))
+    assert record["muscle.pressure"] == pytest.approx(1e5 * BAR)
+    assert record["muscle.command"] == pytest.approx(1e5 * BAR + 5e4)

@@ -386,3 +386,9 @@ def is_command(name: str) -> bool:
         or (a in COMMANDS - {"ref", "reference"} and b in NAMES["pressure"])
         for a, b in halves
     )
+
+
+def says_no_quantity(header: str) -> bool:
+    """Whether a header says only that something was measured, or asked for: ``actual, set``."""
+    name = parse_header(header)[0]
+    return name in COMMANDS or all(w in MEASURED for w in name.split())
