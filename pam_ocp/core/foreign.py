@@ -7,7 +7,7 @@ import os
 import struct
 import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -464,7 +464,7 @@ class _Tree:
             return np.array([_text(v) for v in np.ravel(values)])
         if kind and getattr(values, "ndim", 0) >= 2:
             return values.T
-        return values
+        return unpacked(values, data.attrs)
 
     def read(self, data: Any) -> Any:
         """What a dataset holds. Texts of any length may all lie in one place of the file, so they
@@ -488,6 +488,23 @@ class _Tree:
         for index, reference in np.ndenumerate(data[()]):
             made[index] = self.value(self.file[reference], level + 1) if reference else None
         return made.T
+
+
+def unpacked(values: Any, said: Mapping[str, Any]) -> Any:
+    """Numbers packed by the CF conventions (NetCDF): ``scale_factor * value + add_offset``, where
+    ``_FillValue`` is missing."""
+    marks = {"scale_factor": 1.0, "add_offset": 0.0, "_FillValue": np.nan}
+    if not any(k in said for k in marks) or np.asarray(values).dtype.kind not in "biufO":
+        return values
+    try:
+        scale, offset, fill = (float(np.ravel(said.get(k, v))[0]) for k, v in marks.items())
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError, IndexError):
+        raise InputError(
+            "values with scale_factor, add_offset or _FillValue must be numbers, as these must; "
+            "correct it, or save as CSV"
+        ) from None
+    return np.where(numbers == fill, np.nan, scale * numbers + offset)
 
 
 def _text(value: Any) -> str:

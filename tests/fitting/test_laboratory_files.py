@@ -424,3 +424,59 @@ def test_words_of_a_wrong_encoding_can_be_said(tmp_path: Path) -> None:
     columns = ["time [s]", "p [kPa]"]
     record = pam.read_record(path, encoding="cp866", skip=1, columns=columns)
     assert record["p"] == pytest.approx(BAR * 1e5, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["Pressure setpoint", "Set pressure", "Commanded pressure", "p_target", "Soll-Druck"],
+)
+def test_a_pressure_that_was_asked_for_is_a_command(head: str) -> None:
+    plant = pam.HangingLoad("DMSP-20-400N", mass=20.0)
+    source = {"t [s]": T, "Pressure actual [bar]": BAR, f"{head} [bar]": BAR + 0.5}
+    record = pam.read_record(source, plant)
+    assert record["muscle.pressure"] == pytest.approx(1e5 * BAR)
+    assert record["muscle.command"] == pytest.approx(1e5 * BAR + 5e4)
+    source = {"t [s]": T, "Pressure actual [bar]": BAR, "Reference pressure [bar]": 0 * T + 1.013}
+    assert pam.read_record(source, plant).names == ("muscle.pressure",)  # of the air, perhaps
+
+
+def test_the_clock_of_a_capture_has_the_unit_that_it_states(tmp_path: Path) -> None:
+    clock = {"Name": "Time", "Unit": "ms", "Data": 1e3 * T}
+    signal = {"Name": "p", "Unit": "bar", "Data": BAR}
+    for unit_of_clock, file in (("ms", "ms.mat"), ("", "none.mat")):
+        scale = 1.0 if unit_of_clock else 1e-3
+        capture = {"X": {**clock, "Unit": unit_of_clock, "Data": scale * clock["Data"]}}
+        scipy.io.savemat(tmp_path / file, {"capture": {**capture, "Y": signal}})
+        assert pam.read_record(tmp_path / file).t == pytest.approx(T)
+
+
+def test_packed_numbers_are_unpacked_by_the_factors_beside_them(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    packed = np.round((BAR - 1) / 1e-4).astype("i4")
+    packed[7] = -1
+    with h5py.File(tmp_path / "packed.h5", "w") as file:
+        file["t"] = T
+        data = file.create_dataset("p", data=packed)
+        data.attrs.update(units="bar", scale_factor=1e-4, add_offset=1.0, _FillValue=-1)
+    beside = {"name": "p", "unit": "bar", "scale_factor": 1e-4, "add_offset": 1.0}
+    values = [None if v < 0 else int(v) for v in packed]
+    channels = [{"name": "t", "unit": "s", "data": list(T)}, {**beside, "data": values}]
+    (tmp_path / "packed.json").write_text(json.dumps(channels))
+    for name in ("packed.h5", "packed.json"):
+        record, words = quietly(pam.read_record, tmp_path / name)
+        assert record["p"] == pytest.approx(np.delete(1e5 * BAR, 7), abs=5.1)
+        assert "1" in words
+    (tmp_path / "packed.json").write_text(
+        json.dumps([channels[0], {**channels[1], "scale_factor": "two"}])
+    )
+    refused("scale_factor", pam.read_record, tmp_path / "packed.json")
+
+
+def test_names_that_say_no_quantity_take_that_of_their_group(tmp_path: Path) -> None:
+    plant = pam.HangingLoad("DMSP-20-400N", mass=20.0)
+    head = "Time;Position;Pressure;\n;;actual;setpoint\ns;mm;bar;bar\n"
+    path = written(tmp_path, head + lines(T, 10 + BAR, BAR, BAR + 0.5, cut=";"))
+    record = pam.read_record(path, plant)
+    assert record["x"] == pytest.approx(1e-3 * (10 + BAR))
+    assert record["muscle.pressure"] == pytest.approx(1e5 * BAR)
+    assert record["muscle.command"] == pytest.approx(1e5 * BAR + 5e4)

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from .cells import (
-    COMMANDS,
     NAMES,
     QUANTITIES,
     TIME_NAMES,
     branch_of,
+    is_command,
     is_empty,
     is_number,
     is_unit,
@@ -436,7 +436,7 @@ def _on_one_scale(
 
 def _is_command(header: str) -> bool:
     words = parse_header(header)[0].replace(".", " ").split()
-    return any(" ".join(words[i:]) in COMMANDS for i in range(len(words)))
+    return any(is_command(" ".join(words[i:])) for i in range(len(words)))
 
 
 def _at(

@@ -77,9 +77,9 @@ MEASURED = words_of(
 COMMANDS = words_of(
     """command, cmd, set, setpoint, set point, pressure command, pressure set, p set, p cmd, p soll,
     p ref, p des, reference, ref, target, soll, sollwert, druck soll, solldruck, consigne, consigna,
-    setpunkt"""
+    setpunkt, commanded, demanded, desired, requested, drucksollwert, consigne de pression"""
 )
-"""Names of what was asked for."""
+"""Names of what was asked for; with a name of the pressure beside: :func:`is_command`."""
 SI = {
     **{"length": "m", "contraction": "1", "pressure": "Pa", "force": "N"},
     **{"position": "m", "angle": "rad", "velocity": "m/s", "angular velocity": "rad/s"},
@@ -374,3 +374,21 @@ def _plain(
             )
     assert first is not None
     return made, first[0]
+
+
+def is_command(name: str) -> bool:
+    """Whether a name says what was asked for: ``setpoint``, ``pressure setpoint``, ``target p``;
+    a reference pressure may also be that of a gauge."""
+    words = name.replace("-", " ").split()
+    halves = [(" ".join(words[:i]), " ".join(words[i:])) for i in range(1, len(words))]
+    return name in COMMANDS or any(
+        (a in NAMES["pressure"] and b in COMMANDS)
+        or (a in COMMANDS - {"ref", "reference"} and b in NAMES["pressure"])
+        for a, b in halves
+    )
+
+
+def says_no_quantity(header: str) -> bool:
+    """Whether a header says only that something was measured, or asked for: ``actual, set``."""
+    name = parse_header(header)[0]
+    return name in COMMANDS or all(w in MEASURED for w in name.split())

@@ -19,11 +19,11 @@ from ...core.quantities import MEASURED, inside_by, units_of
 from ...core.units import Unit, unit
 from ...core.variables import Variable
 from .cells import (
-    COMMANDS,
     LABELS,
     NAMES,
     PLACES,
     QUANTITIES,
+    is_command,
     is_empty,
     is_number,
     is_stamp,
@@ -479,7 +479,7 @@ def _meant(plant: Plant, name: str) -> str | None:
         if kind in names and not match["number"]:
             found = [v.name for v in plant.states if v.name in names]
             return found[0] if len(found) == 1 else None
-    last = "command" if kind in COMMANDS else next((k for k in NAMES if kind in NAMES[k]), None)
+    last = "command" if is_command(kind) else next((k for k in NAMES if kind in NAMES[k]), None)
     if last is None:
         return None
     fitting = [

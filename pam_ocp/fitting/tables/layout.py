@@ -22,6 +22,7 @@ from .cells import (
     is_unit,
     parse_header,
     parted,
+    says_no_quantity,
     without_units,
     words_of,
 )
@@ -291,10 +292,10 @@ def _unmerged(names: list[str], stated: Sequence[Any]) -> list[str]:
 
 
 def _grouped(grid: Grid, head: int, names: list[str]) -> list[str]:
-    """Names that stand twice, with that of the group above them, whose cells were merged:
-    ``muscle 1`` over ``p, F`` and ``muscle 2`` over ``p, F``.
+    """Names that stand twice or say no quantity, with that of the group above them, whose cells
+    were merged: ``muscle 1`` and ``muscle 2`` over ``p, F``, ``pressure`` over ``actual, set``.
     """
-    twice = {n for n, count in Counter(names).items() if n and count > 1}
+    twice = {n for n, count in Counter(names).items() if n and (count > 1 or says_no_quantity(n))}
     above = grid.rows[head - 1] if head >= 1 else []
     groups = [str(c).strip() if not is_empty(c) else "" for c in above]
     if not twice or sum(map(bool, groups)) < 2:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError
 from ...core.files import MOST_CELLS, require_size
+from ...core.foreign import unpacked
 from .blocks import clocked, merged
 from .cells import TIME_NAMES, decimal_of, is_number, is_unit, plain
 from .dialect import Grid, Unsaid
@@ -416,7 +417,7 @@ def _signal_columns(
     at = next((n for n in _VALUES if n in inside), None)
     if at is None or any(n in inside for n in (*TIME_NAMES, "x")):
         return {}
-    columns = _array_columns(inside[at], length)
+    columns = [list(unpacked(c, one)) for c in _array_columns(inside[at], length)]
     if not columns:
         return {}
     own = next((t for n in _NAMES if (t := _text(inside.get(n)))), "")
@@ -497,8 +498,9 @@ def _of_dspace(tree: Mapping[Any, Any]) -> dict[str, Any]:
         columns, at = _array_columns(signal["Data"], None), place - first
         if not columns:
             continue
+        clock = _with_unit("time", {"unit": "s", **_lower(clocks[at])})
         table = tables.setdefault(
-            at, {"time [s]": (_array_columns(clocks[at]["Data"], None) or [[]])[0]}
+            at, {clock: (_array_columns(clocks[at]["Data"], None) or [[]])[0]}
         )
         name = _with_unit(_of_path(signal), _lower(signal))
         table[name if name not in table else f"{name} ({len(table)})"] = columns[0]
