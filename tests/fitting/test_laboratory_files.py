@@ -480,3 +480,14 @@ def test_names_that_say_no_quantity_take_that_of_their_group(tmp_path: Path) -> 
     assert record["x"] == pytest.approx(1e-3 * (10 + BAR))
     assert record["muscle.pressure"] == pytest.approx(1e5 * BAR)
     assert record["muscle.command"] == pytest.approx(1e5 * BAR + 5e4)
+
+
+def test_a_record_without_input_names_the_columns_that_may_be_one() -> None:
+    plant = pam.HangingLoad("DMSP-20-400N", mass=20.0)
+    source = {"t [s]": T, "x [mm]": 10 + BAR, "valve 7 [V]": BAR, "remark": ["a"] * len(T)}
+    left_out = r"as an input \(muscle\.command\), and 'valve 7 \[V\]' left out"
+    with pytest.warns(ReadingWarning, match=left_out):
+        assert pam.read_record(source, plant).names == ("x",)
+    source["p set [bar]"] = BAR
+    _, words = quietly(pam.read_record, source, plant)
+    assert words == ""

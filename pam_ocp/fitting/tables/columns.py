@@ -425,7 +425,7 @@ def record_variables(
     if plant is None:
         made = dict(columns)
         for header, name in rest.items():
-            if not _has_numbers(raw, header):
+            if not has_numbers(raw, header):
                 continue
             plain = _name(name)
             made[plain if plain not in made else _name(header)] = header
@@ -440,7 +440,7 @@ def record_variables(
     for header, name in rest.items():
         if header not in chosen.values():
             meant = _meant(plant, name)
-            if meant is not None and meant not in chosen and _has_numbers(raw, header):
+            if meant is not None and meant not in chosen and has_numbers(raw, header):
                 chosen[meant] = header
     chosen = {n: h for n, h in chosen.items() if plant.variable(n).causality != "parameter"}
     if not chosen:
@@ -460,7 +460,7 @@ def _name(text: str) -> str:
     return name if name[:1].isalpha() else f"column_{name.strip('_')}".rstrip("_")
 
 
-def _has_numbers(raw: RawTable, header: str) -> bool:
+def has_numbers(raw: RawTable, header: str) -> bool:
     """Whether a column holds numbers, and not remarks or stamps."""
     there = [c for c in raw.columns[header] if not is_empty(c)][:200]
     sign = raw.decimal or "."

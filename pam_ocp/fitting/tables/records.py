@@ -26,7 +26,7 @@ from .clock import (
     read_clock,
     rows_before_jumps,
 )
-from .columns import check_size, column_scale, display_of, record_variables
+from .columns import check_size, column_scale, display_of, has_numbers, record_variables
 from .doubts import (
     Column,
     Understood,
@@ -240,6 +240,8 @@ def record_parts(
     seen.raw, seen.meanings[header] = raw, ("time", None)
     raw = raw if plant is not None else _in_known_units(raw, words, header)
     pairs = record_variables(raw, plant, dict(words.columns), header)
+    if plant is not None and not any(v.causality == "input" for v, _ in pairs):
+        raw = _without_input(raw, plant, {h for _, h in pairs} | {header})
     seen.meanings |= {h: (variable.name, None) for variable, h in pairs}
     columns = [_column(raw, variable, h, plant, words) for variable, h in pairs]
     seen.meanings |= {c.header: (c.argument, c.scale) for c in columns}
@@ -329,6 +331,19 @@ def _in_known_units(raw: RawTable, words: RecordArguments, clock: str) -> RawTab
     )
     kept = {h: c for h, c in raw.columns.items() if h not in lost}
     return replace(raw, columns=kept, notes=(*raw.notes, note))
+
+
+def _without_input(raw: RawTable, plant: Plant, read: set[str]) -> RawTable:
+    """With a note, no column being an input, where others with numbers are left out."""
+    inputs = [v.name for v in plant.inputs if not v.disturbance]
+    others = [h for h in raw.columns if h not in read and has_numbers(raw, h)]
+    if not inputs or not others:
+        return raw
+    note = (
+        f"no column was read as an input ({', '.join(inputs)}), and {', '.join(map(repr, others))} "
+        f"left out; if one was sent, give columns={{{inputs[0]!r}: {others[0]!r}}}"
+    )
+    return replace(raw, notes=(*raw.notes, note))
 
 
 def _column(
