@@ -491,3 +491,15 @@ def test_a_record_without_input_names_the_columns_that_may_be_one() -> None:
     source["p set [bar]"] = BAR
     _, words = quietly(pam.read_record, source, plant)
     assert words == ""
+
+
+def test_a_factor_beside_values_that_nobody_says_to_apply_is_told(tmp_path: Path) -> None:
+    clock = {"name": "t", "unit": "s", "data": list(T)}
+    channel = {"name": "p", "unit": "bar", "data": list(BAR), "scale": 2.0, "offset": 0}
+    (tmp_path / "run.json").write_text(json.dumps({"channels": [clock, channel]}))
+    record, words = quietly(pam.read_record, tmp_path / "run.json")
+    assert record["p"] == pytest.approx(1e5 * BAR)
+    assert "p: scale = 2 beside its values taken as applied" in words
+    plain = {**channel, "scale": 1.0}
+    (tmp_path / "run.json").write_text(json.dumps({"channels": [clock, plain]}))
+    assert quietly(pam.read_record, tmp_path / "run.json")[1] == ""

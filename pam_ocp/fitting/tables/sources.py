@@ -61,7 +61,7 @@ from .dialect import (
 )
 from .layout import given_names, has_table, require_distinct, tabulated
 from .raw import RawTable, Reading, labels_of, with_constants
-from .trees import chosen_table, flat, left_out
+from .trees import chosen_table, flat, left_out, not_applied
 
 
 def load(source: Any, how: Reading | None = None) -> RawTable:
@@ -235,6 +235,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
     if isinstance(found, RawTable):
         return found
     notes = left_out(tree, label, found) if how.pick is None else ()
+    notes += not_applied(tree)
     if isinstance(found, Grid):
         grid = replace(found, rows=found.rows[how.skip :], lines=found.lines[how.skip :])
         raw = tabulated(grid, how)

@@ -100,6 +100,33 @@ def left_out(tree: Any, label: str, found: Found | RawTable) -> tuple[str, ...]:
     return (f"not in the table, for they have other lengths: {', '.join(lost[:8])}{more}",)
 
 
+_FACTORS = {"scale": 1.0, "scaling": 1.0, "factor": 1.0, "gain": 1.0, "slope": 1.0, "offset": 0.0}
+"""Words for a calibration, with the number that changes nothing. CF's are applied."""
+
+
+def not_applied(tree: Any, name: str = "", level: int = 0) -> tuple[str, ...]:
+    """In words, which numbers beside values look like a calibration that nobody applied."""
+    if level > MOST_LEVELS or not isinstance(tree, Mapping | list):
+        return ()
+    if isinstance(tree, list):
+        inner = [t for one in tree[:MOST_SIGNALS] for t in not_applied(one, name, level + 1)]
+        return tuple(dict.fromkeys(inner))
+    inside = _lower(tree)
+    own = next((t for n in _NAMES if (t := _text(inside.get(n)))), name)
+    beside = [
+        f"{word} = {inside[word]:g}"
+        for word, plain in _FACTORS.items()
+        if isinstance(inside.get(word), int | float) and inside[word] != plain
+    ]
+    if beside and any(n in inside for n in _VALUES):
+        return (
+            f"{own}: {' and '.join(beside)} beside its values taken as applied already; if not, "
+            "multiply them, or say a calibration in units=",
+        )
+    several = (not_applied(v, str(k), level + 1) for k, v in tree.items())
+    return tuple(dict.fromkeys(t for found in several for t in found))
+
+
 def _require_few(label: str, arrays: Sequence[NDArray[Any]]) -> None:
     """Bounds what arrays hold before they become lists, which take four times as much."""
     require_size(label, max((max(a.shape, default=0) for a in arrays), default=0), 1)
